@@ -1,9 +1,8 @@
 """A Universal Robots arm, moved through ur_rtde in a separate process that can be killed at any moment.
 
 Three properties hold even if that client hangs, crashes with the link or reports old states. Every call returns in
-bounded time. On any doubt the listener is called, then the worker process is killed, a stop is requested over a
-separate dashboard connection, and the arm is monitored over a separate RTDE connection until it rests. If even that
-fails, the controller's watchdog expires and stops the program.
+bounded time. On any doubt all that ``drivers.arms.ur_guarded_link`` describes happens at once. If even that fails, the
+controller's watchdog expires and stops the program.
 
 ``brake`` stops the arm in three ways: the worker decelerates the motion through the control program; at most 20 ms
 later a line on an open dashboard connection, and the worker on another one, end the program; and the worker no longer
@@ -14,22 +13,17 @@ After a fault or a brake nothing moves until ``connect`` is called again. The dr
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arms.protocol import (
-    ArmError,
     ArmIdentity,
     ArmState,
-    DoubtListener,
     JointLimits,
     LinkLost,
-    LiveArm,
     MotionStopped,
     Tool,
     WrongRobot,
@@ -37,63 +31,46 @@ from drivers.arms.protocol import (
 )
 from drivers.arms.ur_answers import arm_error, arm_state
 from drivers.arms.ur_checks import Check, UrExpectation, checks, load_checks
-from drivers.arms.ur_doubt import FirstDoubt
-from drivers.arms.ur_links import stop_program
+from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, GuardedLink
 from drivers.arms.ur_motion import OPTIONAL_VARIABLES
 from drivers.arms.ur_probe import UrProbe, probe_ur
 from drivers.arms.ur_requests import checked_acceleration, checked_goal, checked_rows, checked_speed, narrower
-from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
-from drivers.arms.ur_stop_line import StopLatch, StopLine
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
+from drivers.patience import Patience
 
 LONGEST_PROBE_S = 5.0
 LONGEST_BRAKING_S = 3.0
 """Several times what a UR arm takes to brake from full speed."""
 
 _HELLO_WITHIN_S = 10.0
-_ANSWER_WITHIN_S = 2.0
-_STOP_WITHIN_S = 1.0
-_MESSAGE_WITHIN_S = 0.3
-"""A worker that takes no message for this long hangs."""
+_ENDS_WITHIN_S = 3.0
 _MARGIN_S = 1.0
 _ROWS_AT_ONCE = 20
 """Joint positions in one request to the worker: it asks the controller about one in 8 to 20 ms."""
 _ROWS_WITHIN_S = 10.0
 
+GoingOn = Callable[[], None]
+"""Raises ``MotionStopped`` if motions were refused since a connection began."""
 
-class UrArm:
-    """One UR arm. ``brake`` and ``stop`` may be called from any thread, the rest from one at a time."""
+
+class UrArm(GuardedLink):
+    """One UR arm. ``live`` and what stops may be called from any thread, the rest from one at a time."""
 
     def __init__(
         self, name: str, settings: UrSettings, expected: UrExpectation, *, rest_s: float = LONGEST_BRAKING_S
     ) -> None:
         """Nothing is opened yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests."""
-        self._name = name
-        self._host = settings.host
+        super().__init__(name, settings, rest_s)
         self._expected = expected
-        self._settings = settings
         self._rest_s = rest_s
-        self._worker: WorkerProcess | None = None
-        self._stop_line = StopLine(settings.host)
-        self._fault: ArmError | None = None
-        self._may_run_program = False
-        """Whether a program of this driver may run on the controller, and with it a motion."""
+        self._interrupted = False
+        """Whether the last ``connect`` was ended by a refusal of motion."""
         self._probed: UrProbe | None = None
         self._serial = ""
         self._checksum: str | None = expected.checksum
         self._warnings: tuple[str, ...] = ()
-        self._gaps = HeartbeatGaps()
         self._limits = expected.limits
-        self._latch = StopLatch()
-        self._doubt = FirstDoubt()
-
-    # -- the protocol --------------------------------------------------------------------------------------------------
-
-    @property
-    def name(self) -> str:
-        """The arm's name in the profile."""
-        return self._name
 
     def connect(self) -> None:
         """Probe the controller over plain sockets, check it against the expectation, then start the RTDE client.
@@ -101,32 +78,57 @@ class UrArm:
         After a fault it does all of this again; a program of this driver that may still run is stopped first. After
         ``brake`` alone it starts the control program again and checks readiness, payload, TCP and speed slider.
         Harmless when connected, without a fault and not braked. Raises as the protocol specifies, and ``MotionStopped``
-        if ``brake`` is called meanwhile.
+        if motions are refused meanwhile: then the client is killed, and a program that it has started is stopped.
         """
         brakes = self._latch.brakes
-        self._latch.wait_for_stops(self._rest_s + _STOP_WITHIN_S)
-        if not self._is_well(brakes):
-            self._connect_anew()
-        self._latch.release(brakes)
-        self._require_not_braked()
+
+        def going_on() -> None:
+            if self._latch.brakes != brakes:
+                raise arm_error(self._name, "stopped", "it was stopped while it was being connected")
+
+        self._interrupted = False
+        self._latch.wait_for_stops(brakes, self._rest_s + _MARGIN_S)
+        try:
+            going_on()
+            if not self._is_well(going_on):
+                self._connect_anew(going_on)
+            self._latch.release(brakes)
+            self._require_not_braked()
+        except MotionStopped:
+            self._interrupted = True
+            self._give_up()
+            raise
+        finally:
+            self._connecting = None
         self._doubt.report()
 
-    def _connect_anew(self) -> None:
+    def _give_up(self) -> None:
+        """Kill the client, and stop the program that it has started, if any."""
+        self._drop_worker()
+        if self._program.may_run:
+            with suppress(LinkLost):
+                self._program.bring_to_rest(quickly=self._interrupted)
+            self._program.started()  # one that was uploaded may still start
+
+    def _connect_anew(self, going_on: GoingOn) -> None:
         self._drop_worker()
         self._doubt.clear()
-        probe = self._probe()
+        probe = self._probe(going_on)
         self._raise_failed(
             [check for check in checks(self._expected, probe) if check.subject not in ("program", "state")]
         )
         program = "" if probe.sample is None else probe.sample.program
-        if program != "STOPPED" and self._may_run_program:
-            self._require_rest()
-            probe = self._probe()
+        if program != "STOPPED" and self._program.may_run:
+            self._require_rest(look=going_on)
+            probe = self._probe(going_on)
         results = checks(self._expected, probe)
         self._raise_failed(results)
         self._check_same_controller(probe)
-        self._open_stop_line()
-        self._start_client(probe)
+        try:
+            self._stop_line.open(going_on)
+        except LinkLost as error:
+            raise LinkLost(f"arm {self._name}: {error}") from error
+        self._start_client(probe, going_on)
         self._probed = probe
         self._limits = narrower(self._expected.limits, probe.limits)
         self._keep_warnings(results, probe)
@@ -176,10 +178,6 @@ class UrArm:
         worker = self._worker
         return self._gaps if worker is None else self._gaps.joined(worker.gaps)
 
-    def watch(self, listener: DoubtListener) -> None:
-        """Report the first doubt after each ``connect`` to ``listener``, from a thread of this driver."""
-        self._doubt.watch(listener)
-
     def refused_by_controller(self, q: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return which joint positions (n, 6) [rad] the controller's safety configuration forbids, shape (n,).
 
@@ -195,7 +193,7 @@ class UrArm:
 
     def state(self) -> ArmState:
         """Return the first state that the controller sends after this call."""
-        return arm_state(self._call("state", _ANSWER_WITHIN_S), self._settings.settle_speed)
+        return arm_state(self._call("state", ANSWER_WITHIN_S), self._settings.settle_speed)
 
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Start a joint motion to ``q`` (6,), all joints together; no joint exceeds its speed or acceleration (6,).
@@ -206,7 +204,7 @@ class UrArm:
         speeds = checked_speed(self._name, speed, self._limits)
         accelerations = checked_acceleration(self._name, acceleration, self._limits)
         self._connected()
-        self._may_run_program = True
+        self._program.started()
         self._call(
             "move",
             self._settings.startup_timeout,
@@ -222,138 +220,25 @@ class UrArm:
         Raises ``ArmTimeout`` (the motion continues), or the cause of the stop: then nothing moves until ``connect``.
         """
         timeout = max(timeout_s, 0.0)
-        answer = self._call("settled", timeout + _ANSWER_WITHIN_S, self._require_not_braked, timeout_s=timeout)
+        answer = self._call("settled", timeout + ANSWER_WITHIN_S, self._require_not_braked, timeout_s=timeout)
         return arm_state(answer, self._settings.settle_speed)
-
-    def live(self) -> LiveArm:
-        """Return what the worker last reported of the arm."""
-        worker = self._worker
-        return LiveArm(math.inf, self._may_run_program) if worker is None else worker.live
-
-    def confirm(self) -> None:
-        """Ask the dashboard and the worker. Raises as the protocol specifies."""
-        doubt = self._doubt.error
-        if doubt is not None:
-            raise type(doubt)(*doubt.args)
-        try:
-            self._stop_line.open()
-        except LinkLost as error:
-            self._doubted("link", str(error))
-            raise LinkLost(f"arm {self._name}: {error}") from error
-        fault = self._call("state", _ANSWER_WITHIN_S)["fault"]
-        if fault is not None:
-            raise arm_error(self._name, fault["kind"], fault["text"])
-
-    def refuse_motion(self) -> None:
-        """Accept no motion until the next ``connect``."""
-        self._latch.refuse()
-
-    def brake(self) -> None:
-        """Stop at full deceleration; returns within some 20 ms, within 0.4 s if the dashboard does not answer.
-
-        Raises ``LinkLost`` if the controller did not confirm the stop; the worker no longer kicks its watchdog then.
-        """
-        with self._latch.stopping(brakes=1):
-            self._command_stop()
-
-    def stop(self) -> None:
-        """Stop the controller's program and wait until the arm rests; harmless if no program of this driver runs.
-
-        Raises ``LinkLost`` if the arm could not be reached or seen; its watchdog then stops it.
-        """
-        if not self._may_run_program:
-            return
-        with self._latch.stopping():
-            worker = self._worker
-            if worker is None or worker.ended or isinstance(self._fault, LinkLost):
-                self._drop_worker()
-                self._require_rest()
-                return
-            try:
-                self._command_stop()
-                wait_at_rest(self._host, self._rest_s)
-                with suppress(MotionStopped):
-                    worker.call("release", _ANSWER_WITHIN_S, self._require_last_stop)
-            except (LinkLost, WorkerGone, WorkerRefusal) as error:
-                doubt = self._link_in_doubt(f"the stop failed: {error}")
-                if self._may_run_program:  # else it was seen at rest, and the lost link shows at the next call
-                    raise doubt from error
 
     def disconnect(self) -> None:
         """Stop the arm, its program and the client; nothing stays on the controller. Harmless when closed."""
         worker, self._worker = self._worker, None
         self._doubt.mute()
         if worker is not None:
-            worker.end(3.0 * _STOP_WITHIN_S)
+            worker.end(_ENDS_WITHIN_S)
             self._gaps = self._gaps.joined(worker.gaps)
         self._stop_line.close()
         self._probed, self._fault = None, None
-        if self._may_run_program:
-            self._require_rest()
-
-    @property
-    def worker_pid(self) -> int | None:
-        """Process id of the worker, for tests that kill it; None without one."""
-        return None if self._worker is None else self._worker.pid
-
-    # -- stopping ------------------------------------------------------------------------------------------------------
-
-    def _command_stop(self) -> None:
-        """Stop the arm by all means, and wait for the dashboard's confirmation. Raises ``LinkLost``."""
-        worker = self._worker
-        # before the dashboard: the worker must not take the stop for one by somebody else
-        informed = worker is None or worker.brake()
-        if not self._may_run_program:
-            return
-        try:
-            self._stop_line.stop()
-        except LinkLost as error:
-            raise LinkLost(
-                f"arm {self._name}: its stop was not confirmed: {error}; its watchdog stops it after"
-                f" {1.0 / self._settings.watchdog_hz:.1f} s, but treat it as moving until you see it at rest"
-            ) from error
-        finally:
-            if worker is not None and not informed and not worker.brake(_MESSAGE_WITHIN_S):
-                worker.kill_at_once()  # it would keep the watchdog from expiring
-
-    def _require_not_braked(self) -> None:
-        if self._latch.in_force:
-            raise arm_error(self._name, "stopped", "it was stopped")
-
-    def _require_last_stop(self) -> None:
-        """Raise ``MotionStopped`` if another stop or a brake must stay in force."""
-        self._require_not_braked()
-        if self._latch.stops > 1:
-            raise arm_error(self._name, "stopped", "it is being stopped")
-
-    # -- doubts --------------------------------------------------------------------------------------------------------
-
-    def _doubted(self, kind: str, text: str) -> None:
-        """Report the first doubt since ``connect``; called from the worker's threads, too."""
-        self._doubt.note(arm_error(self._name, kind, text), text)
-
-    def _check_stop_line(self) -> None:
-        lost = self._stop_line.check()
-        if lost:
-            self._doubted("link", f"the dashboard, over which it is stopped, does not answer: {lost}")
-
-    def _fault_or(self, stopped: ArmError) -> ArmError:
-        """Return the fault that came before a stop, if any: it is what a person must know."""
-        doubt, worker = self._doubt.error, self._worker
-        if doubt is None or worker is None:
-            return doubt or stopped
-        if isinstance(doubt, LinkLost):
-            return self._link_in_doubt(self._doubt.text)
-        with suppress(WorkerGone, WorkerRefusal):
-            fault = worker.call("state", _ANSWER_WITHIN_S)["fault"]  # its cause may be known better by now
-            if fault is not None:
-                return arm_error(self._name, fault["kind"], fault["text"])
-        return type(doubt)(*doubt.args)
+        if self._program.may_run:
+            self._require_rest(quickly=self._interrupted)
 
     # -- connecting ----------------------------------------------------------------------------------------------------
 
-    def _is_well(self, brakes: int) -> bool:
-        """Return whether the client runs without a fault; after ``brakes`` brakes, restart its program.
+    def _is_well(self, going_on: GoingOn) -> bool:
+        """Return whether the client runs without a fault; after a brake, restart its program.
 
         Raises what keeps a braked arm from moving again.
         """
@@ -362,28 +247,21 @@ class UrArm:
             return False
         try:
             if not self._latch.in_force:
-                return worker.call("state", _ANSWER_WITHIN_S)["fault"] is None
-            self._open_stop_line()
-            answer = worker.call("restart", self._settings.startup_timeout, lambda: self._require_brakes(brakes))
+                return worker.call("state", ANSWER_WITHIN_S)["fault"] is None
+            self._stop_line.confirm(Patience(CONFIRM_WITHIN_S, look=going_on))
+            self._program.started()
+            self._connecting = worker
+            answer = worker.call("restart", self._settings.startup_timeout, going_on)
         except (WorkerGone, WorkerRefusal, LinkLost):
             return False
-        self._may_run_program = True
+        self._connecting = None
+        going_on()
         self._raise_failed(load_checks(self._expected, probe, answer))
         return True
 
-    def _require_brakes(self, brakes: int) -> None:
-        if self._latch.brakes != brakes:
-            raise arm_error(self._name, "stopped", "it was stopped again")
-
-    def _open_stop_line(self) -> None:
+    def _probe(self, going_on: GoingOn) -> UrProbe:
         try:
-            self._stop_line.open()
-        except LinkLost as error:
-            raise LinkLost(f"arm {self._name}: {error}") from error
-
-    def _probe(self) -> UrProbe:
-        try:
-            return probe_ur(self._host, min(self._settings.timeout, LONGEST_PROBE_S))
+            return probe_ur(self._host, min(self._settings.timeout, LONGEST_PROBE_S), look=going_on)
         except LinkLost as error:
             raise LinkLost(f"arm {self._name}: {error}") from error
 
@@ -401,19 +279,20 @@ class UrArm:
             )
         self._serial = probe.serial or self._serial
 
-    def _start_client(self, probe: UrProbe) -> None:
-        worker = WorkerProcess(self._name, self._doubted, self._check_stop_line)
-        self._worker = worker
+    def _start_client(self, probe: UrProbe, going_on: GoingOn) -> None:
+        going_on()
+        worker = WorkerProcess(self._name, self._doubted, self._program.started)
+        self._worker = self._connecting = worker
         self._fault = None
         timeout = self._settings.startup_timeout
         sample = probe.sample
         reported = () if sample is None else (sample.speed_fraction, sample.payload_kg, sample.payload_center_m)
         try:
             worker.wait_hello(_HELLO_WITHIN_S)
-            self._may_run_program = True
             answer = worker.call(
                 "open",
                 timeout,
+                going_on,
                 host=self._host,
                 optional=[name for name, value in zip(OPTIONAL_VARIABLES, reported) if value is not None],
                 watchdog_hz=self._settings.watchdog_hz,
@@ -422,22 +301,24 @@ class UrArm:
                 settle_position=self._settings.settle_window,
                 timeout_s=timeout + _MARGIN_S,
             )
+            self._connecting = None
+            going_on()
             worker.watch()
             self._raise_failed(load_checks(self._expected, probe, answer))
+        except MotionStopped:
+            raise
         except WorkerRefusal as error:
-            self._drop_worker()
-            with suppress(LinkLost):
-                self._bring_to_rest()
-            self._may_run_program = True  # an uploaded program may still start
+            going_on()
+            self._give_up()
             raise arm_error(self._name, error.kind, error.text) from error
         except WorkerGone as error:
-            doubt = self._link_in_doubt(f"the client did not start: {error}")
-            self._may_run_program = True
+            going_on()
+            doubt = self._link_in_doubt(f"the client did not start: {error}", error.kind)
+            if worker.opening:
+                self._program.started()  # one that was uploaded may still start
             raise doubt from error
         except BaseException:
-            self._drop_worker()
-            with suppress(LinkLost):
-                self._bring_to_rest()
+            self._give_up()
             raise
 
     def _keep_warnings(self, results: list[Check], probe: UrProbe) -> None:
@@ -452,70 +333,3 @@ class UrArm:
         if self._probed is None:
             raise LinkLost(f"arm {self._name}: not connected; connect first")
         return self._probed
-
-    # -- calls and their failures --------------------------------------------------------------------------------------
-
-    def _call(
-        self, request: str, within_s: float, permitted: Callable[[], None] = lambda: None, **arguments: Any
-    ) -> dict[str, Any]:
-        self._connected()
-        worker = self._worker
-        if worker is None:
-            if self._fault is not None:
-                raise type(self._fault)(*self._fault.args)
-            raise LinkLost(f"arm {self._name}: not connected; connect first")
-        try:
-            return worker.call(request, within_s, permitted, **arguments)
-        except MotionStopped as stopped:
-            raise self._fault_or(stopped) from stopped
-        except WorkerRefusal as error:
-            refused = arm_error(self._name, error.kind, error.text)
-            raise (self._fault_or(refused) if isinstance(refused, MotionStopped) else refused) from error
-        except WorkerGone as error:
-            raise self._link_in_doubt(str(error)) from error
-
-    def _link_in_doubt(self, why: str) -> LinkLost:
-        """Report, kill the client, stop the arm, monitor it until it rests if possible; return what to raise."""
-        self._doubted("link", why)
-        self._drop_worker()
-        try:
-            self._bring_to_rest()
-            outcome = "a stop was requested and the arm was seen at rest"
-        except LinkLost as error:
-            period = 1.0 / self._settings.watchdog_hz
-            outcome = (
-                f"it could not be seen at rest ({error}); its controller stops it {period:.1f} s after the last"
-                " message of this computer, but treat it as moving until you see it at rest"
-            )
-        self._fault = LinkLost(f"arm {self._name}: link lost: {why}; {outcome}")
-        return self._fault
-
-    def _drop_worker(self) -> None:
-        worker, self._worker = self._worker, None
-        self._doubt.mute()
-        if worker is not None:
-            worker.kill()
-            self._gaps = self._gaps.joined(worker.gaps)
-
-    def _require_rest(self) -> None:
-        """Bring the arm to rest. Raises ``LinkLost`` with the arm's name."""
-        try:
-            self._bring_to_rest()
-        except LinkLost as error:
-            text = f"its stop was not confirmed: {error}; treat it as moving until you see it at rest"
-            raise arm_error(self._name, "link", text) from error
-
-    def _bring_to_rest(self) -> None:
-        """Stop the controller's program and monitor the arm until it rests. Raises ``LinkLost``."""
-        not_stopped: LinkLost | None = None
-        try:
-            stop_program(self._host, _STOP_WITHIN_S)
-        except LinkLost as error:
-            not_stopped = error
-        try:
-            sample = wait_at_rest(self._host, self._rest_s)
-        except LinkLost as error:
-            raise LinkLost(f"{not_stopped}; {error}" if not_stopped else str(error)) from error
-        if not_stopped is not None and sample.program == "PLAYING":
-            raise not_stopped
-        self._may_run_program = False

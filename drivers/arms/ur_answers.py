@@ -18,25 +18,31 @@ from drivers.arms.protocol import (
     NotInRemoteControl,
     ProtectiveStop,
 )
-from drivers.arms.ur_checks import JOINTS, safety_error, safety_remedy
+from drivers.arms.ur_checks import JOINTS
+from drivers.arms.ur_safety import not_ready
 
 REFUSALS: Mapping[str, type[ArmError]] = {
     "protective": ProtectiveStop,
     "emergency": EmergencyStop,
     "local": NotInRemoteControl,
     "link": LinkLost,
+    "driver": LinkLost,
+    "nonsense": LinkLost,
     "timeout": ArmTimeout,
     "stopped": MotionStopped,
     "stalled": HostStalled,
     "failed": ArmError,
+    "advised": ArmError,
 }
-"""Exception for each kind of refusal of the worker."""
+"""Exception for each kind of refusal of the worker. The text of kinds without a remedy here says what to do."""
 _REMEDIES = {
-    "protective": safety_remedy("PROTECTIVE_STOP"),
-    "emergency": safety_remedy("ROBOT_EMERGENCY_STOP"),
     "link": "see whether the controller is on and the network between works, then connect again",
+    "driver": "close other programs on this computer, then connect again",
+    "nonsense": "look at the pendant's log, restart the controller",
+    "timeout": "look at the speed slider and at the pendant",
     "stopped": "connect again when it may move",
     "stalled": "nothing is wrong at the arm; close other programs on this computer",
+    "failed": "look at the arm and at the pendant's log, then connect again",
 }
 
 
@@ -49,12 +55,9 @@ def arm_error(name: str, kind: str, text: str) -> ArmError:
 def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:
     """Return the state that a worker answered; a joint faster than ``moving_rad_s`` moves."""
     mode, safety, fault = str(answer["robot_mode"]), str(answer["safety_mode"]), answer["fault"]
-    reason = ""
-    if safety != "NORMAL":
-        kind = {ProtectiveStop: "protective stop", EmergencyStop: "emergency stop"}.get(safety_error(safety))
-        reason = f"{kind or safety}: {safety_remedy(safety)}"
-    elif mode != "RUNNING":
-        reason = f"robot mode {mode}; power the arm on and release its brakes on the pendant"
+    reason, problem = "", not_ready(mode, safety)
+    if problem is not None:
+        reason = ": ".join(problem)
     elif fault is not None:
         reason = f"{fault['text']}; connect again when the arm may move"
     qd = np.array(answer["qd"], dtype=np.float64)

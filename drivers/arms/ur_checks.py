@@ -14,17 +14,16 @@ from numpy.typing import NDArray
 
 from drivers.arms.protocol import (
     ArmError,
-    EmergencyStop,
     JointLimits,
     LimitExceeded,
     LinkLost,
     NotInRemoteControl,
-    ProtectiveStop,
     WrongRobot,
     stale,
 )
 from drivers.arms.ur_motion import SLIDER_DOWN
 from drivers.arms.ur_probe import UrProbe
+from drivers.arms.ur_safety import safety_error, safety_remedy
 
 Status = Literal["ok", "warning", "failed"]
 JOINTS = 6
@@ -33,16 +32,6 @@ _LIMIT_SLACK_RAD = 1e-3
 _RATE_SLACK = 1e-3
 _TCP_SLACK_M, _TCP_SLACK_RAD = 5e-4, 2e-3
 """Slack for the rounding of values typed on the pendant."""
-_SAFETY_REMEDY = {
-    "REDUCED": "speeds and forces are limited: leave the area or clear the input that triggers it",
-    "PROTECTIVE_STOP": "go to the arm, see what stopped it, clear the cause, then enable the robot on the pendant",
-    "RECOVERY": "a limit is exceeded: jog the arm back inside on the pendant",
-    "SAFEGUARD_STOP": "close the guard or clear the light curtain, then reset the safeguard",
-    "SYSTEM_EMERGENCY_STOP": "an emergency stop of the cell is pressed: find out why, release it, power the arm on",
-    "ROBOT_EMERGENCY_STOP": "the pendant's emergency stop is pressed: find out why, release it, power the arm on",
-    "VIOLATION": "a safety limit was violated: read the pendant's log, then restart the safety system there",
-    "FAULT": "the safety system is at fault: read the pendant's log, then restart it there",
-}
 
 
 @dataclass(frozen=True)
@@ -120,18 +109,6 @@ def load_checks(expected: UrExpectation, probe: UrProbe, answer: Mapping[str, An
         )
     now = replace(probe, sample=sample, tcp=probe.tcp if tcp is None else tuple(tcp))
     return [_slider(now), _payload(expected, now), _tcp(expected, now)]
-
-
-def safety_error(mode: str) -> type[ArmError]:
-    """Return the exception for a safety mode other than normal."""
-    if mode.endswith("EMERGENCY_STOP"):
-        return EmergencyStop
-    return ProtectiveStop if mode == "PROTECTIVE_STOP" else ArmError
-
-
-def safety_remedy(mode: str) -> str:
-    """Return what a person must do about a safety mode other than normal."""
-    return _SAFETY_REMEDY.get(mode, "look at the pendant")
 
 
 def _model(expected: UrExpectation, probe: UrProbe) -> Check:

@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control
+from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, printable
 from drivers.arms.ur_motion import VARIABLES, WorkerSample, read_worker_sample
+from drivers.patience import Patience
 
 _FREQUENCY_HZ = 125.0
 _PROGRAM_WITHIN_S = 5.0
@@ -31,7 +32,10 @@ _ASKED_WITHIN_S = 0.15
 
 
 class Refusal(Exception):
-    """A request that cannot be served: its kind, one of ``drivers.arms.ur_answers.REFUSALS``, and a sentence."""
+    """A request that cannot be served: its kind, one of ``drivers.arms.ur_answers.REFUSALS``, and a sentence.
+
+    That says what to do unless ``REMEDIES`` there does for all of the kind.
+    """
 
     def __init__(self, kind: str, text: str) -> None:
         super().__init__(text)
@@ -41,6 +45,11 @@ class Refusal(Exception):
 def failed(text: str) -> Refusal:
     """Return a refusal without a special kind."""
     return Refusal("failed", text)
+
+
+def advised(text: str) -> Refusal:
+    """Return a refusal whose text says what to do."""
+    return Refusal("advised", text)
 
 
 class UrControl:
@@ -68,7 +77,7 @@ class UrControl:
                     raise Refusal("link", "the controller accepts RTDE connections but sends no state")
                 opening()
                 return cls(host, RTDEControlInterface(host), receive, optional)
-            except RuntimeError as error:
+            except (RuntimeError, ValueError) as error:
                 raise _open_refusal(str(error)) from error
 
     # -- state ---------------------------------------------------------------------------------------------------------
@@ -104,9 +113,9 @@ class UrControl:
 
         Raises ``Refusal``.
         """
-        deadline = time.monotonic() + _PROGRAM_WITHIN_S
+        patience = Patience(_PROGRAM_WITHIN_S)
         while self.program_runs:  # the client learns of a stop one period later than the state
-            if time.monotonic() > deadline:
+            if patience.over:
                 raise failed("the control program was stopped but still runs")
             meanwhile()
             time.sleep(_ASK_AGAIN_S)
@@ -118,35 +127,50 @@ class UrControl:
         except RuntimeError as error:
             raise failed(f"the control program could not be uploaded again: {error}") from error
         while not self.program_runs:
-            if time.monotonic() > deadline:
+            if patience.over:
                 raise Refusal("timeout", f"the control program did not start within {_PROGRAM_WITHIN_S:g} s")
             meanwhile()
             time.sleep(_ASK_AGAIN_S)
 
     def set_watchdog(self, hertz: float) -> None:
         """Let the controller stop the program if it receives nothing for the inverse of ``hertz``."""
-        with self._commanding():
-            if not self._control.setWatchdog(hertz):
-                raise failed("the control program does not respond (it refused the watchdog)")
+        if not self._asked(lambda: self._control.setWatchdog(hertz)):
+            raise failed("the control program does not respond (it refused the watchdog)")
 
     def kick_watchdog(self) -> None:
         """Restart the watchdog's period."""
         self._control.kickWatchdog()
 
     def tcp(self) -> tuple[float, ...] | None:
-        """Return the tool centre point that the program sees, position [m] and rotation vector [rad]; None if none."""
-        with self._commanding():
-            tcp = self._control.getTCPOffset()
+        """Return the tool centre point that the program sees, position [m] and rotation vector [rad]; None if none.
+
+        Raises ``Refusal``.
+        """
+        tcp = self._asked(self._control.getTCPOffset)
         return tuple(tcp) if len(tcp) == 6 else None
 
     def within_safety_limits(self, q: Sequence[float]) -> bool:
         """Return whether the controller's safety configuration allows the joint positions. Raises ``Refusal``."""
-        with self._commanding():
-            allowed = self._control.isJointsWithinSafetyLimits(q)
-        # an unanswered question also counts as "not allowed" in the client
-        if not allowed and not (self.connected and self.program_runs):
-            raise failed("its control program ended while it was asked about safety limits")
+        allowed = self._asked(lambda: self._control.isJointsWithinSafetyLimits(q))
+        self._require_answered(allowed)
         return bool(allowed)
+
+    def confirm(self) -> None:
+        """Ask the control program something that changes nothing. Raises ``Refusal``."""
+        self._require_answered(self._asked(self._control.isSteady))
+
+    def _require_answered(self, answer: Any) -> None:
+        """Raise if an answer that also stands for none, "no", is none."""
+        if not answer and not (self.connected and self.program_runs):
+            raise failed("its control program ended while it was asked a question")
+
+    def _asked(self, question: Callable[[], Any]) -> Any:
+        """Return the control program's answer. Raises ``Refusal``: the client raises for some that are not served."""
+        with self._commanding():
+            try:
+                return question()
+            except (RuntimeError, ValueError) as error:
+                raise failed(f"its control program did not answer: {printable(str(error))}") from error
 
     # -- motion --------------------------------------------------------------------------------------------------------
 
@@ -190,9 +214,9 @@ def _open_refusal(text: str) -> Refusal:
     if "enable remote control" in text:
         return Refusal("local", "not in remote control; switch the pendant from Local to Remote")
     if "before timeout of 5 seconds" in text:
-        return Refusal("timeout", "its control program did not start within 5 s; see what the pendant shows")
+        return Refusal("timeout", "its control program did not start within 5 s")
     if "already in use" in text:
-        return failed("another RTDE client (a fieldbus, another program) holds its inputs; end that")
+        return advised("another RTDE client (a fieldbus, another program) holds its inputs; end that")
     return Refusal("link", f"the RTDE client could not connect: {' '.join(text.split())[:200]}")
 
 

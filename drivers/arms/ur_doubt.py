@@ -16,14 +16,14 @@ class FirstDoubt:
     ----------
     error : ArmError or None
         The first doubt since ``clear``; None if there is none.
-    text : str
-        What was found, without the arm's name and the remedy.
+    text, kind : str
+        What was found, without the arm's name and the remedy; a key of ``drivers.arms.ur_answers.REFUSALS``.
     """
 
     def __init__(self) -> None:
         self._listener: DoubtListener = lambda error: None
         self.error: ArmError | None = None
-        self.text = ""
+        self.text, self.kind = "", ""
         self._noted: dict[type[ArmError], ArmError] = {}
         self._reporting = False
         self._lock = threading.Lock()
@@ -36,14 +36,14 @@ class FirstDoubt:
         for error in noted:
             listener(error)
 
-    def note(self, error: ArmError, text: str) -> None:
+    def note(self, error: ArmError, text: str, kind: str = "link") -> None:
         """Keep a doubt if it is the first, and report it if it is the first of its kind and the arm is connected."""
         with self._lock:
             if type(error) in self._noted:
                 return
             self._noted[type(error)] = error
             if self.error is None:
-                self.error, self.text = error, text
+                self.error, self.text, self.kind = error, text, kind
             reporting = self._reporting
         if reporting:
             self._listener(error)
@@ -64,5 +64,5 @@ class FirstDoubt:
     def clear(self) -> None:
         """Forget all doubts."""
         with self._lock:
-            self.error, self.text = None, ""
+            self.error, self.text, self.kind = None, "", ""
             self._noted.clear()

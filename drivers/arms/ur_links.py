@@ -1,4 +1,4 @@
-"""Plain TCP connections to a UR controller; a deadline (``time.monotonic``) limits every wait. IPv4 only."""
+"""Plain TCP connections to a UR controller; a ``Patience`` limits every wait. IPv4 only."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import queue
 import selectors
 import socket
 import threading
-import time
+from collections.abc import Callable
 from typing import Self
 
 from drivers.arms.protocol import LinkLost
+from drivers.patience import Patience, patient_get
 
 DASHBOARD_PORT = 29999
 PRIMARY_PORT = 30001
@@ -26,13 +27,13 @@ _READ_BYTES = 65536
 _IN_PROGRESS = (errno.EINPROGRESS, errno.EWOULDBLOCK)
 
 
-def resolve(host: str, deadline: float) -> str:
+def resolve(host: str, patience: Patience) -> str:
     """Return the IPv4 address of a host. A thread waits for the system's resolver, which has no time limit.
 
     Raises
     ------
     LinkLost
-        If none is found by the deadline.
+        If none is found in time.
     """
     try:
         return str(ipaddress.IPv4Address(host))
@@ -51,7 +52,7 @@ def resolve(host: str, deadline: float) -> str:
 
     threading.Thread(target=ask, name=f"resolve {printable(host)}", daemon=True).start()
     try:
-        address = answer.get(timeout=remaining_s(deadline))
+        address = patient_get(answer, patience)
     except queue.Empty:
         address = None
     if address is None:
@@ -61,15 +62,10 @@ def resolve(host: str, deadline: float) -> str:
     return address
 
 
-def remaining_s(deadline: float) -> float:
-    """Return the seconds until the deadline, at least zero."""
-    return max(0.0, deadline - time.monotonic())
-
-
-def printable(text: str) -> str:
+def printable(text: str, longest: int = 80) -> str:
     """Return received text shortened and without control characters, for a message."""
-    clean = "".join(c if c.isprintable() else "?" for c in text[:80])
-    return f"{clean}..." if len(text) > 80 else clean
+    clean = "".join(c if c.isprintable() else "?" for c in text[:longest])
+    return f"{clean}..." if len(text) > longest else clean
 
 
 class Connection:
@@ -87,9 +83,9 @@ class Connection:
             self._refusal = os.strerror(code)
 
     @classmethod
-    def to(cls, host: str, port: int, deadline: float) -> Self:
+    def to(cls, host: str, port: int, patience: Patience) -> Self:
         """Start a connection to a host by name or address. Raises ``LinkLost`` if there is no such host."""
-        return cls(host, resolve(host, deadline), port)
+        return cls(host, resolve(host, patience), port)
 
     def __enter__(self) -> Self:
         return self
@@ -108,43 +104,40 @@ class Connection:
             if hasattr(socket, option):
                 self._socket.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
 
-    def closed_by_peer(self) -> bool:
-        """Return whether an idle connection has ended; bytes that nobody asked for end it too."""
-        try:
-            self._socket.recv(1, socket.MSG_PEEK)
-        except BlockingIOError:
-            return False
-        except OSError:
-            return True
-        return True
-
-    def refusal(self, deadline: float) -> str:
-        """Return why no connection was made by ``deadline``; empty if connected."""
+    def refusal(self, patience: Patience) -> str:
+        """Return why no connection was made in time; empty if connected."""
         if self._refusal is None:
-            if not self._wait(selectors.EVENT_WRITE, deadline):
+            if not self._wait(selectors.EVENT_WRITE, patience):
                 return "no answer in time"
             code = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
             self._refusal = os.strerror(code) if code else ""
         return self._refusal
 
-    def receive(self, deadline: float) -> bytes | None:
-        """Return some bytes, empty if the peer closed, None if nothing came by ``deadline``. Raises ``OSError``."""
-        if time.monotonic() >= deadline or not self._wait(selectors.EVENT_READ, deadline):
+    def receive(self, patience: Patience) -> bytes | None:
+        """Return some bytes, empty if the peer closed, None if nothing came in time. Raises ``OSError``."""
+        if patience.over or not self._wait(selectors.EVENT_READ, patience):
             return None
         return self._socket.recv(_READ_BYTES)
 
-    def send(self, data: bytes, deadline: float) -> None:
+    def send(self, data: bytes, patience: Patience) -> None:
         """Send a short text. Raises ``OSError``."""
-        self._socket.settimeout(max(remaining_s(deadline), 1e-3))
+        self._socket.settimeout(max(patience.left_s, 1e-3))
         try:
             self._socket.sendall(data)
         finally:
             self._socket.setblocking(False)
 
-    def _wait(self, event: int, deadline: float) -> bool:
+    def send_at_once(self, data: bytes) -> None:
+        """Send a short text without waiting. Raises ``OSError``, also if the peer has not read what was sent before."""
+        if self._socket.send(data) != len(data):
+            raise BrokenPipeError("the peer does not read")
+
+    def _wait(self, event: int, patience: Patience) -> bool:
         with selectors.DefaultSelector() as selector:
             selector.register(self._socket, event)
-            return bool(selector.select(remaining_s(deadline)))
+            while not (ready := bool(selector.select(wait_s := patience.slice_s))) and wait_s > 0.0:
+                pass
+        return ready
 
 
 class Dashboard:
@@ -152,8 +145,8 @@ class Dashboard:
 
     Attributes
     ----------
-    deadline : float
-        Limit of every wait (``time.monotonic``).
+    patience : Patience
+        Limit of all waits together.
 
     Raises
     ------
@@ -161,10 +154,10 @@ class Dashboard:
         If the peer's greeting is not that of a UR dashboard; also from the methods if it stops answering.
     """
 
-    def __init__(self, link: Connection, deadline: float) -> None:
-        self._link, self.deadline = link, deadline
+    def __init__(self, link: Connection, patience: Patience) -> None:
+        self._link, self.patience = link, patience
         self._received = bytearray()
-        refusal = link.refusal(deadline)
+        refusal = link.refusal(patience)
         if refusal:
             raise LinkLost(
                 f"{link.where}: no connection to the UR dashboard ({refusal}); is the controller switched on, is this"
@@ -180,7 +173,7 @@ class Dashboard:
     def ask(self, line: str) -> str:
         """Send one line and return the answer."""
         try:
-            self._link.send(f"{line}\n".encode("ascii"), self.deadline)
+            self._link.send(f"{line}\n".encode("ascii"), self.patience)
         except OSError as error:
             raise self._lost(f"the link broke while '{line}' was sent ({error})") from error
         return self._read(f"the answer to '{line}'")
@@ -198,7 +191,7 @@ class Dashboard:
             if len(self._received) >= _MAX_LINE:
                 raise self._lost(f"{what} is longer than {_MAX_LINE} bytes; this is not a UR dashboard")
             try:
-                more = self._link.receive(self.deadline)
+                more = self._link.receive(self.patience)
             except OSError as error:
                 raise self._lost(f"the link broke while waiting for {what} ({error})") from error
             if more is None:
@@ -211,36 +204,40 @@ class Dashboard:
         return LinkLost(f"{self._link.where}: {what}; check the address; if it is right, restart the controller")
 
 
-def stop_program(host: str, timeout_s: float, *, port: int = DASHBOARD_PORT) -> None:
+def stop_program(
+    host: str, timeout_s: float, *, port: int = DASHBOARD_PORT, look: Callable[[], None] | None = None
+) -> None:
     """Stop the controller's program over a separate dashboard connection: the arm brakes and rests.
+
+    ``look`` is called while this waits and may raise.
 
     Raises
     ------
     LinkLost
         If it could not be reached within ``timeout_s``, or did not stop; the message says if it is in local control.
     """
-    deadline = time.monotonic() + timeout_s
-    with Connection.to(host, port, deadline) as link:
-        require_stopped(Dashboard(link, deadline), host)
+    patience = Patience(timeout_s, look=look)
+    with Connection.to(host, port, patience) as link:
+        require_stopped(Dashboard(link, patience).ask, host)
 
 
-def require_stopped(dashboard: Dashboard, host: str) -> None:
-    """Stop the program. Raises ``LinkLost`` as ``stop_program`` does."""
-    answer = dashboard.ask("stop")
+def require_stopped(ask: Callable[[str], str], host: str) -> None:
+    """Stop the program over a dashboard that ``ask`` asks. Raises ``LinkLost`` as ``stop_program`` does."""
+    answer = ask("stop")
     # a controller without a running program reports a failure: it is stopped too
-    if answer.startswith("Stopped") or dashboard.ask("running").lower().endswith("false"):
+    if answer.startswith("Stopped") or ask("running").lower().endswith("false"):
         return
     why = f"it answered '{printable(answer)}'"
-    if dashboard.ask("is in remote control").lower() == "false":
+    if ask("is in remote control").lower() == "false":
         why = f"{LOCAL_CONTROL}, in which it takes no stop over the network"
     raise LinkLost(f"{host}: the controller did not stop its program: {why}")
 
 
 def in_local_control(host: str, timeout_s: float, *, port: int = DASHBOARD_PORT) -> bool:
     """Return whether the pendant is in local control; False if the controller has no such switch or did not answer."""
-    deadline = time.monotonic() + timeout_s
+    patience = Patience(timeout_s)
     try:
-        with Connection.to(host, port, deadline) as link:
-            return Dashboard(link, deadline).ask("is in remote control").lower() == "false"
+        with Connection.to(host, port, patience) as link:
+            return Dashboard(link, patience).ask("is in remote control").lower() == "false"
     except LinkLost:
         return False

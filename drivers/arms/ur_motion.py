@@ -21,6 +21,7 @@ DECELERATES_WITHIN_S = 0.02
 this reaches the program after 1 to 11 ms; the end of a program after 0.4 ms, but it brakes less hard."""
 SLIDER_DOWN = 0.005
 """A speed slider below this stands at 0 % on the pendant: the arm does not move."""
+STILL_MOVING = "it is still moving; wait until it rests, or stop it"
 VARIABLES = ("timestamp", "actual_q", "actual_qd", "joint_temperatures", "robot_mode", "safety_mode", "runtime_state")
 OPTIONAL_VARIABLES = ("target_speed_fraction", "payload", "payload_cog")
 """Older software versions lack some of these."""
@@ -42,9 +43,14 @@ class WorkerSample:
     speed_fraction: float | None
 
     @property
-    def valid(self) -> bool:
-        """Whether it has six joints with finite numbers."""
-        return len(self.q) == 6 and len(self.qd) == 6 and all(map(math.isfinite, (*self.q, *self.qd)))
+    def complete(self) -> bool:
+        """Whether it has six joints."""
+        return len(self.q) == 6 and len(self.qd) == 6
+
+    @property
+    def finite(self) -> bool:
+        """Whether all positions and speeds are finite numbers."""
+        return all(map(math.isfinite, (*self.q, *self.qd)))
 
     @property
     def speed(self) -> float:
@@ -91,6 +97,46 @@ def read_worker_sample(receive: Any, optional: Collection[str]) -> WorkerSample:
         payload_center_m=center,
         speed_fraction=fraction,
     )
+
+
+_STREAMS_APART_S = 0.05
+"""The end of a motion comes over another connection than positions, which may be older by this much."""
+_REST_DWELL_S = 0.05
+
+
+class Unrest:
+    """Whether an arm may move: from a motion's request until states after its end have shown it at rest for a while."""
+
+    def __init__(self) -> None:
+        self._moved = False
+        self._from_s = 0.0
+        self._still_since_s: float | None = None
+
+    @property
+    def may_move(self) -> bool:
+        """Whether the arm was not seen at rest since the last motion."""
+        return self._moved
+
+    def begin(self) -> None:
+        """Note that a motion is about to be requested."""
+        self._moved, self._still_since_s = True, None
+
+    def end(self, now: float) -> None:
+        """Note that the motion has ended, was stopped or failed; the arm may still brake."""
+        self._from_s, self._still_since_s = now + _STREAMS_APART_S, None
+
+    def look(self, sample: WorkerSample, now: float, rest_speed: float, *, running: bool) -> None:
+        """Look at a new state; ``running`` is whether a motion is in progress."""
+        if running or now < self._from_s or sample.speed > rest_speed:
+            self._still_since_s = None
+        elif self._still_since_s is None:
+            self._still_since_s = sample.time_s
+        elif sample.time_s - self._still_since_s >= _REST_DWELL_S:
+            self._moved = False
+
+    def settled(self) -> None:
+        """Note that the arm was seen at rest at its goal."""
+        self._moved = False
 
 
 @dataclass

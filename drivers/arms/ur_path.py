@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from drivers.arms.path_checks import checked_path
 from drivers.arms.protocol import FollowedPath
 from drivers.arms.ur import UrArm
+from drivers.arms.ur_answers import arm_error
 from drivers.arms.ur_checks import JOINTS
+from drivers.arms.ur_motion import STILL_MOVING
 
 _CB3_PERIOD_S, _PERIOD_S = 0.008, 0.002
 """Control cycles of the CB3 series (125 Hz) and of all later ones (500 Hz)."""
@@ -24,13 +26,16 @@ class UrPathArm(UrArm):
         return _CB3_PERIOD_S if self._connected().series == "CB3" else _PERIOD_S
 
     def start_path(self, q: NDArray[np.float64], period_s: float) -> None:
-        """Stream joint positions ``q`` (m, 6) [rad]; the arm must rest at the first one.
+        """Stream joint positions ``q`` (m, 6) [rad]; the arm must rest at the first one, which its worker checks again.
 
         Raises ``LimitExceeded`` before anything is sent, otherwise as ``start_move``.
         """
         controller_period_s = self.path_period_s
-        path = checked_path(self._name, q, period_s, controller_period_s, self._limits, self.state().q)
-        self._may_run_program = True
+        state = self.state()
+        if state.moving:  # first: where it is says nothing
+            raise arm_error(self._name, "advised", STILL_MOVING)
+        path = checked_path(self._name, q, period_s, controller_period_s, self._limits, state.q)
+        self._program.started()
         self._call(
             "path",
             self._settings.startup_timeout,

@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from drivers.arms.ur_control import Refusal, UrControl, failed
+from drivers.arms.ur_control import Refusal, UrControl, advised, failed
 from drivers.arms.ur_motion import Motion, RestCriterion, WorkerSample
 from drivers.arms.ur_stream import LATE_S, SLIDER_UP, Stream
 from drivers.arms.ur_supervisor import AT_GOAL_RAD, Application, Supervisor
@@ -29,15 +29,18 @@ class PathSupervisor(Supervisor):
         sample = self._require_movable()
         rows = request["q"]
         if sample.speed_fraction is not None and sample.speed_fraction < SLIDER_UP:
-            raise failed(f"the speed slider is at {sample.speed_fraction:.0%}; a path needs 100 %")
+            raise advised(
+                f"the speed slider is at {sample.speed_fraction:.0%}, a path needs 100 %; set it so on the pendant"
+            )
         if sample.distance(rows[0]) > AT_GOAL_RAD:
-            raise failed("it is not at the beginning of the path")
+            raise advised("it is not at the beginning of the path; move there first")
         self._ensure_program_runs(sample)
         self._require_not_braked()
         now = time.monotonic()
         self._resting_since, self._cut_short = None, False
-        self._stream = Stream(rows, request["period_s"], request["lookahead_s"], request["gain"], now)
-        self._motion = self._streamed = Motion(rows[-1], -1, now)
+        self._unrest.begin()
+        self._stream = Stream(rows, request["period_s"], request["lookahead_s"], request["gain"], now, sample.time_s)
+        self._motion = self._streamed = Motion(rows[-1], -1, self._now())
         return {}
 
     def followed(self) -> dict[str, Any]:
@@ -78,7 +81,7 @@ class PathSupervisor(Supervisor):
             self.take_brake()
             self._stop_program()
         elif not accepted:
-            self._check_links()
+            self._states.check_links()
             self._not_streamed()
         else:
             self._kicks.kicked(now)
@@ -88,12 +91,13 @@ class PathSupervisor(Supervisor):
         """Record why the control program took no further position."""
         self._streamed = None  # no further position is sent while the reason is looked for
         try:
-            self._require_ready(self._next_sample())
+            self._require_ready(self._states.next())
         except Refusal:
             return  # recorded
         self._not_served(failed("the control program did not take a position of the path"))
 
     def _meanwhile(self) -> None:
+        super()._meanwhile()
         self.stream()
 
     def _track_motion(self, motion: Motion, sample: WorkerSample, now: float, news: bool) -> None:
@@ -105,14 +109,15 @@ class PathSupervisor(Supervisor):
         if not news or self._application.braked:
             return
         stream.note_state(sample)
-        problem = stream.behind(sample)
+        behind = stream.behind(sample)
+        problem = failed(behind) if behind else None
         if sample.speed_fraction is not None and sample.speed_fraction < SLIDER_UP:
-            problem = "its speed slider was moved while it followed a path; set it to 100 %"
-        if problem:
+            text = "its speed slider was moved while it followed a path; set it to 100 %, then connect again"
+            problem = advised(text)
+        if problem is not None:
             self._control.brake()
-            self._record_fault(failed(problem))
-        elif stream.arrived(sample, now, self._rest.speed):
-            motion.running, motion.ended_s = False, now
-            self._resting_since = None
+            self._record_fault(problem)
+        elif stream.arrived(sample, time.monotonic(), self._rest.speed):
+            self._end_motion(motion, now)
             if not self._control.end_servo() and not self._application.braked:
                 self._not_streamed()

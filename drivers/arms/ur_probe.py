@@ -10,8 +10,7 @@ import enum
 import math
 import re
 import struct
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,11 +27,11 @@ from drivers.arms.ur_links import (
     Connection,
     Dashboard,
     printable,
-    remaining_s,
     resolve,
 )
 from drivers.arms.ur_rtde_reader import UrSample, read_sample
 from drivers.findings import DeviceReport
+from drivers.patience import Patience
 
 _LARGEST_PACKAGE = 65536
 _MAX_PACKAGES = 200
@@ -205,10 +204,11 @@ def probe_ur(
     primary_port: int = PRIMARY_PORT,
     script_port: int = SCRIPT_PORT,
     rtde_port: int = RTDE_PORT,
+    look: Callable[[], None] | None = None,
 ) -> UrProbe:
     """Read identity and state of a UR controller. Returns or raises within ``timeout_s`` in all cases.
 
-    IPv4 only, like the RTDE client.
+    IPv4 only, like the RTDE client. ``look`` is called while this waits and may raise.
 
     Raises
     ------
@@ -219,8 +219,8 @@ def probe_ur(
     """
     if not (math.isfinite(timeout_s) and timeout_s > 0.0):
         raise ValueError(f"timeout_s: expected a positive number of seconds, got {timeout_s!r}")
-    deadline = time.monotonic() + timeout_s
-    address = resolve(host, deadline)
+    patience = Patience(timeout_s, look=look)
+    address = resolve(host, patience)
     with ExitStack() as stack:
         # all at once, so that a dead port takes no time from the others
         dashboard, primary, script, rtde = (
@@ -228,12 +228,12 @@ def probe_ur(
             for port in (dashboard_port, primary_port, script_port, rtde_port)
         )
         try:
-            conversation = _ask_dashboard(dashboard, deadline)
+            conversation = _ask_dashboard(dashboard, patience)
         except LinkLost as error:
-            raise _with_open_ports(error, (primary, script, rtde), deadline) from error.__cause__
-        sample, sample_note = _state(rtde, time.monotonic() + 0.5 * remaining_s(deadline))
-        primary_state = _read_primary(primary, deadline)
-        ports = {link.port: not link.refusal(deadline) for link in (primary, script, rtde)}
+            raise _with_open_ports(error, (primary, script, rtde), patience) from error.__cause__
+        sample, sample_note = _state(rtde, patience.share(0.5))
+        primary_state = _read_primary(primary, patience)
+        ports = {link.port: not link.refusal(patience) for link in (primary, script, rtde)}
     greeting, software, answers = conversation
     remote = answers.get(_Query.REMOTE_CONTROL)
     running = answers.get(_Query.RUNNING)
@@ -259,9 +259,9 @@ def probe_ur(
     )
 
 
-def _with_open_ports(error: LinkLost, others: Sequence[Connection], deadline: float) -> LinkLost:
+def _with_open_ports(error: LinkLost, others: Sequence[Connection], patience: Patience) -> LinkLost:
     """The loss of the dashboard; it names other ports that accept a connection, as then only the server is off."""
-    soon = min(deadline, time.monotonic() + 0.2)
+    soon = Patience(0.2, patience)
     accepting = [str(link.port) for link in others if not link.refusal(soon)]
     if not accepting:
         return error
@@ -278,9 +278,9 @@ def _series(software: str) -> str:
 # -- dashboard --------------------------------------------------------------------------------------------------------
 
 
-def _ask_dashboard(link: Connection, deadline: float) -> tuple[str, str, dict[_Query, str]]:
+def _ask_dashboard(link: Connection, patience: Patience) -> tuple[str, str, dict[_Query, str]]:
     """Return greeting, version and the answers that could be read."""
-    dashboard = Dashboard(link, deadline)
+    dashboard = Dashboard(link, patience)
     version = dashboard.ask(_Query.VERSION)
     found = _ANSWERS[_Query.VERSION].match(version)
     if found is None:
@@ -300,9 +300,9 @@ def _ask_dashboard(link: Connection, deadline: float) -> tuple[str, str, dict[_Q
     return dashboard.greeting, software, answers
 
 
-def _state(link: Connection, deadline: float) -> tuple[UrSample | None, str]:
+def _state(link: Connection, patience: Patience) -> tuple[UrSample | None, str]:
     try:
-        return read_sample(link, deadline), ""
+        return read_sample(link, patience), ""
     except LinkLost as error:
         return None, str(error)
 
@@ -310,9 +310,9 @@ def _state(link: Connection, deadline: float) -> tuple[UrSample | None, str]:
 # -- primary interface ------------------------------------------------------------------------------------------------
 
 
-def _read_primary(link: Connection, deadline: float) -> UrPrimary:
+def _read_primary(link: Connection, patience: Patience) -> UrPrimary:
     """Read packages until one contains the kinematics; also return what the same and earlier ones contain."""
-    refusal = link.refusal(deadline)
+    refusal = link.refusal(patience)
     if refusal:
         return UrPrimary(note=f"port {link.port}: no connection ({refusal})")
     received = bytearray()
@@ -346,7 +346,7 @@ def _read_primary(link: Connection, deadline: float) -> UrPrimary:
                         return primary_state
                 continue
         try:
-            more = link.receive(deadline)
+            more = link.receive(patience)
         except OSError as error:
             return incomplete(f"the link broke ({error})")
         if more is None:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 import struct
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from drivers.arms.protocol import LinkLost
-from drivers.arms.ur_links import RTDE_PORT, Connection, remaining_s, resolve
+from drivers.arms.ur_links import RTDE_PORT, Connection
+from drivers.patience import Patience
 
 _HEADER = struct.Struct(">HB")
 _VERSION, _OUTPUTS, _START, _DATA = ord("V"), ord("O"), ord("S"), ord("U")
@@ -87,42 +88,49 @@ class UrSample:
         return max(map(abs, self.qd)) < _AT_REST_RAD_S
 
 
-def read_sample(link: Connection, deadline: float) -> UrSample:
+def read_sample(link: Connection, patience: Patience) -> UrSample:
     """Return the first state from a new connection to the RTDE port.
 
     Raises
     ------
     LinkLost
-        If none comes by the deadline, or the peer is not an RTDE server.
+        If none comes in time, or the peer is not an RTDE server.
     """
-    return next(_samples(link, deadline))
+    return next(_samples(link, patience))
 
 
-def wait_at_rest(host: str, timeout_s: float, *, port: int = RTDE_PORT, dwell_s: float = 0.05) -> UrSample:
+def wait_at_rest(
+    host: str,
+    timeout_s: float,
+    *,
+    port: int = RTDE_PORT,
+    dwell_s: float = 0.05,
+    look: Callable[[], None] | None = None,
+) -> UrSample:
     """Watch the arm over a separate connection until it has rested for ``dwell_s``; return the last state.
 
-    Connects again if the controller refuses or drops the connection.
+    Connects again if the controller refuses or drops the connection. ``look`` is called while this waits and may raise.
 
     Raises
     ------
     LinkLost
         If no state comes, or the arm does not rest, within ``timeout_s``.
     """
-    deadline = time.monotonic() + timeout_s
+    patience = Patience(timeout_s, look=look)
     while True:
         try:
-            return _watch_until_rest(host, deadline, port, dwell_s)
+            return _watch_until_rest(host, patience, port, dwell_s)
         except LinkLost:
-            if remaining_s(deadline) < 2.0 * _RETRY_S:
+            if patience.left_s < 2.0 * _RETRY_S:
                 raise
             time.sleep(_RETRY_S)
 
 
-def _watch_until_rest(host: str, deadline: float, port: int, dwell_s: float) -> UrSample:
+def _watch_until_rest(host: str, patience: Patience, port: int, dwell_s: float) -> UrSample:
     since, moves = None, False
-    with Connection(host, resolve(host, deadline), port) as link:
+    with Connection.to(host, port, patience) as link:
         try:
-            for sample in _samples(link, deadline):
+            for sample in _samples(link, patience):
                 moves = not sample.at_rest
                 if moves:
                     since = None
@@ -130,20 +138,20 @@ def _watch_until_rest(host: str, deadline: float, port: int, dwell_s: float) -> 
                     since = sample.time_s
                 elif sample.time_s - since >= dwell_s:
                     return sample
-                if time.monotonic() > deadline:
+                if patience.over:
                     break
         except LinkLost:
-            if not moves or remaining_s(deadline) > 0.0:
+            if not moves or not patience.over:
                 raise
     raise LinkLost(f"{host}: the arm still moves")
 
 
-def _samples(link: Connection, deadline: float) -> Iterator[UrSample]:
+def _samples(link: Connection, patience: Patience) -> Iterator[UrSample]:
     """Subscribe to the outputs and yield states as they come."""
-    refusal = link.refusal(deadline)
+    refusal = link.refusal(patience)
     if refusal:
         raise LinkLost(f"{link.where}: no RTDE connection ({refusal})")
-    packets = _Packets(link, deadline)
+    packets = _Packets(link, patience)
     if packets.ask(_VERSION, struct.pack(">H", 2)) != b"\x01":
         raise LinkLost(f"{link.where}: the controller does not speak RTDE protocol 2")
     names: tuple[str, ...] = _REQUIRED + _OPTIONAL
@@ -204,16 +212,16 @@ def mode_name(names: Mapping[int, str], code: float) -> str:
 
 
 class _Packets:
-    """RTDE packets on a connection, all before one deadline."""
+    """RTDE packets on a connection, with one limit for all waits together."""
 
-    def __init__(self, link: Connection, deadline: float) -> None:
+    def __init__(self, link: Connection, patience: Patience) -> None:
         self.where = link.where
-        self._link, self._deadline = link, deadline
+        self._link, self._patience = link, patience
         self._received = bytearray()
 
     def ask(self, kind: int, payload: bytes) -> bytes:
         try:
-            self._link.send(_HEADER.pack(_HEADER.size + len(payload), kind) + payload, self._deadline)
+            self._link.send(_HEADER.pack(_HEADER.size + len(payload), kind) + payload, self._patience)
         except OSError as error:
             raise LinkLost(f"{self.where}: the RTDE link broke ({error})") from error
         return self.next_payload(kind)
@@ -237,7 +245,7 @@ class _Packets:
 
     def _receive(self) -> None:
         try:
-            more = self._link.receive(self._deadline)
+            more = self._link.receive(self._patience)
         except OSError as error:
             raise LinkLost(f"{self.where}: the RTDE link broke ({error})") from error
         if more is None:

@@ -1,106 +1,167 @@
-"""Stops of a UR arm: a dashboard connection that is kept open for them, and the latch that keeps the arm stopped.
+"""The dashboard connection over which a UR arm is stopped: kept open, and asked all the time whether it still answers.
 
-The connection is checked while it is not needed. If it fails when it is needed, a new one is tried, for a short time.
+Questions and stops share it. The controller answers in order, so that a stop is sent without waiting for the answer to
+an earlier question. If the line fails when it is needed, a new one is tried, for a short time.
 """
 
 from __future__ import annotations
 
+import queue
 import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
 
 from drivers.arms.protocol import LinkLost
 from drivers.arms.ur_links import DASHBOARD_PORT, Connection, Dashboard, require_stopped, stop_program
+from drivers.patience import SLICE_S, Patience, patient_get
 
+_QUESTION = "running"
+_ASK_EVERY_S = 0.1
+_SILENT_S = 0.35
+"""A dashboard that leaves a question unanswered for this long is lost."""
 _ANSWER_WITHIN_S = 0.04
-"""An open dashboard that does not answer within this time is not waited for: a new connection is tried."""
+"""An open dashboard that does not answer a stop within this time is not waited for: a new connection is tried."""
 _RETRY_WITHIN_S = 0.25
 _OPEN_WITHIN_S = 0.25
-_CHECK_EVERY_S = 0.5
-_TRIES = 3
-"""A dashboard that could not be opened again this often, ``_CHECK_EVERY_S`` apart, is lost."""
+_AGAIN_S = 0.05
+_TRIES = 2
+"""A dashboard that closed its connection and could not be opened again this often is lost."""
+_END_WITHIN_S = 1.0
+_MOST_BYTES = 4096
 
 
-class StopLatch:
-    """Counts brakes, and stops that are under way. Any thread may call any method.
+class _Line:
+    """One open connection; ``pump`` is called by one thread, the rest by any."""
 
-    Attributes
-    ----------
-    brakes : int
-        Number of brakes so far.
-    stops : int
-        Stops that are being commanded or waited for: a program that is started meanwhile would be stopped by them.
-    """
+    def __init__(self, host: str, port: int, patience: Patience) -> None:
+        """Connect and read the greeting. Raises ``LinkLost``."""
+        self._link = Connection.to(host, port, patience)
+        try:
+            Dashboard(self._link, patience)
+        except BaseException:
+            self._link.close()
+            raise
+        self._link.keep_alive()
+        self._sending = threading.Lock()
+        self._waiting: deque[queue.SimpleQueue[str | None]] = deque()
+        self._received = bytearray()
+        self._ended = False
 
-    def __init__(self) -> None:
-        self.brakes = 0
-        self.stops = 0
-        self._released = 0
-        self._changed = threading.Condition()
+    def send(self, text: str) -> queue.SimpleQueue[str | None]:
+        """Send a line and return where its answer will be put; None there: the connection has ended."""
+        answer: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        with self._sending:
+            self._waiting.append(answer)
+            try:
+                if not self._ended:
+                    self._link.send_at_once(f"{text}\n".encode("ascii"))
+            except OSError:
+                self._ended = True
+            if self._ended:
+                answer.put(None)
+        return answer
+
+    def ask(self, text: str, patience: Patience) -> str:
+        """Send a line and return its answer. Raises ``LinkLost``."""
+        try:
+            answer = patient_get(self.send(text), patience)
+        except queue.Empty:
+            raise LinkLost(f"{self._link.where}: the dashboard did not answer '{text}' in time") from None
+        if answer is None:
+            raise LinkLost(f"{self._link.where}: the controller closed the dashboard's connection")
+        return answer
 
     @property
-    def in_force(self) -> bool:
-        """Whether there was a brake that has not been released."""
-        return self.brakes > self._released
+    def ended(self) -> bool:
+        """Whether the connection has ended."""
+        return self._ended
 
-    def refuse(self) -> None:
-        """Count a brake that is only about to be commanded."""
-        with self._changed:
-            self.brakes += 1
-            self._changed.notify_all()
+    @property
+    def where(self) -> str:
+        """Host and port."""
+        return self._link.where
 
-    @contextmanager
-    def stopping(self, brakes: int = 0) -> Iterator[None]:
-        """Count a stop that is under way, and a brake."""
-        with self._changed:
-            self.brakes += brakes
-            self.stops += 1
+    def pump(self, patience: Patience) -> None:
+        """Wait for bytes and pass complete lines to those who asked; notice the end."""
         try:
-            yield
-        finally:
-            with self._changed:
-                self.stops -= 1
-                self._changed.notify_all()
+            more = self._link.receive(patience)
+        except OSError:
+            more = b""
+        if more is None:
+            return
+        self._received += more
+        while (end := self._received.find(b"\n")) >= 0:
+            line = self._received[:end].decode("utf-8", errors="replace").strip()
+            del self._received[: end + 1]
+            with self._sending:
+                if not self._waiting:  # nobody asked: this is no dashboard any more
+                    more = b""
+                    break
+                self._waiting.popleft().put(line)
+        if not more or len(self._received) > _MOST_BYTES:
+            self.end()
 
-    def wait_for_stops(self, timeout_s: float) -> None:
-        """Wait until no stop is under way."""
-        with self._changed:
-            self._changed.wait_for(lambda: not self.stops, timeout_s)
-
-    def release(self, brakes: int) -> None:
-        """Release all brakes up to number ``brakes``."""
-        with self._changed:
-            self._released = max(self._released, brakes)
+    def end(self) -> None:
+        """Close; whoever waits for an answer gets none."""
+        with self._sending:
+            self._ended = True
+            while self._waiting:
+                self._waiting.popleft().put(None)
+            self._link.close()
 
 
 class StopLine:
-    """Stops the program of one controller. Any thread may call any method."""
+    """Stops the program of one controller. Any thread may call any method.
 
-    def __init__(self, host: str, *, port: int = DASHBOARD_PORT) -> None:
-        self._host, self._port = host, port
-        self._lock = threading.Lock()
-        self._link: Connection | None = None
-        self._dashboard: Dashboard | None = None
-        self._failures = 0
-        self._checked_s = 0.0
+    ``lost`` is called, by a thread of this object, when the controller no longer answers on it: within 0.2 s where it
+    closed the connection and refuses a new one, within 0.6 s where it is silent.
+    """
 
-    def open(self) -> None:
-        """Open the connection, if it is not open. Raises ``LinkLost``."""
-        with self._lock:
-            if self._dashboard is None:
-                self._open()
+    def __init__(self, host: str, lost: Callable[[str], object], *, port: int = DASHBOARD_PORT) -> None:
+        self._host, self._lost, self._port = host, lost, port
+        self._opening = threading.Lock()
+        self._line: _Line | None = None
+        self._closing = threading.Event()
+        self._keeper: threading.Thread | None = None
 
-    def _open(self) -> None:
-        deadline = time.monotonic() + _OPEN_WITHIN_S
-        link = Connection.to(self._host, self._port, deadline)
+    def open(self, look: Callable[[], None] = lambda: None) -> None:
+        """Open a new connection and keep it; ``look`` is called while this waits and may raise. Raises ``LinkLost``."""
+        self.close()
+        self._closing = threading.Event()
+        self._reopened(Patience(_OPEN_WITHIN_S, look=look))
+        self._keeper = threading.Thread(
+            target=self._keep, args=(self._closing,), name=f"dashboard of {self._host}", daemon=True
+        )
+        self._keeper.start()
+
+    def _reopened(self, patience: Patience) -> _Line:
+        """Return a connection that has not ended, a new one if need be. Raises ``LinkLost``."""
+        if not self._opening.acquire(timeout=_OPEN_WITHIN_S):
+            raise LinkLost(f"{self._host}:{self._port}: no connection to the UR dashboard in time")
         try:
-            self._dashboard = Dashboard(link, deadline)
+            line = self._line
+            if line is None or line.ended:
+                line = self._line = _Line(self._host, self._port, patience)
+            return line
+        finally:
+            self._opening.release()
+
+    def confirm(self, patience: Patience) -> None:
+        """Ask a question that changes nothing, once more on a new connection if this one was closed.
+
+        Raises
+        ------
+        LinkLost
+            If it was not answered.
+        """
+        line = self._reopened(patience)
+        try:
+            line.ask(_QUESTION, patience)
         except LinkLost:
-            link.close()
-            raise
-        link.keep_alive()
-        self._link = link
+            if not line.ended:
+                raise
+            self._reopened(patience).ask(_QUESTION, patience)
 
     def stop(self) -> None:
         """Stop the program: one line and its answer, on a new connection if the open one fails.
@@ -110,53 +171,49 @@ class StopLine:
         LinkLost
             If the controller did not confirm the stop; the message says if its pendant is in local control.
         """
-        if self._lock.acquire(timeout=_ANSWER_WITHIN_S):  # another stop holds it at most for its own answer
-            try:
-                if self._dashboard is not None and self._stopped_by(self._dashboard):
-                    return
-            finally:
-                self._lock.release()
+        line, patience = self._line, Patience(_ANSWER_WITHIN_S)
+        if line is not None and not line.ended:
+            with suppress(LinkLost):
+                return require_stopped(lambda text: line.ask(text, patience), self._host)
         stop_program(self._host, _RETRY_WITHIN_S, port=self._port)
-
-    def _stopped_by(self, dashboard: Dashboard) -> bool:
-        """Send the line; return whether the stop was confirmed, and close a connection that did not confirm it."""
-        dashboard.deadline = time.monotonic() + _ANSWER_WITHIN_S
-        try:
-            require_stopped(dashboard, self._host)
-        except LinkLost:  # an answer may still come: it must not be taken for that to a later stop
-            self._close()
-            return False
-        return True
-
-    def check(self) -> str:
-        """Open the connection again if the controller closed it; return why it is lost, empty if it is not.
-
-        Looks every half second and takes a quarter of a second at most.
-        """
-        now = time.monotonic()
-        if now - self._checked_s < _CHECK_EVERY_S or not self._lock.acquire(blocking=False):
-            return ""
-        try:
-            self._checked_s = now
-            if self._link is not None and self._link.closed_by_peer():
-                self._close()
-            if self._dashboard is None:
-                self._open()
-            self._failures = 0
-        except LinkLost as error:
-            self._failures += 1
-            return str(error) if self._failures == _TRIES else ""
-        finally:
-            self._lock.release()
-        return ""
 
     def close(self) -> None:
         """Close the connection; harmless when closed."""
-        with self._lock:
-            self._close()
+        self._closing.set()
+        keeper, self._keeper = self._keeper, None
+        line, self._line = self._line, None
+        if line is not None:
+            line.end()
+        if keeper is not None and keeper is not threading.current_thread():
+            keeper.join(_END_WITHIN_S)
 
-    def _close(self) -> None:
-        link, self._link, self._dashboard = self._link, None, None
-        if link is not None:
-            with suppress(OSError):
-                link.close()
+    # -- the thread that keeps it -------------------------------------------------------------------------------------
+
+    def _keep(self, closing: threading.Event) -> None:
+        failures = 0
+        while not closing.is_set():
+            try:
+                self._watch(self._reopened(Patience(_OPEN_WITHIN_S)), closing)
+                failures = 0
+            except LinkLost as error:
+                failures += 1
+                if failures >= _TRIES and not closing.is_set():
+                    self._lost(str(error))
+                closing.wait(_AGAIN_S)
+        line = self._line
+        if line is not None and self._closing is closing:
+            line.end()
+
+    def _watch(self, line: _Line, closing: threading.Event) -> None:
+        """Ask again and again, until the connection ends. Reports a silent one, and ends it."""
+        until_next, silence = Patience(0.0), Patience(_SILENT_S)
+        question: queue.SimpleQueue[str | None] | None = None
+        while not (line.ended or closing.is_set()):
+            line.pump(Patience(SLICE_S))
+            if question is not None and not question.empty():
+                question, until_next = None, Patience(_ASK_EVERY_S)
+            elif question is None and until_next.left_s < SLICE_S:
+                question, silence = line.send(_QUESTION), Patience(_SILENT_S)
+            elif question is not None and silence.over:
+                self._lost(f"{line.where}: it left a question unanswered for {_SILENT_S:g} s")
+                line.end()

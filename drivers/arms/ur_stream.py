@@ -34,6 +34,8 @@ class Stream:
         Of ``servoj``.
     due_s : float
         When the next position is to be sent, by ``time.monotonic``.
+    begun_s : float
+        Controller time of the state from which the stream began [s].
     sent : int
         Number of positions sent; the last one is repeated until the arm is there.
     trace : list
@@ -45,6 +47,7 @@ class Stream:
     lookahead_s: float
     gain: float
     due_s: float
+    begun_s: float
     sent: int = 0
     ended_s: float | None = None
     trace: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)
@@ -71,6 +74,7 @@ class Stream:
         if self.ended_s is None:
             return False
         there = sample.distance(self.rows[-1]) <= _AT_GOAL_RAD and sample.speed <= rest_speed
+        there = there and sample.time_s - self.begun_s >= (len(self.rows) - 1) * self.period_s  # no late old state
         return there or now - self.ended_s > _ARRIVES_WITHIN_S
 
     def behind(self, sample: WorkerSample) -> str:
@@ -84,7 +88,7 @@ class Stream:
             low, high = min(row[joint] for row in recent), max(row[joint] for row in recent)
             if not low - _FOLLOWS_RAD <= value <= high + _FOLLOWS_RAD:
                 away = max(low - value, value - high)
-                return f"joint {joint + 1} is {away:.3f} rad away from the path that it was to follow"
+                return f"joint {joint + 1} was {away:.3f} rad away from the path that it was to follow"
         return ""
 
     def answer(self) -> dict[str, Any]:

@@ -13,15 +13,22 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NoReturn, Protocol
 
-from drivers.arms.protocol import LinkLost
-from drivers.arms.ur_control import Refusal, UrControl, failed
+from drivers.arms.protocol import LinkLost, LiveArm
+from drivers.arms.ur_control import Refusal, UrControl, advised, failed
 from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, stop_program
-from drivers.arms.ur_motion import Kicks, Motion, RestCriterion, WorkerSample, leading_rates
+from drivers.arms.ur_motion import (
+    STILL_MOVING,
+    Kicks,
+    Motion,
+    RestCriterion,
+    Unrest,
+    WorkerSample,
+    leading_rates,
+)
+from drivers.arms.ur_safety import not_ready
+from drivers.arms.ur_states import States
+from drivers.patience import Patience, RunningTime
 
-_SILENT_S = 0.3
-"""The arm's state is unknown if no new one comes for this long."""
-_SILENT_LOOKS = 10
-"""And if the worker has looked this often meanwhile: a process that was not scheduled has not looked."""
 _STARTS_WITHIN_S = 1.0
 _STOP_SEEN_WITHIN_S = 0.05
 """The application sends ``brake`` before it stops the program over another connection. A program that has been seen
@@ -37,8 +44,12 @@ AT_GOAL_RAD = 2e-3
 _STOP_WITHIN_S = 1.0
 _LOCAL_WITHIN_S = 0.3
 _REST_WITHIN_S = 3.0
-_REST_DWELL_S = 0.05
-_EMERGENCY = ("SYSTEM_EMERGENCY_STOP", "ROBOT_EMERGENCY_STOP")
+_RELEASE_WITHIN_S = 0.5
+_KINDS = {
+    "PROTECTIVE_STOP": "protective",
+    "SYSTEM_EMERGENCY_STOP": "emergency",
+    "ROBOT_EMERGENCY_STOP": "emergency",
+}
 _HARMLESS = "stalled"
 """The fault after which a profile may allow to go on without a person."""
 
@@ -53,10 +64,10 @@ class Application(Protocol):
     def answer(self, message: Mapping[str, Any]) -> None:
         """Send a message."""
 
-    def check(self, kicks: Kicks, *, age_s: float, moving: bool) -> str:
-        """Exchange heartbeats; return why the application no longer watches a motion, empty if it does."""
+    def check(self, kicks: Kicks, live: LiveArm, *, watched: bool) -> str:
+        """Exchange heartbeats; return why the application no longer watches a motion (``watched``), else empty."""
 
-    def exit_link_lost(self, text: str) -> NoReturn:
+    def exit_link_lost(self, kind: str, text: str) -> NoReturn:
         """Report, stop the arm over the dashboard, and end the process."""
 
 
@@ -83,30 +94,57 @@ class Supervisor:
         self._fault: Refusal | None = None
         self._halted = False
         self._program_stopped_s: float | None = None  # since when the program is seen stopped without a brake
-        self._last_time = -1.0
-        self._last_news_s = time.monotonic()
-        self._looks_without_news = 0
+        self._unrest = Unrest()
+        self._running_time = RunningTime()
+        self._states = States(control, application.exit_link_lost, self._meanwhile)
+        self._fast = False  # whether the newest state shows a joint that moves
 
     # -- requests ------------------------------------------------------------------------------------------------------
 
     def begin(self) -> dict[str, Any]:
-        """Start the watchdog of a program that has just been started; return the state as ``restart`` does."""
+        """Return the state with the tool centre point, read while the program runs: the program could set both.
+
+        The program has just been started; its watchdog begins last. Nothing kicks it before ``monitor`` does, and a
+        computer that is busy just then would end the program.
+        """
+        tcp = self._control.tcp()
+        state = self.state()
         self._start_watchdog()
-        return self._state_with_tcp()
+        return {**state, "tcp": tcp}
 
     def state(self) -> dict[str, Any]:
         """Return the next state of the arm."""
-        state = self._next_sample().as_dict()
+        state = self._states.next().as_dict()
         fault = self._fault
         return {
             **state,
-            "moving": self._motion is not None and self._motion.running,
+            "moving": self.may_move,
             "fault": None if fault is None else {"kind": fault.kind, "text": fault.text},
         }
 
-    def _state_with_tcp(self) -> dict[str, Any]:
-        """Return the state with the tool centre point, read while the program runs: the program could set both."""
-        return {**self.state(), "tcp": self._control.tcp()}
+    @property
+    def _moves(self) -> bool:
+        """Whether a motion is in progress."""
+        return self._motion is not None and self._motion.running
+
+    @property
+    def may_move(self) -> bool:
+        """Whether the arm moves, or has not been seen at rest since it did."""
+        return self._moves or self._unrest.may_move
+
+    @property
+    def live(self) -> LiveArm:
+        """How old the newest state is, and whether the arm moves."""
+        return LiveArm(self._states.age_s, self.may_move or self._fast)
+
+    def confirm(self) -> dict[str, Any]:
+        """Return the next state; at rest, after the control program has answered, too."""
+        if not (self._halted or self.may_move or self._application.braked) and self._control.program_runs:
+            try:
+                self._control.confirm()
+            except Refusal as refusal:
+                raise self._not_served(refusal) from refusal
+        return self.state()
 
     def move(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Begin a motion."""
@@ -116,42 +154,45 @@ class Supervisor:
         self._ensure_program_runs(sample)
         number, _ = self._control.operation()
         self._require_not_braked()
+        self._unrest.begin()
         accepted = self._control.move(goal, speed, acceleration)
         if self._application.braked:  # perhaps before the motion began
             stopped = self._stopped()
             self._stop_program()
             raise stopped
         if not accepted:
-            self._require_ready(self._next_sample())
+            self._require_ready(self._states.next())
             raise self._not_served(failed("the control program did not take the motion"))
-        self._check_links()  # the client may report success on a link that has just broken
-        now = time.monotonic()
-        self._kicks.kicked(now)
+        self._states.check_links()  # the client may report success on a link that has just broken
+        self._kicks.kicked(time.monotonic())
         self._resting_since, self._cut_short = None, False
-        self._motion = Motion(goal, number, now)
+        self._motion = Motion(goal, number, self._now())
         return {}
 
     def _require_movable(self) -> WorkerSample:
         """Return the state of an arm that may begin a motion; refuse otherwise."""
         self._require_no_fault()
         self._require_not_braked()
-        still_moving = failed("it is still moving; wait until it rests, or stop it")
-        if self._motion is not None and self._motion.running:
-            raise still_moving
+        if self._moves:
+            raise advised(STILL_MOVING)
         self._motion = None
-        sample = self._next_sample()
+        sample = self._states.next()
         self._require_ready(sample)
+        if not self._await_rest(_RELEASE_WITHIN_S, moving_at_once=True):
+            raise advised(STILL_MOVING)
+        self._require_no_fault()
         if self._program_stopped_s is not None:
             raise self._program_stopped()
+        sample = self._states.newest()
         if sample.speed > self._rest.speed:
-            raise still_moving
+            raise advised(STILL_MOVING)
         if sample.slider_down:
-            raise failed("the speed slider is at 0 %; raise it on the pendant")
+            raise advised("the speed slider is at 0 %; raise it on the pendant")
         return sample
 
     def wait_settled(self, number: int, timeout_s: float) -> None:
         """Answer request ``number`` when the arm has settled."""
-        self._settle_requests.append(SettleRequest(number, timeout_s, time.monotonic() + timeout_s))
+        self._settle_requests.append(SettleRequest(number, timeout_s, self._now() + timeout_s))
 
     def allowed(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Return which joint positions the controller's safety configuration allows."""
@@ -168,40 +209,56 @@ class Supervisor:
 
     def take_brake(self) -> None:
         """Stop a motion through the control program too, and forget it: its program is being stopped."""
-        if self._motion is not None and self._motion.running:
+        if self._moves:
             self._control.brake()
         if self._motion is not None:
             self._motion, self._cut_short = None, True
+        self._unrest.end(self._now())
         self._halted = True
         self._kicks.end()
         self._program_stopped_s = None
         self._resting_since = None
 
+    def release(self) -> dict[str, Any]:
+        """Allow motions again after a stop, when the arm was seen at rest."""
+        self.take_brake()
+        self._await_rest(_RELEASE_WITHIN_S)
+        return {}
+
     def require_restartable(self) -> None:
         """Wait until a braked arm rests; refuse if it has a fault, or moves."""
         self._require_no_fault()
-        deadline, since = time.monotonic() + _REST_WITHIN_S, None
-        while True:
-            sample = self._next_sample()
-            if sample.speed > self._rest.speed:
-                since = None
-            elif since is None:
-                since = sample.time_s
-            elif sample.time_s - since >= _REST_DWELL_S:
-                break
-            if time.monotonic() > deadline:
-                raise failed(f"it still moves {_REST_WITHIN_S:g} s after it was stopped")
-            self.monitor()
+        self._unrest.begin()  # whatever moved it
+        self._unrest.end(self._now())
+        if not self._await_rest(_REST_WITHIN_S):
+            raise failed(f"it still moves {_REST_WITHIN_S:g} s after it was stopped")
         self._require_no_fault()
+
+    def _await_rest(self, within_s: float, *, moving_at_once: bool = False) -> bool:
+        """Wait until states have shown the arm at rest since it moved; return whether they have.
+
+        ``moving_at_once``: end as soon as one shows that it moves.
+        """
+        patience = Patience(within_s)
+        while self._unrest.may_move:
+            sample = self._states.next()
+            if patience.over or (moving_at_once and sample.speed > self._rest.speed):
+                return False
+            self.monitor()
+        return True
 
     def restart(self) -> dict[str, Any]:
         """Start the control program again, after a brake; return the state with the tool centre point."""
-        sample = self._next_sample()
+        sample = self._states.next()
         self._require_ready(sample)
         self._ensure_program_runs(sample)
-        state = self._state_with_tcp()
+        try:
+            tcp = self._control.tcp()
+        except Refusal as refusal:
+            raise self._not_served(refusal) from refusal
+        state = self.state()
         self._require_no_fault()
-        return state
+        return {**state, "tcp": tcp}
 
     # -- the controller ------------------------------------------------------------------------------------------------
 
@@ -213,44 +270,20 @@ class Supervisor:
         with suppress(LinkLost):
             stop_program(self._control.host, _STOP_WITHIN_S)
 
-    def _check_links(self) -> None:
-        """End if a link broke: the client would reconnect by itself again and again, and crash in the end."""
-        if not self._control.connected:
-            self._application.exit_link_lost("the RTDE link broke")
-
-    def _sample(self) -> WorkerSample:
-        """Return the newest state."""
-        sample = self._control.sample()
-        if not sample.valid:
-            self._application.exit_link_lost("the controller's state is not one of six joints")
-        return sample
+    def _now(self) -> float:
+        """Return the time that counts for motions: it stands still while this process does not run."""
+        return self._running_time.at(time.monotonic())
 
     def _meanwhile(self) -> None:
-        """Do what cannot wait for the next state; nothing here."""
-
-    def _next_sample(self) -> WorkerSample:
-        """Return the first state that comes after this call."""
-        before = self._control.time_s
-        deadline = time.monotonic() + _SILENT_S
-        while self._control.time_s == before:
-            self._check_links()
-            if time.monotonic() > deadline:
-                self._application.exit_link_lost(f"no state came for {_SILENT_S:g} s")
-            self._meanwhile()
-            time.sleep(0.0005)
-        return self._sample()
+        """Do what cannot wait for the next state: take a brake."""
+        if self._application.braked and not self._halted:
+            self.take_brake()
 
     def _require_ready(self, sample: WorkerSample) -> None:
         """Raise and record what keeps the arm from moving."""
-        mode = sample.safety_mode
-        if mode == "PROTECTIVE_STOP":
-            raise self._record_fault(Refusal("protective", "protective stop"))
-        if mode in _EMERGENCY:
-            raise self._record_fault(Refusal("emergency", "emergency stop"))
-        if mode != "NORMAL":
-            raise self._record_fault(failed(f"safety mode {mode}"))
-        if sample.robot_mode != "RUNNING":
-            raise self._record_fault(failed(f"robot mode {sample.robot_mode}, needed is RUNNING"))
+        problem = not_ready(sample.robot_mode, sample.safety_mode)
+        if problem is not None:
+            raise self._record_fault(Refusal(_KINDS.get(sample.safety_mode, "advised"), "; ".join(problem)))
 
     def _require_no_fault(self) -> None:
         if self._fault is not None:
@@ -295,7 +328,9 @@ class Supervisor:
             self._fault = refusal
             self._application.answer({"doubt": refusal.kind, "text": refusal.text})
             self._stop_program()
-        self._motion = None
+        if self._motion is not None:
+            self._motion = None
+            self._unrest.end(self._now())
         return self._fault
 
     def _not_served(self, refusal: Refusal) -> Refusal:
@@ -308,7 +343,7 @@ class Supervisor:
             stopped = self._stopped()
             self._stop_program()
             return stopped
-        self._check_links()
+        self._states.check_links()
         if self._control.program_runs:
             return self._record_fault(refusal)
         if self._program_stopped_s is None:
@@ -333,46 +368,36 @@ class Supervisor:
 
     def monitor(self) -> None:
         """Check links, faults, motion and rest; keep the watchdog from expiring; answer settle requests."""
-        now = time.monotonic()
         sample, news = self._look()
+        now = self._now()
         if self._application.braked and not self._halted:
             self.take_brake()
-        self._check_program(sample, now)
+        self._check_program(sample, time.monotonic())
         if news:
             self._update_rest(sample)
         if self._motion is not None and self._motion.running:
             self._track_motion(self._motion, sample, now, news)
         may_kick = self._fault is None and self._program_stopped_s is None and not self._halted
-        if may_kick and not self._application.braked and self._kicks.due(now):
-            self._kicks.kicked(now)
+        if may_kick and not self._application.braked and self._kicks.due(time.monotonic()):
+            self._kicks.kicked(time.monotonic())
             self._control.kick_watchdog()
         if self._settle_requests:
             self._answer_settle_requests(sample, now, news)
 
     def _look(self) -> tuple[WorkerSample, bool]:
         """Check what can stop an arm at any time; return its newest state, and whether that is new."""
-        moving = self._motion is not None and self._motion.running
-        age_s = time.monotonic() - self._last_news_s
-        unwatched = self._application.check(self._kicks, age_s=age_s, moving=moving)
-        self._check_links()
-        sample = self._sample()
-        news = self._is_news(sample, time.monotonic())
+        unwatched = self._application.check(self._kicks, self.live, watched=self._moves)
+        self._states.check_links()
+        sample, news = self._states.look()
+        if news:
+            self._fast = sample.speed > self._rest.speed
+            self._unrest.look(sample, self._now(), self._rest.speed, running=self._moves)
         if self._fault is None or self._fault.kind == _HARMLESS:
             with suppress(Refusal):
                 self._require_ready(sample)
                 if unwatched:
                     self._record_fault(Refusal("stalled", unwatched))
         return sample, news
-
-    def _is_news(self, sample: WorkerSample, now: float) -> bool:
-        """Return whether a sample is new; end if none has come for too long."""
-        if sample.time_s != self._last_time:
-            self._last_time, self._last_news_s, self._looks_without_news = sample.time_s, now, 0
-            return True
-        self._looks_without_news += 1
-        if now - self._last_news_s > _SILENT_S and self._looks_without_news > _SILENT_LOOKS:
-            self._application.exit_link_lost(f"no state came for {_SILENT_S:g} s")
-        return False
 
     def _check_program(self, sample: WorkerSample, now: float) -> None:
         """Record that something else than the application stopped the program."""
@@ -392,17 +417,22 @@ class Supervisor:
         number, running = self._control.operation()
         if number != motion.number_before:
             if not running:
-                motion.running, motion.ended_s = False, now
-                self._resting_since = None  # delayed positions from before the motion may have looked like rest
+                self._end_motion(motion, now)
                 return
         elif now - motion.began_s > _STARTS_WITHIN_S:
-            self._application.exit_link_lost("a motion was sent but not begun")
+            self._states.lost("a motion was sent but not begun")
         if sample.speed > _STANDS_RAD_S or now - motion.began_s < _STARTS_WITHIN_S or sample.slider_down:
             motion.standing_since_s = None
         elif motion.standing_since_s is None:
             motion.standing_since_s = now
         elif now - motion.standing_since_s > _STANDING_S:
-            self._application.exit_link_lost("the arm rests, but its motion is reported as running")
+            self._states.lost("the arm rests, but its motion is reported as running")
+
+    def _end_motion(self, motion: Motion, now: float) -> None:
+        """Note that a motion has ended."""
+        motion.running, motion.ended_s = False, now
+        self._resting_since = None  # delayed positions from before the motion may have looked like rest
+        self._unrest.end(now)
 
     def _update_rest(self, sample: WorkerSample) -> None:
         """Track since when the arm rests."""
@@ -441,6 +471,7 @@ class Supervisor:
         if off > AT_GOAL_RAD and ended_for_s < _CUT_SHORT_S:
             return None
         self._motion = None
+        self._unrest.settled()
         if off > AT_GOAL_RAD:
             text = f"its motion was cut short: it rests {math.degrees(off):.2f} deg from its goal"
             fault = self._record_fault(failed(text))

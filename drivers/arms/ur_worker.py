@@ -13,10 +13,11 @@ from the worker
 ``{"id": n, "error": kind, ...}``   a refusal: a key of ``drivers.arms.ur_answers.REFUSALS``, and its ``text``
 ``{"doubt": kind, "text": ...}``    a fault, sent before anything else is done about it
 ``{"decelerating": true}``          the control program decelerates the motion, or there was none
-``{"lost": text}``                  the last line of a worker that ends itself
+``{"lost": text, "kind": kind}``    the last line of a worker that ends itself
+``{"opening": true}``               from now on a program of this worker may run on the controller
 ``{"beat": [...]}``                 the worker looks at the arm; its longest silence towards the watchdog [s], how often
-                                    that exceeded half of the watchdog's period, age of the arm's newest state [s], and
-                                    whether the arm moves
+                                    that exceeded half of the watchdog's period, age of the arm's newest state [s],
+                                    whether the arm moves, and the number of the last request served
 ==================================  ====================================================================================
 
 While all is well, the worker keeps the controller's watchdog from expiring. When the worker ends for any reason, the
@@ -44,7 +45,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, BinaryIO, NoReturn
 
-from drivers.arms.protocol import LinkLost
+from drivers.arms.protocol import LinkLost, LiveArm
 from drivers.arms.ur_control import Refusal, UrControl, failed
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_motion import DECELERATES_WITHIN_S, Kicks, RestCriterion
@@ -58,6 +59,7 @@ _UNHEARD_LOOKS = 20
 """An application that says nothing for this long, and this many looks of the worker, hangs or is suspended."""
 _STOP_WITHIN_S = 1.0
 _BRAKE_WITHIN_S = 0.3
+_BRAKE_READ_S = 0.002
 _NICENESS = -10
 
 
@@ -78,6 +80,7 @@ class Worker:
         self._released = 0  # the number of brakes that are no longer in force
         self._decelerating = threading.Event()
         self._beat_s = 0.0
+        self._served = 0
         self._heard_s = time.monotonic()
         self._looks_unheard = 0
 
@@ -126,25 +129,25 @@ class Worker:
             except OSError:  # the application has ended
                 self.exit_orphaned()
 
-    def check(self, kicks: Kicks, *, age_s: float, moving: bool) -> str:
-        """Exchange heartbeats; return why the application no longer watches a motion, empty if it does."""
+    def check(self, kicks: Kicks, live: LiveArm, *, watched: bool) -> str:
+        """Exchange heartbeats; return why the application no longer watches a motion (``watched``), else empty."""
         now = time.monotonic()
         if os.name == "posix" and os.getppid() != self._parent:
             self.exit_orphaned()
         if now - self._beat_s >= _BEAT_EVERY_S:
             self._beat_s = now
-            self.answer({"beat": [kicks.longest_s, kicks.late, age_s, moving]})
+            self.answer({"beat": [kicks.longest_s, kicks.late, live.age_s, live.moving, self._served]})
         self._looks_unheard += 1
-        if moving and now - self._heard_s > _UNHEARD_S and self._looks_unheard > _UNHEARD_LOOKS:
+        if watched and now - self._heard_s > _UNHEARD_S and self._looks_unheard > _UNHEARD_LOOKS:
             return f"this program was silent for {_UNHEARD_S:g} s (suspended, or hung), so its worker stopped the arm"
         return ""
 
-    def exit_link_lost(self, text: str) -> NoReturn:
+    def exit_link_lost(self, kind: str, text: str) -> NoReturn:
         """Report, stop the arm over the dashboard, and end before the client can do harm."""
-        self.answer({"doubt": "link", "text": text})
+        self.answer({"doubt": kind, "text": text})
         with suppress(LinkLost):
             stop_program(self._host, _STOP_WITHIN_S)
-        self.answer({"lost": text})
+        self.answer({"lost": text, "kind": kind})
         os._exit(3)
 
     # -- serving -------------------------------------------------------------------------------------------------------
@@ -173,6 +176,7 @@ class Worker:
         else:
             if answer is not None:
                 self.answer({"id": request["id"], "ok": answer})
+        self._served = int(request["id"])
 
     def _result(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
         """Execute a request and return its answer; None if that comes later. Raises ``Refusal``."""
@@ -195,10 +199,12 @@ class Worker:
                 return None
             case "allowed":
                 return supervisor.allowed(request)
+            case "confirm":
+                return supervisor.confirm()
             case "release":
-                supervisor.take_brake()
+                released = supervisor.release()
                 self._released = int(request["brakes"])
-                return {}
+                return released
             case "restart":
                 supervisor.require_restartable()
                 self._released = int(request["brakes"])
@@ -211,7 +217,11 @@ class Worker:
         host = str(request["host"])
 
         def opening() -> None:
+            time.sleep(_BRAKE_READ_S)  # the client has held the interpreter's lock: a brake may wait to be read
+            if self.braked:
+                raise Refusal("stopped", "it was stopped while it was being connected")
             self._host = host  # from here on a program of this worker may run there
+            self.answer({"opening": True})
 
         control = UrControl.open(host, request["optional"], float(request["timeout_s"]), opening)
         supervisor = PathSupervisor(self, control, float(request["watchdog_hz"]), rest)

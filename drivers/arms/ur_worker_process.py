@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,9 @@ from typing import Any
 
 import drivers
 from drivers.arms.protocol import LiveArm
+from drivers.arms.ur_links import printable
 from drivers.arms.ur_motion import DECELERATES_WITHIN_S
+from drivers.patience import Patience, patient_get
 
 _BEAT_EVERY_S = 0.05
 _SILENT_S = 0.3
@@ -27,14 +30,46 @@ _SILENT_LOOKS = 4
 """And if this process has looked this often meanwhile: one that was not scheduled has not read either."""
 _LOCK_WITHIN_S = 0.01
 """Messages are short and the worker reads them at once; a longer wait means that it hangs."""
+_MOTIONS = ("move", "path")
 _STOPPED: Mapping[str, Any] = {"error": "stopped", "text": "its motion was stopped before the goal"}
 
-Doubted = Callable[[str, str], None]
+_LAST_LINES, _LONGEST_LINE = 60, 400
+"""What is kept of the worker's standard error."""
+_LAST_WORDS_WITHIN_S = 0.1
+
+Doubted = Callable[[str, str], object]
 """Receives the kind of a refusal and a sentence, from any thread; returns at once."""
 
 
+def last_words(lines: Iterable[bytes]) -> str:
+    """Return what a process that ended wrote last, after ``: ``; empty if it wrote nothing.
+
+    That is an exception's last line; of a dump of all threads its first line, and where the main thread was.
+    """
+    texts = [
+        text for line in lines if (text := printable(line.decode("utf-8", errors="replace").strip(), _LONGEST_LINE))
+    ]
+    if not texts:
+        return ""
+    dumps = [k for k, text in enumerate(texts) if text.startswith(("Timeout (", "Fatal Python error"))]
+    if not dumps:
+        return f": {texts[-1]}"
+    where = next((k for k in range(len(texts) - 1, dumps[-1], -1) if "(most recent call first)" in texts[k]), None)
+    return f": {texts[dumps[-1]]}" + ("" if where is None else f" {' '.join(texts[where + 1 : where + 3])}")
+
+
 class WorkerGone(Exception):
-    """The worker process has ended, or did not answer in time; the message is the reason."""
+    """The worker process has ended, or did not answer in time; the message is the reason.
+
+    Attributes
+    ----------
+    kind : str
+        A key of ``drivers.arms.ur_answers.REFUSALS``.
+    """
+
+    def __init__(self, reason: str, kind: str = "driver") -> None:
+        super().__init__(reason)
+        self.kind = kind
 
 
 class WorkerRefusal(Exception):
@@ -76,34 +111,39 @@ class _Pending:
 class WorkerProcess:
     """A worker process. Calls may come from several threads.
 
-    ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was asked to end.
-    ``on_beat`` is called by a thread of its own, 20 times a second.
+    ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was asked to end; ``opens``
+    when it may start a program on the controller.
     """
 
-    def __init__(self, name: str, doubted: Doubted, on_beat: Callable[[], None]) -> None:
+    def __init__(self, name: str, doubted: Doubted, opens: Callable[[], None]) -> None:
         root = str(Path(drivers.__file__).parents[1])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         self._process = subprocess.Popen(
             [sys.executable, "-m", "drivers.arms.ur_worker"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
             start_new_session=True,  # a Ctrl-C in the terminal must not reach it
             creationflags=getattr(subprocess, "HIGH_PRIORITY_CLASS", 0),  # Windows; elsewhere it asks for it itself
         )
-        self._doubted, self._on_beat = doubted, on_beat
+        self._doubted, self._opens = doubted, opens
         self._lock = threading.Lock()
         self._number = 0
         self._pending: dict[int, _Pending] = {}
         self._hello: queue.SimpleQueue[None] = queue.SimpleQueue()
-        self._ended = ""
+        self._ended: WorkerGone | None = None
+        self._opening = False
+        self._motion_asked = self._served = 0
         self._ending = threading.Event()
         self._decelerating = threading.Event()
         self._gaps = HeartbeatGaps()
         self._live = (math.inf, True, 0.0)
         self._beat_s = 0.0
         self._looks = 0
+        self._last_words: deque[bytes] = deque(maxlen=_LAST_LINES)
+        self._listener = threading.Thread(target=self._listen, name=f"errors of {name}", daemon=True)
+        self._listener.start()
         self._reader = threading.Thread(target=self._read, name=f"UR worker of {name}", daemon=True)
         self._reader.start()
         self._heart = threading.Thread(target=self._beat, name=f"heartbeat of {name}", daemon=True)
@@ -114,9 +154,14 @@ class WorkerProcess:
         return self._process.pid
 
     @property
-    def ended(self) -> str:
-        """Why the process has ended; empty while it runs."""
-        return self._ended
+    def has_ended(self) -> bool:
+        """Whether the process has ended."""
+        return self._ended is not None
+
+    @property
+    def opening(self) -> bool:
+        """Whether it has begun to start a program on the controller."""
+        return self._opening
 
     @property
     def gaps(self) -> HeartbeatGaps:
@@ -125,18 +170,22 @@ class WorkerProcess:
 
     @property
     def live(self) -> LiveArm:
-        """What the newest heartbeat said of the arm."""
+        """What the newest heartbeat said of the arm; a motion that was asked for since may have begun."""
         age_s, moving, since_s = self._live
-        return LiveArm(age_s + time.monotonic() - since_s, moving)
+        return LiveArm(age_s + time.monotonic() - since_s, moving or self._motion_asked > self._served)
 
     def wait_hello(self, timeout_s: float) -> None:
         """Wait until the process serves requests. Raises ``WorkerGone``."""
         try:
-            self._hello.get(timeout=timeout_s)
+            patient_get(self._hello, Patience(timeout_s))
         except queue.Empty:
             raise WorkerGone(f"its driver process did not start within {timeout_s:g} s") from None
-        if self._ended:
-            raise WorkerGone(self._ended)
+        self._require_running()
+
+    def _require_running(self) -> None:
+        ended = self._ended
+        if ended is not None:
+            raise WorkerGone(str(ended), ended.kind)
 
     def watch(self) -> None:
         """Exchange heartbeats from now on; call it when the worker looks at its arm."""
@@ -153,25 +202,27 @@ class WorkerProcess:
         """
         answered: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
         with self._lock:
-            if self._ended:
-                raise WorkerGone(self._ended)
+            self._require_running()
             permitted()
             self._number += 1
             number = self._number
             self._pending[number] = _Pending(request, answered)
+            if request in _MOTIONS:
+                self._motion_asked = number
             try:
                 self._write({"id": number, "do": request, **arguments})
             except OSError as error:
                 raise WorkerGone(f"its driver process accepts no requests ({error})") from error
         try:
-            answer = answered.get(timeout=within_s)
+            answer = patient_get(answered, Patience(within_s))
         except queue.Empty:
             raise WorkerGone(f"no answer to '{request}' within {within_s:g} s") from None
         finally:
             with self._lock:
                 self._pending.pop(number, None)
         if answer is None:
-            raise WorkerGone(self._ended)
+            self._require_running()
+        assert answer is not None
         if "error" in answer:
             raise WorkerRefusal(str(answer["error"]), str(answer["text"]))
         return dict(answer["ok"])
@@ -182,7 +233,7 @@ class WorkerProcess:
         Waits a few milliseconds until the motion decelerates. Returns whether the message was sent, or no worker is
         left; it is not if another message could not be sent for ``within_s``.
         """
-        if self._ended:
+        if self.has_ended:
             return True
         if not self._lock.acquire(timeout=within_s):
             return False
@@ -200,6 +251,11 @@ class WorkerProcess:
 
     def kill_at_once(self) -> None:
         """Kill the process without waiting for its end, which is reported as a doubt."""
+        self._process.kill()
+
+    def abandon(self) -> None:
+        """Kill the process without waiting for its end, which is no doubt; whoever waits for an answer gets none."""
+        self._ending.set()
         self._process.kill()
 
     def kill(self) -> None:
@@ -221,9 +277,10 @@ class WorkerProcess:
     def _join(self) -> None:
         self._process.wait()
         self._reader.join()
+        self._listener.join()
         if self._heart.is_alive() and self._heart is not threading.current_thread():
             self._heart.join()
-        for pipe in (self._process.stdin, self._process.stdout):
+        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
             assert pipe is not None
             with suppress(OSError):
                 pipe.close()
@@ -244,17 +301,22 @@ class WorkerProcess:
     def _beat(self) -> None:
         """Send heartbeats and miss those of the worker, until it ends."""
         silent = False
-        while not self._ending.wait(_BEAT_EVERY_S) and not self._ended:
+        while not self._ending.wait(_BEAT_EVERY_S) and not self.has_ended:
             with self._lock, suppress(OSError):
                 self._write({"beat": True})
             self._looks += 1
             if not silent and time.monotonic() - self._beat_s > _SILENT_S and self._looks > _SILENT_LOOKS:
                 silent = True
-                self._doubted("link", f"its driver process was silent for {_SILENT_S:g} s")
-            self._on_beat()
+                self._doubted("driver", f"its driver process was silent for {_SILENT_S:g} s")
+
+    def _listen(self) -> None:
+        """Keep the last lines of what the worker writes to its standard error."""
+        assert self._process.stderr is not None
+        while line := self._process.stderr.readline(_LONGEST_LINE):
+            self._last_words.append(line)
 
     def _read(self) -> None:
-        reason = ""
+        reason: WorkerGone | None = None
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if not line.endswith(b"\n"):  # the process ended in the middle of a line
@@ -262,14 +324,18 @@ class WorkerProcess:
             self._seen()
             message = json.loads(line)
             if "beat" in message:
-                longest_s, late, age_s, moving = message["beat"]
+                longest_s, late, age_s, moving, served = message["beat"]
                 self._gaps, self._live = HeartbeatGaps(longest_s, late), (age_s, moving, time.monotonic())
+                self._served = served
             elif "doubt" in message:
                 self._report(str(message["doubt"]), str(message["text"]))
             elif "decelerating" in message:
                 self._decelerating.set()
             elif "lost" in message:
-                reason = str(message["lost"])
+                reason = WorkerGone(str(message["lost"]), str(message["kind"]))
+            elif "opening" in message:
+                self._opening = True
+                self._opens()
             elif "hello" in message:
                 self._hello.put(None)
             else:
@@ -277,12 +343,13 @@ class WorkerProcess:
                     pending = self._pending.get(int(message["id"]))
                 if pending is not None:
                     pending.answered.put(message)
-        if not reason and not self._ending.is_set():
-            self._report("link", "its driver process ended")
+        if reason is None:
+            self._report("driver", "its driver process ended")
         code = self._process.wait()
+        self._listener.join(_LAST_WORDS_WITHIN_S)
         with self._lock:
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            self._ended = reason or f"its driver process ended ({how})"
+            self._ended = reason or WorkerGone(f"its driver process ended ({how}{last_words(self._last_words)})")
             for pending in self._pending.values():
                 pending.answered.put(None)
         self._hello.put(None)

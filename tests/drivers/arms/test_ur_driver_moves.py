@@ -28,7 +28,7 @@ from cellapp.progress import CancelToken
 from cellapp.trials.link_bench import travel_s
 from cellapp.trials.link_results import LinksResult
 from cellapp.trials.links import link_trials
-from drivers.arms import ur_path_supervisor, ur_supervisor, ur_worker
+from drivers.arms import ur_path_supervisor, ur_states, ur_supervisor, ur_worker
 from drivers.arms.protocol import (
     ArmError,
     JointLimits,
@@ -532,6 +532,9 @@ class DelayedClient:
     def isJointsWithinSafetyLimits(self, *_: object) -> bool:
         return True
 
+    def isSteady(self) -> bool:
+        return True
+
     def end_program(self, *_: object) -> bool:
         """A command that is not served, because the program ended."""
         self.playing = False
@@ -547,7 +550,8 @@ def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..
     """The client, and a function that sends a message, runs the worker for some seconds and returns its answers."""
     client, answers, now = DelayedClient(), io.BytesIO(), [1000.0]
     clock = SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick)
-    monkeypatch.setattr(ur_path_supervisor, "time", clock)
+    for module in (ur_path_supervisor, ur_states):
+        monkeypatch.setattr(module, "time", clock)
     for module in (ur_worker, ur_supervisor):
         monkeypatch.setattr(module, "time", clock)
         monkeypatch.setattr(module, "stop_program", lambda host, within_s: None)

@@ -1,0 +1,58 @@
+"""Whether a program of this driver may run on a UR controller, and bringing its arm to rest over plain connections."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from drivers.arms.protocol import LinkLost
+from drivers.arms.ur_links import stop_program
+from drivers.arms.ur_rtde_reader import wait_at_rest
+
+_STOP_WITHIN_S = 1.0
+_QUICK_STOP_S, _QUICK_REST_S = 0.2, 0.25
+"""After an interrupted connection, whose program has begun no motion."""
+
+
+class OwnProgram:
+    """Programs that this driver has started on one controller, and with them motions."""
+
+    def __init__(self, host: str, rest_s: float) -> None:
+        """An arm is watched for at most ``rest_s`` [s] until it rests."""
+        self._host, self._rest_s = host, rest_s
+        self._started = self._ended = 0
+        """Counted, so that a program that is started while the one before is brought to rest is not forgotten."""
+
+    @property
+    def may_run(self) -> bool:
+        """Whether one may run, and with it a motion."""
+        return self._started > self._ended
+
+    def started(self) -> None:
+        """Note that one may run from now on."""
+        self._started += 1
+
+    def wait_at_rest(self) -> None:
+        """Watch the arm until it rests. Raises ``LinkLost``."""
+        wait_at_rest(self._host, self._rest_s)
+
+    def bring_to_rest(self, *, quickly: bool = False, look: Callable[[], None] | None = None) -> None:
+        """Stop the controller's program and watch the arm until it rests; ``look`` may raise meanwhile.
+
+        Raises
+        ------
+        LinkLost
+            If it was not stopped, or not seen at rest.
+        """
+        started = self._started
+        not_stopped: LinkLost | None = None
+        try:
+            stop_program(self._host, _QUICK_STOP_S if quickly else _STOP_WITHIN_S, look=look)
+        except LinkLost as error:
+            not_stopped = error
+        try:
+            sample = wait_at_rest(self._host, _QUICK_REST_S if quickly else self._rest_s, look=look)
+        except LinkLost as error:
+            raise LinkLost(f"{not_stopped}; {error}" if not_stopped else str(error)) from error
+        if not_stopped is not None and sample.program == "PLAYING":
+            raise not_stopped
+        self._ended = max(self._ended, started)

@@ -1,0 +1,101 @@
+"""The states of one UR arm as its worker process gets them: which is new, which may be old, and when none comes."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import NoReturn
+
+from drivers.arms.ur_control import UrControl
+from drivers.arms.ur_motion import WorkerSample
+from drivers.patience import Patience
+
+_SILENT_S = 0.3
+"""The arm's state is unknown if no new one comes for this long."""
+_SILENT_LOOKS = 10
+"""And if the worker has looked this often meanwhile: a process that was not scheduled has not looked."""
+_STALL_S = 0.1
+"""A process that has not looked at its arm for this long was not scheduled, or waited for the controller."""
+_CATCH_UP_S = 0.02
+"""Time in which the client reads what came during a stall: its first states are old."""
+_BROKEN_BY_STALL_S = 1.0
+"""A stall this long, and not longer ago, explains a broken link: the client takes its own silence for the arm's."""
+_ASK_AGAIN_S = 0.0005
+
+End = Callable[[str, str], NoReturn]
+"""Ends the process, with a kind of ``drivers.arms.ur_answers.REFUSALS`` and a sentence."""
+
+
+class States:
+    """States of one arm. ``end`` is called when the arm's state is unknown, ``meanwhile`` while one is waited for."""
+
+    def __init__(self, control: UrControl, end: End, meanwhile: Callable[[], None]) -> None:
+        self._control, self._end, self._meanwhile = control, end, meanwhile
+        self._looked_s = self._news_s = time.monotonic()
+        self._stall_ended_s, self._stall_s = -math.inf, 0.0
+        self._time_s = -1.0
+        self._looks_without_news = 0
+
+    @property
+    def age_s(self) -> float:
+        """Age of the newest state [s]."""
+        return time.monotonic() - self._news_s
+
+    def check_links(self) -> None:
+        """End if a link broke: the client would reconnect by itself again and again, and crash in the end."""
+        if not self._control.connected:
+            self.lost("the RTDE link broke")
+
+    def lost(self, text: str) -> NoReturn:
+        """End, because the arm's state is unknown; a long stall of this process explains that."""
+        if time.monotonic() - self._stall_ended_s < _BROKEN_BY_STALL_S:
+            self._end("stalled", f"this computer was silent for {self._stall_s:.1f} s (suspended, or too busy): {text}")
+        self._end("link", text)
+
+    def newest(self) -> WorkerSample:
+        """Return the newest state."""
+        sample = self._control.sample()
+        if not sample.complete:
+            self.check_links()
+            self.lost("the controller's state is not one of six joints")
+        if not sample.finite:
+            self._end("nonsense", "the controller reports positions or speeds of its joints that are no numbers")
+        return sample
+
+    def look(self) -> tuple[WorkerSample, bool]:
+        """Return the newest state, and whether it is new; end if none has come for too long."""
+        self._note_look()
+        sample, now = self.newest(), time.monotonic()
+        if sample.time_s != self._time_s:
+            self._time_s, self._news_s, self._looks_without_news = sample.time_s, now, 0
+            return sample, True
+        self._looks_without_news += 1
+        if now - self._news_s > _SILENT_S and self._looks_without_news > _SILENT_LOOKS:
+            self.lost(f"no state came for {_SILENT_S:g} s")
+        return sample, False
+
+    def next(self) -> WorkerSample:
+        """Return the first state that the controller sends after this call."""
+        self._note_look()
+        before = self._control.time_s
+        patience = Patience(_SILENT_S)
+        while True:
+            if self._note_look():  # states that came meanwhile are read first
+                time.sleep(_CATCH_UP_S)
+                before = self._control.time_s
+            elif self._control.time_s != before:
+                return self.newest()
+            self.check_links()
+            if patience.over:
+                self.lost(f"no state came for {_SILENT_S:g} s")
+            self._meanwhile()
+            time.sleep(_ASK_AGAIN_S)
+
+    def _note_look(self) -> bool:
+        """Note that the arm is being looked at; return whether that is late, so that the newest state may be old."""
+        now = time.monotonic()
+        gap_s, self._looked_s = now - self._looked_s, now
+        if gap_s > _BROKEN_BY_STALL_S:
+            self._stall_ended_s, self._stall_s = now, gap_s
+        return gap_s > _STALL_S
