@@ -54,7 +54,6 @@ class RemoteControl(JobControl):
         self._sending = threading.Lock()
         self._asked = self._answered = 0
         self._unheard: Verb | None = None
-        self._left = False
         self._heard = self._lines()
 
     @property
@@ -101,7 +100,7 @@ class RemoteControl(JobControl):
 
     def leave(self, how: str = "") -> None:
         """Watch no longer. The job goes on: the person beside it is another one."""
-        self._left = True
+        self._left = how or "left"
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 
