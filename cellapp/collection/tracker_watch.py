@@ -32,14 +32,13 @@ Watch = Callable[[Tracker, Died], AbstractContextManager[None]]
 CONFIRM_WITHIN_S = 0.3
 """A tracker that answers later counts as dead while the arms move; over a network it answers within milliseconds."""
 _EVERY_S = 0.04
-"""Between two questions: with its answer, 5 % of what a serial line of 115200 baud carries."""
+"""Between two questions: with its answer, an eighth of what a serial line of 115200 baud carries."""
 _DEAD_EVERY_S = 0.5
 """Between two questions to a dead tracker while the arms rest."""
 _LOOK_S = 0.05
 _SILENT_S = 0.4
-"""Longest time without an answer, should a driver not keep to ``CONFIRM_WITHIN_S``."""
-_SILENT_LOOKS = 6
-"""And this many looks meanwhile: a program that was not scheduled has not looked, and has not asked either."""
+"""Longest time without an answer, should a driver not keep to ``CONFIRM_WITHIN_S``. It counts by looks that come in
+time: a program that was not scheduled has not looked, and has not asked either."""
 _ONE_ANSWER_S = 5.0
 """Longest wait for the answer that is under way when a job calls the tracker, and at the end."""
 
@@ -182,12 +181,12 @@ class TrackerMonitor:
 
     def _listen(self, over: threading.Event) -> None:
         """Report silence, even while a question hangs."""
-        heard, since_s, looks = self._heard, time.monotonic(), 0
+        heard, looks = self._heard, 0
         while not over.wait(_LOOK_S):
             looks += 1
             if self._heard != heard or self._calls:
-                heard, since_s, looks = self._heard, time.monotonic(), 0
-            elif time.monotonic() - since_s > _SILENT_S and looks >= _SILENT_LOOKS:
+                heard, looks = self._heard, 0
+            elif looks * _LOOK_S >= _SILENT_S:
                 self._report(f"tracker: no answer for {_SILENT_S:g} s while the arms moved")
                 return
 

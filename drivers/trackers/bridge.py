@@ -20,7 +20,7 @@ import serial
 from numpy.typing import NDArray
 
 from drivers.trackers import bridge_wire as wire
-from drivers.trackers.bridge_port import LinkFault, PortOpener, Unreachable, shut_down, waiting
+from drivers.trackers.bridge_port import READ_TIMEOUT_S, LinkFault, PortOpener, Unreachable, shut_down, waiting
 from drivers.trackers.bridge_wire import BadField, Fields, Garbled, Line
 from drivers.trackers.protocol import (
     Halted,
@@ -46,8 +46,8 @@ _RETRY_S = 0.2
 _MAX_STALE_LINES = 500
 _MAX_DRAINED_BYTES = 1_000_000
 _LONGEST_COMMAND_S = 600.0
-_SILENT_LOOKS = 4
-"""Silence counts after this many looks for a line: a program that was not scheduled has not looked."""
+_SILENT_SHARE = 0.9
+"""Silence counts when this share of the time was spent looking for a line: a program that was not scheduled has not."""
 _CONFIRMING_TRIES = 3
 """A damaged line, or a connection that ended: a new one, and the question again."""
 _HALTABLE = ("prepare", "measure", "two-face")
@@ -103,8 +103,6 @@ class BridgeTracker:
         self._sequence = secrets.randbelow(wire.LAST_SEQUENCE)
         self._out_of_sync = False
         self._boot = ""
-        self._looks = 0
-        """Looks for a line since the last question."""
         self._confirms = True
         """Whether the bridge knows the command ``confirm``."""
         self._sign_s = -math.inf
@@ -332,7 +330,6 @@ class BridgeTracker:
         """Discard input up to the answer that repeats a random nonce. Raises ``LinkFault``."""
         nonce = secrets.token_hex(8)
         self._received.clear()
-        self._looks = 0
         sequence = self._next_sequence()
         until_s = min(until_s, time.monotonic() + self._timeout_s)
         self._write(b"\n" + wire.encode(sequence, "sync", {"nonce": nonce}))
@@ -353,7 +350,6 @@ class BridgeTracker:
             line = wire.encode(sequence, verb, fields)
         except ValueError as error:
             raise NotReady(f"tracker bridge {self._url}: {error}") from error
-        self._looks = 0
         self._write(line)
         for _ in range(_MAX_STALE_LINES):
             raw = self._raw_line(min(until_s, time.monotonic() + self._timeout_s))
@@ -430,8 +426,10 @@ class BridgeTracker:
     def _raw_line(self, until_s: float) -> bytes:
         """Return the next line with its line end. Raises ``LinkFault`` if none comes in time or it is too long.
 
-        What has come is read before silence counts.
+        Silence counts only while this program was scheduled, and after what has come was read.
         """
+        began_s = time.monotonic()
+        looked_s, looking_s = began_s, 0.0
         while True:
             end = self._received.find(b"\n") + 1
             if end:
@@ -440,9 +438,6 @@ class BridgeTracker:
                 return raw
             if len(self._received) > wire.LONGEST_LINE:
                 raise LinkFault(f"a line longer than {wire.LONGEST_LINE} bytes came")
-            if time.monotonic() > until_s and self._looks >= _SILENT_LOOKS:
-                raise _Silent(f"no answer within {self._timeout_s:g} s")
-            self._looks += 1
             port = self._port
             if port is None:
                 raise LinkFault("the link is closed")
@@ -453,6 +448,12 @@ class BridgeTracker:
                 if b"\n" in self._received:
                     continue  # lines that came before the connection closed
                 raise LinkFault(f"the link broke: {error}") from error
+            now_s = time.monotonic()
+            looking_s += min(now_s - looked_s, READ_TIMEOUT_S)
+            looked_s = now_s
+            enough = looking_s >= _SILENT_SHARE * (until_s - began_s)
+            if now_s > until_s and enough and b"\n" not in self._received:
+                raise _Silent(f"no answer within {self._timeout_s:g} s")
 
     def _close(self) -> None:
         self._close_port()

@@ -13,6 +13,8 @@ from drivers.trackers.protocol import Halted, TrackerLinkLost, TrackerTimeout
 
 _T = TypeVar("_T")
 
+_LOOK_S = 0.05
+
 
 @dataclass(eq=False)
 class _Call(Generic[_T]):
@@ -60,7 +62,7 @@ class CallThread:
         call = _Call(what, function, limit_s, time.monotonic())
         with self._changed:
             previous = self._current
-            if previous is not None and not self._changed.wait_for(lambda: previous.done, timeout=previous.limit_s):
+            if previous is not None and not self._wait_for(lambda: previous.done, previous.limit_s):
                 raise TrackerLinkLost(
                     f"tracker: LMF has not returned from {previous.what}; disconnect, check that the tracker is on, and"
                     " connect again"
@@ -68,7 +70,7 @@ class CallThread:
             call.began_s = time.monotonic()
             self._current = call
             self._changed.notify_all()
-            self._changed.wait_for(lambda: call.done or (haltable and self._halted), timeout=limit_s)
+            self._wait_for(lambda: call.done or (haltable and self._halted), limit_s)
             if haltable and self._halted:
                 raise Halted("tracker: a halt was requested; no measurement was made")
             if not call.done:
@@ -76,6 +78,15 @@ class CallThread:
         if call.error is not None:
             raise call.error
         return cast(_T, call.result)
+
+    def _wait_for(self, done: Callable[[], bool], limit_s: float) -> bool:
+        """Wait for a change, with ``_changed`` held; time in which this program was not scheduled does not count."""
+        waited_s = 0.0
+        while not done() and waited_s < limit_s:
+            began_s = time.monotonic()
+            self._changed.wait(min(_LOOK_S, limit_s - waited_s))
+            waited_s += min(time.monotonic() - began_s, _LOOK_S)
+        return done()
 
     def require_idle(self) -> None:
         """Raise ``TrackerTimeout`` while a call that was given up is at work, ``TrackerLinkLost`` after its time."""
