@@ -78,15 +78,16 @@ class PseudoTerminal:
                 self._changed.notify_all()
 
     def take(self, data: bytes) -> None:
-        """Take in what the program drew; a subclass keeps a screen instead."""
+        """Take in what the program drew; a subclass may keep a screen instead."""
         self._drawn = (self._drawn + data.decode(errors="replace"))[-_KEPT:]
 
     def text(self) -> str:
         """What was drawn since ``forget``, without places and colours; a word that was drawn in parts is in parts."""
         with self._changed:
-            return self._text()
+            return self.shown()
 
-    def _text(self) -> str:
+    def shown(self) -> str:
+        """As ``text``, for a subclass; the reading thread waits meanwhile."""
         return _CONTROLS.sub("", self._drawn)
 
     def forget(self) -> None:
@@ -110,10 +111,10 @@ class PseudoTerminal:
         """
         end_s = time.monotonic() + wait_s
         with self._changed:
-            while not holds(self._text()):
+            while not holds(self.shown()):
                 left_s = end_s - time.monotonic()
                 if left_s <= 0.0 or not self._changed.wait(left_s):
-                    raise TimeoutError(f"never came: {what}\n{self._text()}")
+                    raise TimeoutError(f"never came: {what}\n{self.shown()}")
         return time.monotonic()
 
     def quiet(self, for_s: float) -> None:

@@ -99,12 +99,12 @@ class PressBench:
     """
 
     def __init__(self, terminal: PseudoTerminal, cell: StormCell, random: np.random.Generator) -> None:
-        self._terminal, self._cell, self._random = terminal, cell, random
+        self.terminal, self.cell, self._random = terminal, cell, random
 
     def begin(self) -> None:
         """Open the first run of the folder and begin to collect."""
-        terminal = self._terminal
-        for keys, words in (("", "EMULATED"), ("8", "began (UTC)"), ("\r", "is open; next"), ("3", "READY")):
+        terminal = self.terminal
+        for keys, words in (("", "ULATED"), ("8", "began (UTC)"), ("\r", "is open; next"), ("3", "READY")):
             terminal.send(keys)
             terminal.until(partial(_contains, words), words)
             terminal.quiet(2.0 * _QUIET_S)
@@ -118,15 +118,15 @@ class PressBench:
     def _go(self, place: Place) -> None:
         """Go from Collect to a place."""
         if place.keys:
-            self._terminal.forget()
-            self._terminal.send(place.keys)
-            self._terminal.until(partial(_contains, place.words), f"what '{place.words}' is drawn on")
-            self._terminal.quiet(_QUIET_S)
+            self.terminal.forget()
+            self.terminal.send(place.keys)
+            self.terminal.until(partial(_contains, place.words), f"what '{place.words}' is drawn on")
+            self.terminal.quiet(_QUIET_S)
 
     def _move(self) -> bool:
         """Wait until all arms move; return whether that came about."""
         return comes_about(
-            lambda: all(one["moving"] for one in self._cell.status().values()), time.monotonic() + _MOVES_WITHIN_S
+            lambda: all(one["moving"] for one in self.cell.status().values()), time.monotonic() + _MOVES_WITHIN_S
         )
 
     def _go_while_moving(self, place: Place, what: str) -> None:
@@ -138,7 +138,7 @@ class PressBench:
                 if self._move():
                     return
             self.resume(place, what)
-        raise HardwareError(f"{what}: the arms do not move\n{self._terminal.text()[-_LAST:]}")
+        raise HardwareError(f"{what}: the arms do not move\n{self.terminal.text()[-_LAST:]}")
 
     def press(self, key: str, place: str) -> Press:
         """Press a key at a place while all arms move, watch the controllers, and resume.
@@ -149,37 +149,37 @@ class PressBench:
             If the arms do not move before, do not rest after the stop, or do not move again after resume.
         """
         self._go_while_moving(PLACES[place], f"{key}, {place}")
-        sent_s = self._terminal.send(KEYS[key])
-        latency_ms = {name: self._stop_ms(name, sent_s) for name in self._cell.arms}
+        sent_s = self.terminal.send(KEYS[key])
+        latency_ms = {name: self._stop_ms(name, sent_s) for name in self.cell.arms}
         if key == "mouse":
-            self._terminal.send(_RELEASED)
-        if not self._cell.wait_at_rest(_RESTS_WITHIN_S):
+            self.terminal.send(_RELEASED)
+        if not self.cell.wait_at_rest(_RESTS_WITHIN_S):
             raise HardwareError(f"{key}, {place}: no stop came, or the arms do not rest: {latency_ms}")
         time.sleep(_WATCHED_S)
         since_s = sent_s + max(latency_ms.values()) / 1e3
-        began = sum(len(self._cell.control(name, "starts", since_s)) for name in self._cell.arms)
+        began = sum(len(self.cell.control(name, "starts", since_s)) for name in self.cell.arms)
         self.resume(PLACES[place], f"{key}, {place}")
         return Press(key, place, latency_ms, began)
 
     def resume(self, place: Place, what: str) -> None:
         """Go back to Collect and resume. Raises ``HardwareError`` if no motion begins."""
         since_s = time.monotonic()
-        self._terminal.send(place.back)
+        self.terminal.send(place.back)
         end_s = since_s + _TRIES * _RESUMED_WITHIN_S
         while time.monotonic() < end_s:
-            self._terminal.quiet(_QUIET_S)
-            self._terminal.send("c")
+            self.terminal.quiet(_QUIET_S)
+            self.terminal.send("c")
             if comes_about(partial(self._began, since_s), time.monotonic() + _RESUMED_WITHIN_S):
                 return
-        raise HardwareError(f"{what}: no motion begins after resume\n{self._terminal.text()[-_LAST:]}")
+        raise HardwareError(f"{what}: no motion begins after resume\n{self.terminal.text()[-_LAST:]}")
 
     def _began(self, since_s: float) -> bool:
-        return any(self._cell.control(name, "starts", since_s) for name in self._cell.arms)
+        return any(self.cell.control(name, "starts", since_s) for name in self.cell.arms)
 
     def _stop_ms(self, name: str, sent_s: float) -> float:
-        if not comes_about(lambda: bool(self._cell.control(name, "stops", sent_s)), sent_s + _STOPS_WITHIN_S):
+        if not comes_about(lambda: bool(self.cell.control(name, "stops", sent_s)), sent_s + _STOPS_WITHIN_S):
             return float("inf")
-        return float(self._cell.control(name, "stops", sent_s)[0]["received_s"] - sent_s) * 1e3
+        return float(self.cell.control(name, "stops", sent_s)[0]["received_s"] - sent_s) * 1e3
 
 
 def _contains(words: str, text: str) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cellapp.errors import InputError
 
-_ESCAPE_WAITS_MS = 15
+ESCAPE_WAITS_MS = 15
 """For how long the byte of Escape may be the begin of the sequence of another key: terminals send that at once."""
 
 
@@ -28,7 +28,7 @@ def run_app(folder: Path = Path("profiles")) -> int:
             "the terminal application needs a terminal, and standard input or error is none here; 'cellapp run PROFILE'"
             " does the day unattended, 'cellapp --help' lists all commands"
         )
-    os.environ["ESCDELAY"] = str(_ESCAPE_WAITS_MS)  # which Textual reads when it is imported
+    os.environ["ESCDELAY"] = str(ESCAPE_WAITS_MS)  # which Textual reads when it is imported
     from cellapp.tui.app import CellApp
 
     app = CellApp(folder, ends_process=True)

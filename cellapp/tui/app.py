@@ -88,6 +88,7 @@ class CellApp(App[None]):
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "stop", "STOP", priority=True),
         Binding("ctrl+c", "stop", show=False, priority=True),
+        Binding("ctrl+c", "say_how_to_quit", show=False),
         Binding("f5", "whole_day", "Day", tooltip="plan, collect, calibrate, discover, push and verify; asks first"),
         Binding("p", "pause", "Pause"),
         Binding("c", "resume", "Resume"),
@@ -365,7 +366,7 @@ class CellApp(App[None]):
         else:
             self.say("STOP: all arms brake. c: resume when the cell is clear; x: abort.", "error")
 
-    def action_help_quit(self) -> None:
+    def action_say_how_to_quit(self) -> None:
         """Ctrl-C, where nothing runs and no text is selected: it does not quit. Say what does."""
         self.say("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
 
