@@ -165,7 +165,7 @@ class Supervisor:
         """Hold here while paused; the arms rest. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
         paused = self.control.request == "pause"
         if paused:
-            self._say("pause", StateChange("paused", "paused by a person; the arms rest"))
+            self._say("pause", StateChange("paused", "paused by a person"))
         hold_while_paused(self.cell, self.control, self.reaction)
         if paused:
             self._say("resume", StateChange("running", "resumed by a person"))
@@ -271,7 +271,7 @@ class Supervisor:
                 self.record(self.reaction.causes[-1].kind, reason)
             except HardwareError as error:
                 reason = str(error)
-                by_person = (cause.kind for cause in self.reaction.causes if cause not in shown)
+                by_person = (cause.kind for cause in self.reaction.causes if all(cause is not one for one in shown))
                 kind = next((kind for kind in by_person if kind in _BY_PERSON), "not released")
                 self.record(kind, reason)
             self.control.hold()

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.collection import collect as collecting
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.collect import collect_run
 from cellapp.control import JobControl, Stopped
@@ -81,7 +80,7 @@ class Watched:
 
         monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
         monkeypatch.setattr("drivers.trackers.simulated.SimulatedTracker", Tracker)
-        monkeypatch.setattr(collecting, "open_cell", opened)
+        monkeypatch.setattr("cellapp.collection.supervision.open_cell", opened)
 
     def note(self, who: str, what: str) -> None:
         self.calls.append((who, what))

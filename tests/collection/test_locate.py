@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.collection import locate as locating
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.collection.locating_stops import LocatingStops
 from cellapp.collection.smr_search import FoundPoint, covariances, lattice, share_of_chance
@@ -69,11 +68,11 @@ def changed_plant(monkeypatch: pytest.MonkeyPatch, change: Callable[[Profile], P
     """Let ``locate`` open a cell that is not what its profile says."""
 
     @contextmanager
-    def opened(profile: Profile) -> Iterator[Cell]:
-        with open_cell(change(profile)) as cell:
+    def opened(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(change(profile), **options) as cell:
             yield cell
 
-    monkeypatch.setattr(locating, "open_cell", opened)
+    monkeypatch.setattr("cellapp.collection.supervision.open_cell", opened)
 
 
 def with_left(profile: Profile, **changes: Any) -> Profile:
@@ -256,12 +255,12 @@ def test_a_fault_leaves_the_model_as_it_was(run: RunFile, monkeypatch: pytest.Mo
     opened: list[Cell] = []
 
     @contextmanager
-    def failing(profile: Profile) -> Iterator[Cell]:
-        with open_cell(profile) as cell:
+    def failing(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(profile, **options) as cell:
             opened.append(cell)
             yield cell
 
-    monkeypatch.setattr(locating, "open_cell", failing)
+    monkeypatch.setattr("cellapp.collection.supervision.open_cell", failing)
     before = (run.folder / CALIBRATION_FILE).read_bytes(), read_stages(run).current
 
     def protective_stop(event: Progress) -> None:

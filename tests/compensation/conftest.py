@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from cellapp.collection.cell import Cell, open_cell
-from cellapp.compensation import following, push
 from cellapp.model import CellModel
 from cellapp.profile import Profile
 from cellapp.run import RunFile
@@ -37,11 +36,10 @@ def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     opened: list[Any] = []
 
     @contextmanager
-    def watched(profile: Profile) -> Iterator[Cell]:
-        with open_cell(profile, watch_clearance=True) as cell:
+    def watched(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(profile, **{**options, "watch_clearance": True}) as cell:
             opened.append(cell)
             yield cell
 
-    for module in (push, following):
-        monkeypatch.setattr(module, "open_cell", watched)
+    monkeypatch.setattr("cellapp.collection.supervision.open_cell", watched)
     return opened

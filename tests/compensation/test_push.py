@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from cellapp.collection.cell import Cell, open_cell
-from cellapp.compensation import push as pushing
 from cellapp.compensation import target_visit
 from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.push import push
@@ -143,12 +142,12 @@ def test_a_fault_on_the_way_stops_everything(
     opened: list[Any] = []
 
     @contextmanager
-    def failing(profile: Any) -> Iterator[Cell]:
-        with open_cell(profile) as cell:
+    def failing(profile: Any, **options: Any) -> Iterator[Cell]:
+        with open_cell(profile, **options) as cell:
             opened.append(cell)
             yield cell
 
-    monkeypatch.setattr(pushing, "open_cell", failing)
+    monkeypatch.setattr("cellapp.collection.supervision.open_cell", failing)
     with pytest.raises(HardwareError, match="arm left: protective stop"):
         push(
             run.profile,

@@ -239,7 +239,9 @@ def watched(cells: list[Cell], change: Callable[[Cell], Cell], profile: Profile)
 def cells(monkeypatch: pytest.MonkeyPatch) -> list[Cell]:
     """The cells that are opened."""
     opened: list[Cell] = []
-    monkeypatch.setattr(driving, "open_cell", lambda profile: watched(opened, lambda cell: cell, profile))
+    monkeypatch.setattr(
+        "cellapp.collection.supervision.open_cell", lambda profile, **_: watched(opened, lambda cell: cell, profile)
+    )
     return opened
 
 
@@ -339,7 +341,9 @@ def test_paths_are_refused_by_name_where_the_tracker_cannot_follow(monkeypatch: 
     task = task_of(cell_of(one_arm()), "path")
     opened: list[Cell] = []
     resting: Callable[[Cell], Cell] = lambda cell: replace(cell, tracker=RestingTracker(cell.tracker))  # noqa: E731
-    monkeypatch.setattr(driving, "open_cell", lambda profile: watched(opened, resting, profile))
+    monkeypatch.setattr(
+        "cellapp.collection.supervision.open_cell", lambda profile, **_: watched(opened, resting, profile)
+    )
     findings, _ = driven(task)
     assert findings.refused["left"]["path"] == "this tracker's driver cannot measure a moving SMR"
     assert missing_words(findings, task.tests) == ("arm left: this tracker's driver cannot measure a moving SMR",)

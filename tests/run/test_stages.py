@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from cellapp.compensation import push as pushing
 from cellapp.compensation.targets import load_targets
 from cellapp.errors import InputError
 from cellapp.model import CellModel
@@ -137,7 +136,9 @@ def test_calibrating_again_with_another_outcome_outdates_what_rested_on_it(
         assert report_run(run).out_of_date == reasons
         assert "out of date" in page_text(run, NOON)
         # refused before any device is opened
-        monkeypatch.setattr(pushing, "open_cell", lambda *_: pytest.fail("a device was opened"))
+        monkeypatch.setattr(
+            "cellapp.collection.supervision.open_cell", lambda *_, **__: pytest.fail("a device was opened")
+        )
         before = rows(finished_copy)
         with pytest.raises(InputError, match=r"'discover' is out of date .* nothing was moved. Run 'cellapp discover"):
             push_run(run, TARGETS, verify=True)

@@ -15,7 +15,7 @@ Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
 _DOING: dict[JobState, tuple[Look, str]] = {
     "running": ("running", "Escape brakes all arms; p pauses after this stop; x ends it."),
     "pausing": ("waiting", "The arms rest after this stop. p or c resumes; Escape brakes."),
-    "paused": ("waiting", "p or c resumes; Escape stops; x ends it."),
+    "paused": ("waiting", "The arms rest. p or c resumes; Escape stops; x ends it."),
     "suspended": ("waiting", "It resumes by itself once the cause is gone. Escape stops; x ends it."),
     "stopped": ("halted", "c resumes when the cell is clear; x ends it."),
     "aborted": ("halted", "The arms brake and the job ends; what was measured is kept."),
