@@ -70,10 +70,10 @@ class GuardedLink:
         Raises ``LinkLost``, or the arm's fault; the listener has been told.
         """
         doubt, worker = self._doubt.error, self._worker
-        if doubt is not None:
-            raise type(doubt)(*doubt.args)
         if worker is None:
             raise self._without_worker()
+        if doubt is not None:
+            raise type(doubt)(*doubt.args)
         patience = Patience(CONFIRM_WITHIN_S)
         try:
             self._stop_line.confirm(patience)

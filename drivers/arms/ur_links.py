@@ -10,6 +10,7 @@ import selectors
 import socket
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Self
 
 from drivers.arms.protocol import LinkLost
@@ -96,6 +97,11 @@ class Connection:
     def close(self) -> None:
         """Close the connection; harmless when closed."""
         self._socket.close()
+
+    def shut_down(self) -> None:
+        """End the connection, so that a thread that waits for bytes gets the end; harmless when closed."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def keep_alive(self) -> None:
         """Let the system notice within seconds that the peer or the cable is gone."""

@@ -32,7 +32,7 @@ _MOST_BYTES = 4096
 
 
 class _Line:
-    """One open connection; ``pump`` is called by one thread, the rest by any."""
+    """One open connection; ``pump`` and then ``close`` are called by one thread, the rest by any."""
 
     def __init__(self, host: str, port: int, patience: Patience) -> None:
         """Connect and read the greeting. Raises ``LinkLost``."""
@@ -103,12 +103,17 @@ class _Line:
             self.end()
 
     def end(self) -> None:
-        """Close; whoever waits for an answer gets none."""
+        """End the connection; whoever waits for an answer gets none."""
         with self._sending:
             self._ended = True
             while self._waiting:
                 self._waiting.popleft().put(None)
-            self._link.close()
+            self._link.shut_down()
+
+    def close(self) -> None:
+        """End the connection and free it."""
+        self.end()
+        self._link.close()
 
 
 class StopLine:
@@ -186,6 +191,8 @@ class StopLine:
             line.end()
         if keeper is not None and keeper is not threading.current_thread():
             keeper.join(_END_WITHIN_S)
+        if line is not None:
+            line.close()
 
     # -- the thread that keeps it -------------------------------------------------------------------------------------
 
@@ -200,9 +207,6 @@ class StopLine:
                 if failures >= _TRIES and not closing.is_set():
                     self._lost(str(error))
                 closing.wait(_AGAIN_S)
-        line = self._line
-        if line is not None and self._closing is closing:
-            line.end()
 
     def _watch(self, line: _Line, closing: threading.Event) -> None:
         """Ask again and again, until the connection ends. Reports a silent one, and ends it."""
@@ -217,3 +221,4 @@ class StopLine:
             elif question is not None and silence.over:
                 self._lost(f"{line.where}: it left a question unanswered for {_SILENT_S:g} s")
                 line.end()
+        line.close()

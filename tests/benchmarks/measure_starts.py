@@ -1,7 +1,7 @@
 """How reliably both arms connect, by command: ``python -m tests.benchmarks.measure_starts [STARTS] [BUSY]``.
 
 Connects and disconnects two arms at emulated controllers, both at once, ``STARTS`` times (500), beside ``BUSY`` (0)
-processes that compute without a pause. Prints every failure with its reason, then the times. Exits with 1 if one failed.
+processes that compute without a pause. Prints every failure with its reason, then the times. Exits with 1 after one.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from drivers.arms.protocol import ArmError
 from drivers.arms.ur import UrArm
-from tests.drivers.arms.emulated_ur_cell import HOSTS, drivers_of, emulated_cell
+from drivers.arms.ur_settings import UrSettings
+from tests.drivers.arms.emulated_ur_cell import HOSTS, driven, emulated_cell
 
 _BUSY = "while True: pass"
 
@@ -57,7 +58,10 @@ class Starts:
 def main(starts: int = 500, beside: int = 0) -> int:
     """Connect ``starts`` times and print; return the exit code."""
     seen = Starts()
-    with emulated_cell(HOSTS), drivers_of(HOSTS) as arms, busy(beside):
+    with ExitStack() as stack:
+        stack.enter_context(emulated_cell(HOSTS))
+        arms = {name: stack.enter_context(driven(name, UrSettings(host=host))) for name, host in HOSTS.items()}
+        stack.enter_context(busy(beside))
         for number in range(1, starts + 1):
             threads = [threading.Thread(target=seen.once, args=(number, arm)) for arm in arms.values()]
             for thread in threads:

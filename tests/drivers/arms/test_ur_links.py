@@ -1,0 +1,261 @@
+"""What a UR arm knows of its links with the real client: asked before a motion, watched at rest, and without asking."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.arms.protocol import ArmError, LinkLost, MotionStopped, ProtectiveStop
+from drivers.arms.ur import UrArm
+from drivers.emulators.ur_controller import EmulatorProcess
+from tests.drivers.arms.emulated_ur_cell import (
+    ACCELERATION,
+    AWAY,
+    FAR,
+    FOUR_HOSTS,
+    HOME,
+    PATIENT_S,
+    SPEED,
+    UNHURRIED,
+    Episode,
+    driven,
+    drivers_of,
+    emulated_cell,
+    of_each_arm,
+    pause,
+    repair,
+    until,
+)
+from tests.latency import attempts
+
+BUSY_S = 0.1
+"""What a busy computer may add to a latency."""
+
+
+@pytest.fixture(scope="module")
+def emulator() -> Iterator[EmulatorProcess]:
+    with emulated_cell(FOUR_HOSTS) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
+    with drivers_of(FOUR_HOSTS) as drivers:
+        yield drivers
+
+
+def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
+    arm.watch(lambda error: None)
+    repair(emulator, arm.name)
+    arm.connect()
+
+
+class Heard:
+    """A listener that keeps what it was told, and when."""
+
+    def __init__(self, arm: UrArm) -> None:
+        self.doubts: list[tuple[float, ArmError]] = []
+        arm.watch(lambda error: self.doubts.append((time.monotonic(), error)))
+
+
+# -- confirm ----------------------------------------------------------------------------------------------------------
+
+
+def links_that_answer_are_confirmed_quickly(emulator: EmulatorProcess, arm: UrArm) -> None:
+    for took in attempts(confirmed=0.05):
+        began_s = time.monotonic()
+        arm.confirm()
+        took["confirmed"] = time.monotonic() - began_s
+    arm.start_move(AWAY, SPEED * 0.2, ACCELERATION)
+    arm.confirm()  # of an arm that moves, too
+    arm.wait_settled(PATIENT_S)
+    arm.start_move(HOME, SPEED, ACCELERATION)
+    arm.wait_settled(PATIENT_S)
+    emulator.control(arm.name, "drop", "dashboard", "fin")  # it is opened again at once
+    arm.confirm()
+    arm.stop()
+    arm.confirm()  # its program has ended on purpose
+
+
+UNCONFIRMED: dict[str, tuple[Any, ...] | signal.Signals] = {
+    "dashboard silent": ("fault", "dashboard", "silent"),
+    "dashboard refused": ("fault", "dashboard", "refuse"),
+    "rtde silent": ("fault", "rtde", "silent"),
+    "worker hung": signal.SIGSTOP,
+    "worker killed": signal.SIGKILL,
+}
+
+
+def link_that_does_not_answer_is_a_doubt(emulator: EmulatorProcess, arm: UrArm, *, what: str) -> None:
+    for took in attempts(raised=0.3 + BUSY_S):
+        make_ready(emulator, arm)
+        heard = Heard(arm)
+        fault = UNCONFIRMED[what]
+        if isinstance(fault, signal.Signals):
+            assert arm.worker_pid is not None
+            os.kill(arm.worker_pid, fault)
+        else:
+            emulator.control(arm.name, *fault)
+        began_s = time.monotonic()
+        with pytest.raises(LinkLost, match=f"arm {arm.name}: "):
+            arm.confirm()
+        took["raised"] = time.monotonic() - began_s
+        assert heard.doubts
+        with pytest.raises(LinkLost):
+            arm.confirm()
+        repair(emulator, arm.name)
+    arm.disconnect()
+
+
+def fault_is_no_confirmation(emulator: EmulatorProcess, arm: UrArm) -> None:
+    emulator.control(arm.name, "protective", "now")
+    until(lambda: not arm.state().ready, "the fault is seen")
+    with pytest.raises(ProtectiveStop):
+        arm.confirm()
+    arm.disconnect()
+    with pytest.raises(LinkLost, match="not connected"):
+        arm.confirm()
+
+
+# -- the dashboard at rest --------------------------------------------------------------------------------------------
+
+LOST = {"refuse": 0.2, "silent": 0.6}
+
+
+def lost_dashboard_is_noticed(emulator: EmulatorProcess, arm: UrArm, *, how: str) -> None:
+    for took in attempts(told=LOST[how]):
+        make_ready(emulator, arm)
+        pause(0.15)  # the last question was answered
+        heard = Heard(arm)
+        began_s = time.monotonic()
+        emulator.control(arm.name, "fault", "dashboard", how)
+        until(lambda heard=heard: bool(heard.doubts), "it is told")
+        told_s, doubt = heard.doubts[0]
+        assert isinstance(doubt, LinkLost)
+        assert "the dashboard, over which it is stopped, does not answer" in str(doubt)
+        took["told"] = told_s - began_s
+
+
+def stop_does_not_wait_for_the_answer_to_a_question(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """Questions are asked all the time; a stop among them is confirmed in the time of one answer."""
+    for took in attempts(longest=0.04):
+        took["longest"] = 0.0
+        for number in range(10):
+            make_ready(emulator, arm)
+            pause(0.01 * number)
+            began_s = time.monotonic()
+            arm._stop_line.stop()
+            took["longest"] = max(took["longest"], time.monotonic() - began_s)
+            with suppress(ArmError):
+                arm.brake()
+
+
+def dashboard_that_closes_and_opens_again_is_no_doubt(emulator: EmulatorProcess, arm: UrArm) -> None:
+    heard = Heard(arm)
+    for _ in range(5):
+        emulator.control(arm.name, "drop", "dashboard", "fin")
+        pause(0.1)
+    assert heard.doubts == []
+    assert emulator.control(arm.name, "status")["connections"]["dashboard"] == 1
+
+
+# -- live -------------------------------------------------------------------------------------------------------------
+
+
+def live_is_fresh_and_knows_a_motion(emulator: EmulatorProcess, arm: UrArm) -> None:
+    for took in attempts(age=0.3):
+        took["age"] = arm.live().age_s
+    until(lambda: not arm.live().moving, "it rests")
+    arm.start_move(AWAY, SPEED * 0.3, ACCELERATION)
+    assert arm.live().moving
+    arm.wait_settled(PATIENT_S)
+    until(lambda: not arm.live().moving, "it rests")
+    arm.start_move(HOME, SPEED, ACCELERATION)
+    arm.wait_settled(PATIENT_S)
+    arm.disconnect()
+    live = arm.live()
+    assert (live.age_s, live.moving) == (math.inf, False)
+
+
+def live_grows_old(emulator: EmulatorProcess, arm: UrArm, *, what: str) -> None:
+    fault = UNCONFIRMED[what]
+    if isinstance(fault, signal.Signals):
+        assert arm.worker_pid is not None
+        os.kill(arm.worker_pid, fault)
+    else:
+        emulator.control(arm.name, *fault)
+    until(lambda: arm.live().age_s > 0.5, "it is old")
+    repair(emulator, arm.name)
+    arm.disconnect()
+
+
+# -- four arms at a time ----------------------------------------------------------------------------------------------
+
+
+def unconfirmed(what: str) -> Episode:
+    return partial(link_that_does_not_answer_is_a_doubt, what=what)
+
+
+def lost(how: str) -> Episode:
+    return partial(lost_dashboard_is_noticed, how=how)
+
+
+def old(what: str) -> Episode:
+    return partial(live_grows_old, what=what)
+
+
+ROUNDS: dict[str, dict[str, list[Episode]]] = {
+    "confirmed": {
+        "left": [links_that_answer_are_confirmed_quickly, unconfirmed("dashboard refused")],
+        "right": [links_that_answer_are_confirmed_quickly, unconfirmed("dashboard silent")],
+        "left2": [unconfirmed("rtde silent"), unconfirmed("worker killed")],
+        "right2": [unconfirmed("worker hung"), fault_is_no_confirmation],
+    },
+    "watched": {
+        "left": [lost("refuse"), live_is_fresh_and_knows_a_motion, old("worker hung")],
+        "right": [lost("silent"), old("worker killed")],
+        "left2": [dashboard_that_closes_and_opens_again_is_no_doubt, old("rtde silent")],
+        "right2": [stop_does_not_wait_for_the_answer_to_a_question],
+    },
+}
+
+
+@pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
+def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
+    of_each_arm(emulator, drivers, episodes, make_ready)
+
+
+# -- refused, and interrupted -----------------------------------------------------------------------------------------
+
+
+def test_no_motion_begins_once_it_is_refused(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
+    """By one call that sends nothing; a motion that goes on is not stopped by it."""
+    for name, arm in drivers.items():
+        make_ready(emulator, arm)
+        moves = emulator.control(name, "status")["moves"]
+        arm.refuse_motion()
+        for call in (lambda arm=arm: arm.start_move(FAR, SPEED, ACCELERATION), lambda arm=arm: arm.wait_settled(1.0)):
+            with pytest.raises(MotionStopped, match="connect again when it may move"):
+                call()
+        assert emulator.control(name, "status")["moves"] == moves
+        arm.connect()
+        arm.start_move(HOME + 0.02, UNHURRIED, ACCELERATION)
+        np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, HOME + 0.02, atol=1e-6)
+        arm.disconnect()
+
+
+def test_an_unconnected_arm_refuses_too(emulator: EmulatorProcess) -> None:
+    with driven("left") as arm:
+        arm.refuse_motion()
+        with pytest.raises(LinkLost, match="not connected"):
+            arm.confirm()
+        assert not arm.live().moving
