@@ -56,6 +56,10 @@ class JobAddress(NamedTuple):
         return self.is_here and self.process == os.getpid()
 
 
+class NoJob(InputError):
+    """No job runs in the folder."""
+
+
 def this_computer() -> str:
     """The name of this computer."""
     return socket.gethostname()
@@ -75,12 +79,12 @@ def ask_running_job(folder: Path, verb: Verb) -> str:
         raise InputError(f"{folder}: no run is here; name the folder of a run")
     address = address_of_job(folder)
     if address is None:
-        raise InputError(f"no job runs in {folder}")
+        raise NoJob(f"no job runs in {folder}")
     if not address.is_here:
         raise InputError(f"the job in {folder} runs on computer '{address.computer}'; give the command there")
     answer = exchange(folder, address, verb, PATIENCE_S)
     if answer is None:
-        raise InputError(f"no job runs in {folder}; the last one has ended")
+        raise NoJob(f"no job runs in {folder}; the last one has ended")
     word, _, text = answer.partition(" ")
     if word != DONE:
         raise InputError(f"{folder}: {text or 'the request was refused'}")

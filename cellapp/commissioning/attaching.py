@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from cellapp.asking import PATIENCE_S, WATCH, JobAddress, Verb, address_of_job, silent_job
+from cellapp.asking import PATIENCE_S, WATCH, JobAddress, NoJob, Verb, address_of_job, silent_job
 from cellapp.commissioning.job_stream import Answer, Ending, Heartbeat, Line, decode
 from cellapp.control import Aborted, JobControl, Stopped
 from cellapp.errors import CellappError, CheckFailed, HardwareError, InputError
@@ -139,7 +139,7 @@ class RemoteControl(JobControl):
                 raise InputError(f"{self.folder}: {line.text}")
             self._take(line)
             return
-        raise InputError(f"no job runs in {self.folder}; the last one has ended")
+        raise NoJob(f"no job runs in {self.folder}; the last one has ended")
 
     def follow(self, listener: Listener, say: Callable[[str], None]) -> None:
         """Hand on the events of the job until it ends; ``say`` takes what a person must know of the connection.
@@ -245,13 +245,13 @@ def attach(folder: Path) -> RemoteControl:
     Raises
     ------
     InputError
-        If no job runs there, it runs on another computer or in this process, or too many programs watch it.
+        If no job runs there (``NoJob``), it runs on another computer or in this process, or too many programs watch it.
     HardwareError
         If a job listens but does not answer.
     """
     address = address_of_job(folder)
     if address is None:
-        raise InputError(f"no job runs in {folder}")
+        raise NoJob(f"no job runs in {folder}")
     if not address.is_here:
         raise InputError(f"the job in {folder} runs on computer '{address.computer}'; watch it there")
     if address.is_own:
@@ -266,7 +266,7 @@ def _connected(folder: Path, address: JobAddress) -> RemoteControl:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connection.sendall(f"{address.token} {WATCH}\n".encode())
         except (OSError, OverflowError):
-            raise InputError(f"no job runs in {folder}; the last one has ended") from None
+            raise NoJob(f"no job runs in {folder}; the last one has ended") from None
         remote = RemoteControl(folder, address.process, connection)
         remote.begin()
         undo.pop_all()

@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellapp.asking import JOB_FILE, address_of_job
+from cellapp.asking import JOB_FILE, NoJob, address_of_job
 from cellapp.control import JobControl
 from cellapp.errors import CellappError
 from cellapp.progress import Listener
@@ -49,6 +49,9 @@ class JobsOfOthers:
 
         try:
             self._app.call_later(self.attach, attach(folder))
+        except NoJob:  # the file of one that was killed
+            if self._app.workspace.in_use:
+                self._app.call_later(self._app.open_run, folder, self._app.workspace.profile_path)
         except CellappError as error:
             if str(error) != self._said:
                 self._say(str(error))

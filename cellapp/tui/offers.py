@@ -76,7 +76,7 @@ def show_paths(app: CellApp, result: object) -> None:
 def offer_to_quit(app: CellApp, leave: Callable[[bool], None]) -> None:
     """Ask whether to stop the job that is in progress and quit; ``leave`` takes the answer."""
     if app.jobs.attached:
-        text = f"'{app.record.name}' runs in another process and goes on; quitting here does not stop its arms. Quit?"
+        text = f"'{app.record.name}' runs in another process and goes on; quitting here does not stop its arms."
         stay = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, it goes on", "y", "warning"))
         app.push_screen(Choice("Quit?", text, stay), lambda answer: leave(answer == "leave"))
         return

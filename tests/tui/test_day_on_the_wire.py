@@ -6,7 +6,6 @@ machine, such as releasing a protective stop at the pendant, the test does at th
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,47 +13,25 @@ from pathlib import Path
 import pytest
 from textual.pilot import Pilot
 
-from cellapp.pipeline import new_planned_run
 from cellapp.profile import load_profile
 from cellapp.run import RunFile
 from cellapp.trials.storm_cell import StormCell, emulated_cell
 from cellapp.tui.app import CellApp
-from tests.loopback import free_port, own_address
 from tests.tui.pilot import shown_text, until
+from tests.tui.planned_day import planned_day
 from tests.tui.terminal import Terminal, cellapp
-from tests.twin import PROFILES
 
 STOPS = 8
 PACE = 10.0
 """Seconds of the cell for each real one: enough of a motion is left to strike."""
 UNDISTURBED_PACE = 200.0
 """Where nothing is struck any more."""
-SETTLE_S = 0.05
-"""Wall time, of which the emulated arms need less."""
-WAITS = "collection:\n  suspend: {target: {retry: 0.5}}\n"
-"""The program looks for the target again after this, instead of 2 s."""
-HOSTS = {"127.0.0.2": own_address(59), "127.0.0.3": own_address(60)}
-TRACKER_HOST = own_address(59)
-_SPLITS = {"stops": STOPS, "identify": 1, "train": 0, "validate": 1, "pair_identify": 1, "pair_validate": 1}
 
 
 @pytest.fixture(scope="module")
 def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the profile of the wire and a planned run of it, ``logs/day``."""
-    folder = tmp_path_factory.mktemp("wire")
-    for name in ("arms", "targets"):
-        shutil.copytree(PROFILES / name, folder / "profiles" / name)
-    bridge = f"{TRACKER_HOST}:{free_port(TRACKER_HOST)}"
-    text = (PROFILES / "twin-rtde.yaml").read_text("utf-8").replace("127.0.0.1:50960", bridge)
-    for before, now in HOSTS.items():
-        text = text.replace(f"host: {before}", f"host: {now}, settle_time: {SETTLE_S}")
-    for key, size in _SPLITS.items():
-        text, found = re.subn(rf"^  {key}: .*$", f"  {key}: {size}", text, flags=re.MULTILINE)
-        assert found == 1, key
-    profile = folder / "profiles" / "twin-rtde.yaml"
-    profile.write_text(text + WAITS, "utf-8")
-    new_planned_run(load_profile(profile), folder / "logs" / "day").close()
-    return folder
+    return planned_day(tmp_path_factory.mktemp("wire"), STOPS, 59)
 
 
 @pytest.fixture(scope="module")
