@@ -92,9 +92,12 @@ class JobControl(CancelToken):
     def leave(self, how: str) -> None:
         """Brake all arms now and end the job as stopped: the person who attended it goes away.
 
-        ``how`` is recorded as the cause, in place of a person's stop: "the terminal was closed". The first one counts.
+        ``how`` is recorded as the cause, in place of a person's stop: "the terminal was closed". The first one counts;
+        nothing resumes after it.
         """
-        self._left = self._left or how  # before the brakes, which ask for it
+        if self._left:
+            return
+        self._left = how  # before the brakes, which ask for it
         self.holds = False
         self.stop()
 

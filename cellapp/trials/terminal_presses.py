@@ -64,6 +64,8 @@ _QUIET_S = 0.15
 _WATCHED_S = 0.3
 """No motion may begin for this long after the arms came to rest, until resume is pressed."""
 _RESUMED_WITHIN_S = 4.0
+_RESUMED_AT_LAST_S = 60.0
+"""On a busy computer, which may stop the arms again: a driver's process that is not heard of for 0.3 s is a doubt."""
 _LAST = 2000
 """Characters of what was drawn last that a complaint shows."""
 
@@ -123,7 +125,7 @@ class PressBench:
             self.terminal.until(partial(_contains, place.words), f"what '{place.words}' is drawn on")
             self.terminal.quiet(_QUIET_S)
 
-    def _move(self) -> bool:
+    def moves(self) -> bool:
         """Wait until all arms move; return whether that came about."""
         return comes_about(
             lambda: all(one["moving"] for one in self.cell.status().values()), time.monotonic() + _MOVES_WITHIN_S
@@ -133,9 +135,9 @@ class PressBench:
         """Go to a place and wait until all arms move there; a busy computer may stop them meanwhile: then resume."""
         for _ in range(_TRIES):
             self._go(place)
-            if self._move():
+            if self.moves():
                 time.sleep(self._random.uniform(0.0, 0.3))  # another part of motion and drawing each time
-                if self._move():
+                if self.moves():
                     return
             self.resume(place, what)
         raise HardwareError(f"{what}: the arms do not move\n{self.terminal.text()[-_LAST:]}")
@@ -165,7 +167,7 @@ class PressBench:
         """Go back to Collect and resume. Raises ``HardwareError`` if no motion begins."""
         since_s = time.monotonic()
         self.terminal.send(place.back)
-        end_s = since_s + _TRIES * _RESUMED_WITHIN_S
+        end_s = since_s + _RESUMED_AT_LAST_S
         while time.monotonic() < end_s:
             self.terminal.quiet(_QUIET_S)
             self.terminal.send("c")

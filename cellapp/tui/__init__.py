@@ -11,6 +11,9 @@ from cellapp.errors import InputError
 ESCAPE_WAITS_MS = 15
 """For how long the byte of Escape may be the begin of the sequence of another key: terminals send that at once."""
 
+_SWITCH_S = 0.001
+"""For how long a thread that computes may keep the others waiting: from a key to the brakes several take their turn."""
+
 
 def run_app(folder: Path = Path("profiles")) -> int:
     """Run the application on the profiles of a folder until the user quits. Returns the exit code of the last job.
@@ -31,6 +34,7 @@ def run_app(folder: Path = Path("profiles")) -> int:
     os.environ["ESCDELAY"] = str(ESCAPE_WAITS_MS)  # which Textual reads when it is imported
     from cellapp.tui.app import CellApp
 
+    sys.setswitchinterval(_SWITCH_S)
     app = CellApp(folder, ends_process=True)
     app.run()
     app.wait_for_job()
