@@ -18,6 +18,16 @@ pytestmark = pytest.mark.fast
 _PATIENT_S = 20.0
 
 
+def slept(duration_s: float) -> Callable[[], list[str]]:
+    """An answer that takes its time."""
+
+    def answer() -> list[str]:
+        time.sleep(duration_s)
+        return []
+
+    return answer
+
+
 class Answering:
     """A tracker that answers with ``answer()``, and complains when two calls overlap."""
 
@@ -32,7 +42,7 @@ class Answering:
         self.asked.release()
 
     def unmet(self) -> list[str]:
-        return cast(list[str], self._call(lambda: time.sleep(0.02) or []))
+        return cast(list[str], self._call(slept(0.02)))
 
     def data_age_s(self) -> float:
         return 0.0
@@ -112,7 +122,7 @@ def test_questions_and_calls_never_overlap_and_both_go_on() -> None:
 def test_a_call_of_the_job_is_no_silence() -> None:
     tracker, died = Answering(), queue.SimpleQueue[str]()
     with monitored(as_tracker(tracker)) as monitor, watched(monitor, died.put):
-        tracker.unmet = lambda: time.sleep(0.8) or []  # type: ignore[method-assign,return-value]
+        tracker.unmet = slept(0.8)  # type: ignore[method-assign]
         monitor.unmet()
     assert died.empty()
 

@@ -17,9 +17,9 @@ from cellapp.asking import JOB_FILE, WATCH, ask_running_job
 from cellapp.commissioning.attaching import Detached, RemoteControl, attach
 from cellapp.commissioning.job_requests import taking_requests
 from cellapp.commissioning.watching import MOST_WATCHERS
-from cellapp.control import Aborted, JobControl, Live, Stopped
+from cellapp.control import Aborted, JobControl, Stopped
 from cellapp.errors import CheckFailed, HardwareError, InputError
-from cellapp.progress import Listener, LogReport, MeasurementBegun, Progress, StateChange
+from cellapp.progress import ArmLive, CellLive, Halt, Listener, LogReport, MeasurementBegun, Progress, StateChange
 from tests.latency import attempts
 
 WAIT_S = 30.0
@@ -210,10 +210,18 @@ def test_leaving_lets_the_job_go_on(folder: Path) -> None:
 @pytest.mark.fast
 def test_what_is_live_comes_with_the_heartbeat(folder: Path) -> None:
     job = Job(folder)
-    job.control.live = lambda: Live({"left": 0.012})
-    with job.running():
+    left = ArmLive(0.012, True, Halt("braking", "its stop was commanded"))
+    known = CellLive({"left": left, "right": ArmLive(None, False)}, 0.1, 0.2, ("a person stopped the arms",))
+    with job.running(), job.control.watching(lambda: known):
         watched = Watched(folder)
-        assert watched.remote.live() == Live({"left": 0.012})
+        live = watched.remote.live()
+        assert live is not None
+        assert live.arms["right"].age_s is None, "what is not known does not get an age on the way"
+        assert live.arms["left"].halt == left.halt
+        assert live.causes == known.causes
+        for there_s, here_s in ((0.012, live.arms["left"].age_s), (0.1, live.tracker_age_s), (0.2, live.job_age_s)):
+            assert here_s is not None
+            assert there_s <= here_s <= there_s + watched.remote.age_s, "as old as there, and the way"
         assert watched.remote.age_s < WAIT_S
 
 

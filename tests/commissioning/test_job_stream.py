@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.commissioning.job_stream import Answer, Ending, Heartbeat, Line, decode, encode, ending_of
-from cellapp.control import Aborted, Live, Stopped
+from cellapp.control import Aborted, Stopped
 from cellapp.errors import CheckFailed
-from cellapp.progress import Detail, PointMissed, Progress, StopReport
+from cellapp.progress import CellLive, Detail, PointMissed, Progress, StopReport
 
 pytestmark = pytest.mark.fast
 
@@ -38,7 +38,7 @@ def test_every_other_line_comes_back_as_it_was(line: Line) -> None:
 
 
 def test_no_field_has_the_name_of_the_type() -> None:
-    for kind in (*DETAILS, *LINES, Progress, Live):
+    for kind in (*DETAILS, *LINES, Progress, CellLive):
         assert "type" not in {field.name for field in fields(kind)}
 
 
@@ -53,7 +53,7 @@ def test_numbers_that_json_lacks_and_those_of_numpy_are_kept() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "3", "{}", '{"type": "Live"}', '{"type": "PointMissed"}', '{"type": "nothing"}', "{", '"a"']
+    "text", ["", "[]", "3", "{}", '{"type": "CellLive"}', '{"type": "PointMissed"}', '{"type": "nothing"}', "{", '"a"']
 )
 def test_anything_else_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r".*"):

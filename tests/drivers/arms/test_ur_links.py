@@ -138,7 +138,7 @@ def lost_dashboard_is_noticed(emulator: EmulatorProcess, arm: UrArm, *, how: str
         heard = Heard(arm)
         began_s = time.monotonic()
         emulator.control(arm.name, "fault", "dashboard", how)
-        until(lambda heard=heard: bool(heard.doubts), "it is told")
+        until(partial(bool, heard.doubts), "it is told")
         told_s, doubt = heard.doubts[0]
         assert isinstance(doubt, LinkLost)
         assert "the dashboard, over which it is stopped, does not answer" in str(doubt)
