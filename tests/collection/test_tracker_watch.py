@@ -22,7 +22,7 @@ def slept(duration_s: float) -> Callable[[], list[str]]:
     """An answer that takes its time."""
 
     def answer() -> list[str]:
-        time.sleep(duration_s)
+        threading.Event().wait(duration_s)
         return []
 
     return answer
