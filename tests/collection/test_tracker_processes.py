@@ -6,6 +6,7 @@ import queue
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -89,9 +90,9 @@ def test_a_program_that_was_suspended_does_not_take_the_tracker_for_dead() -> No
         assert first_line(watcher) == "watching"
         for _ in range(3):
             watcher.send_signal(signal.SIGSTOP)
-            time.sleep(0.7)  # longer than any silence that is allowed
+            threading.Event().wait(0.7)  # longer than any silence that is allowed
             watcher.send_signal(signal.SIGCONT)
-            time.sleep(0.1)
+            threading.Event().wait(0.1)
         assert watcher.stdin is not None
         assert watcher.stdout is not None
         watcher.stdin.write("\n")

@@ -32,7 +32,7 @@ class Answering:
         self.asked.release()
 
     def unmet(self) -> list[str]:
-        return cast(list[str], self._call(lambda: time.sleep(0.02) or []))
+        return cast(list[str], self._call(lambda: threading.Event().wait(0.02) or []))
 
     def data_age_s(self) -> float:
         return 0.0
@@ -100,7 +100,7 @@ def test_silence_is_reported_while_the_question_still_hangs() -> None:
 
 
 def test_questions_and_calls_never_overlap_and_both_go_on() -> None:
-    tracker = Answering(lambda: time.sleep(0.005))
+    tracker = Answering(lambda: threading.Event().wait(0.005))
     with monitored(as_tracker(tracker)) as monitor:
         for _ in range(15):
             assert monitor.unmet() == []
@@ -112,7 +112,7 @@ def test_questions_and_calls_never_overlap_and_both_go_on() -> None:
 def test_a_call_of_the_job_is_no_silence() -> None:
     tracker, died = Answering(), queue.SimpleQueue[str]()
     with monitored(as_tracker(tracker)) as monitor, watched(monitor, died.put):
-        tracker.unmet = lambda: time.sleep(0.8) or []  # type: ignore[method-assign,return-value]
+        tracker.unmet = lambda: [threading.Event().wait(0.8)]  # type: ignore[method-assign,list-item]
         monitor.unmet()
     assert died.empty()
 
