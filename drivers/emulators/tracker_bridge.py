@@ -40,6 +40,7 @@ FAULTS: tuple[Fault, ...] = get_args(Fault)
 
 _STANDSTILL_S = 30.0
 _POLL_S = 0.005
+_MOST_FAULTS = 1000
 _WATCH_S = 0.1
 """Plant time between two looks at the beam and the SMR during a measurement on a shared plant."""
 
@@ -122,11 +123,13 @@ class TrackerBridgeEmulator(TrackerService):
             of an answer. ``reboot``: the bridge's computer restarts and forgets all results. ``tracker-reboot``: the
             tracker restarts.
 
-        Raises ``ValueError`` for any other kind.
+        Raises ``ValueError`` for any other kind, and where too many wait.
         """
         known = next((fault for fault in FAULTS if fault == kind), None)
         if known is None:
             raise ValueError(f"unknown fault '{kind}'; known are {', '.join(FAULTS)}")
+        if len(self._faults) >= _MOST_FAULTS:
+            raise ValueError(f"{_MOST_FAULTS} faults wait already; measure first")
         self._faults.append(known)
 
     def poll(self, timeout_s: float = 0.0) -> None:

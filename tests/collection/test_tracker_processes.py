@@ -18,7 +18,7 @@ from drivers.trackers.bridge import BridgeTracker
 
 _PATIENT_S = 20.0
 
-_BRIDGE = """
+BRIDGE = """
 import sys
 import threading
 from drivers.trackers.bridge_server import TrackerService
@@ -74,7 +74,7 @@ def first_line(running: subprocess.Popen[str]) -> str:
 )
 def test_a_bridge_that_dies_or_hangs_while_the_arms_move(how: signal.Signals, within_s: float, words: str) -> None:
     died = queue.SimpleQueue[str]()
-    with process(_BRIDGE, "127.0.0.1") as bridge:
+    with process(BRIDGE, "127.0.0.1") as bridge:
         tracker = BridgeTracker(first_line(bridge))
         tracker.connect()
         with monitored(tracker) as monitor, watched(monitor, died.put):
@@ -88,7 +88,7 @@ def test_a_bridge_that_dies_or_hangs_while_the_arms_move(how: signal.Signals, wi
 
 
 def test_a_program_that_was_suspended_does_not_take_the_tracker_for_dead() -> None:
-    with process(_BRIDGE, "127.0.0.1") as bridge, process(_WATCHER, first_line(bridge)) as watcher:
+    with process(BRIDGE, "127.0.0.1") as bridge, process(_WATCHER, first_line(bridge)) as watcher:
         assert first_line(watcher) == "watching"
         for _ in range(3):
             watcher.send_signal(signal.SIGSTOP)

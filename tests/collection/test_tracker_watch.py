@@ -110,7 +110,7 @@ def test_silence_is_reported_while_the_question_still_hangs() -> None:
 
 
 def test_questions_and_calls_never_overlap_and_both_go_on() -> None:
-    tracker = Answering(lambda: time.sleep(0.005))
+    tracker = Answering(lambda: threading.Event().wait(0.005))
     with monitored(as_tracker(tracker)) as monitor:
         for _ in range(15):
             assert monitor.unmet() == []

@@ -18,10 +18,12 @@ A request is ``ARM COMMAND [ARGUMENT ...]`` (ARM ``*``: all arms), the answer ``
     foreign playing|paused|off            a person's own program: started, paused, ended
     stops [SINCE]                         the stops received: kind, times of ``time.monotonic``, ideal braking time
     starts [SINCE]                        the times of ``time.monotonic`` at which motions began
+    journal [SINCE]                       every stop received and in which way, every motion begun and ended, with times
     clearance                             smallest distance [m] between the arms and to the floor, if watched
     load MASS [X Y Z]                     true load of the flange [kg, m], unknown to the controller
 
-PORT is dashboard, primary, script, rtde or ``*``. ``pace FACTOR`` applies to all arms.
+PORT is dashboard, primary, script, rtde or ``*``. ``pace FACTOR`` applies to all arms. Every number is finite and has
+a limit, which a refusal names. Times SINCE are of ``time.monotonic``.
 """
 
 from __future__ import annotations
@@ -46,6 +48,14 @@ from drivers.emulators.ur_controller.script import ForeignProgram
 
 _LONGEST_LINE = 4096
 _TIMEOUT_S = 10.0
+_MOST_S = 1e6
+"""Longest delay and duration [s]; eleven days are as good as for ever."""
+_LATEST_S = 1e12
+"""Latest time of ``time.monotonic`` [s]."""
+_FASTEST = 1e3
+"""Greatest joint speed [rad/s] and travel [rad] of a trigger."""
+_HEAVIEST_KG, _FARTHEST_M = 1e3, 10.0
+"""Greatest load and its greatest distance from the flange along an axis."""
 
 
 class Refused(ValueError):
@@ -72,7 +82,7 @@ def execute(line: str, arms: Mapping[str, Emulated], cell: PacedCell, now_s: flo
             raise Refused("expected ARM COMMAND [ARGUMENT ...]")
         name, command, *arguments = words
         if command == "pace":
-            cell.pace = _number(arguments, 0)
+            cell.pace = _number(arguments, 0, limit=1000.0)
             return "ok null"
         if name != "*" and name not in arms:
             raise Refused(f"no arm '{name}'; arms are {', '.join(arms)}")
@@ -85,7 +95,7 @@ def execute(line: str, arms: Mapping[str, Emulated], cell: PacedCell, now_s: flo
         return f"error {' '.join(str(error).split())}"
 
 
-def _number(arguments: Sequence[str], at: int, *, limit: float = math.inf, default: float | None = None) -> float:
+def _number(arguments: Sequence[str], at: int, *, limit: float, default: float | None = None) -> float:
     if at >= len(arguments) and default is not None:
         return default
     try:
@@ -132,7 +142,7 @@ def _status(arm: Emulated, _: Sequence[str], now_s: float) -> dict[str, Any]:
 
 def _drop(arm: Emulated, arguments: Sequence[str], now_s: float) -> None:
     ending = _word(arguments, 1, get_args(Ending))
-    refuse_s = _number(arguments, 2, default=0.0)
+    refuse_s = _number(arguments, 2, limit=_MOST_S, default=0.0)
     for port in _ports(arm, arguments):
         for link in list(port.links):
             port.drop(link, "rst" if ending == "rst" else "fin")
@@ -144,11 +154,11 @@ def _fault(arm: Emulated, arguments: Sequence[str], now_s: float) -> None:
     _word(arguments, 1, FAULTS)
     fault = next(fault for fault in FAULTS if fault == arguments[1])
     for port in _ports(arm, arguments):
-        port.fail(fault, now_s + _number(arguments, 2) if len(arguments) > 2 else None)
+        port.fail(fault, now_s + _number(arguments, 2, limit=_MOST_S) if len(arguments) > 2 else None)
 
 
 def _start_delay(arm: Emulated, arguments: Sequence[str], _: float) -> None:
-    arm.controller.start_delay_s = _number(arguments, 0)
+    arm.controller.start_delay_s = _number(arguments, 0, limit=_MOST_S)
 
 
 def _short_packets(arm: Emulated, arguments: Sequence[str], _: float) -> None:
@@ -162,9 +172,9 @@ def _protective(arm: Emulated, arguments: Sequence[str], _: float) -> None:
         case "off":
             arm.controller.arm_protective_stop()
         case "speed":
-            arm.controller.arm_protective_stop(speed=_number(arguments, 1))
+            arm.controller.arm_protective_stop(speed=_number(arguments, 1, limit=_FASTEST))
         case _:
-            arm.controller.arm_protective_stop(travel=_number(arguments, 1))
+            arm.controller.arm_protective_stop(travel=_number(arguments, 1, limit=_FASTEST))
 
 
 def _remote(arm: Emulated, arguments: Sequence[str], _: float) -> None:
@@ -186,19 +196,23 @@ def _foreign(arm: Emulated, arguments: Sequence[str], _: float) -> None:
     if not mine:
         controller.start_locally(ForeignProgram())
     if wanted == "paused":
-        controller.pause_program()
+        controller.pause_program("on the pendant")
     elif controller.runtime is Runtime.PAUSED:
         controller.resume_program()
 
 
 def _stops(arm: Emulated, arguments: Sequence[str], _: float) -> list[dict[str, Any]]:
-    since_s = _number(arguments, 0, default=0.0)
+    since_s = _number(arguments, 0, limit=_LATEST_S, default=0.0)
     return [record.as_dict() for record in arm.controller.brakes.records if record.received_s >= since_s]
 
 
 def _starts(arm: Emulated, arguments: Sequence[str], _: float) -> list[float]:
-    since_s = _number(arguments, 0, default=0.0)
+    since_s = _number(arguments, 0, limit=_LATEST_S, default=0.0)
     return [began_s for began_s in arm.controller.began_s if began_s >= since_s]
+
+
+def _journal(arm: Emulated, arguments: Sequence[str], _: float) -> list[dict[str, Any]]:
+    return arm.controller.journal.since(_number(arguments, 0, limit=_LATEST_S, default=0.0))
 
 
 def _clearance(arm: Emulated, _: Sequence[str], __: float) -> list[float] | None:
@@ -207,13 +221,13 @@ def _clearance(arm: Emulated, _: Sequence[str], __: float) -> list[float] | None
 
 
 def _load(arm: Emulated, arguments: Sequence[str], _: float) -> None:
-    mass = _number(arguments, 0)
+    mass = _number(arguments, 0, limit=_HEAVIEST_KG)
     try:
         center = [float(word) for word in arguments[1:4]] or [0.0, 0.0, 0.0]
     except ValueError:
         center = []
-    if len(center) != 3 or not all(map(math.isfinite, center)):
-        raise Refused("expected MASS [X Y Z]")
+    if len(center) != 3 or not all(abs(value) <= _FARTHEST_M for value in center):
+        raise Refused(f"expected MASS [X Y Z], each coordinate between -{_FARTHEST_M:g} and {_FARTHEST_M:g} m")
     arm.controller.motions.set_payload(arm.controller.name, mass, np.array(center))
 
 
@@ -244,6 +258,7 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
     "foreign": _foreign,
     "stops": _stops,
     "starts": _starts,
+    "journal": _journal,
     "clearance": _clearance,
     "load": _load,
 }

@@ -10,7 +10,8 @@ import math
 from collections.abc import Sequence
 
 from drivers.emulators.ur_controller import poses
-from drivers.emulators.ur_controller.controller import Controller, ScriptError
+from drivers.emulators.ur_controller.controller import Controller
+from drivers.emulators.ur_controller.program import ScriptError
 from drivers.plant.servo import servo_rate
 
 _READY, _DONE = 1, 2
@@ -20,6 +21,9 @@ _IMMEDIATE = frozenset({6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70
 _SERVO = 11
 _STOP = 255
 _KG_MOST = 50.0
+_LEAST_DECELERATION = 1e-6
+_MOST = 1e6
+"""Greatest argument of a command: angles, lengths, times and rates are far smaller."""
 _NO_TOOL = (0.0,) * 6
 
 
@@ -112,7 +116,11 @@ class ControlScript:
     # -- commands ----------------------------------------------------------------------------------------------------
 
     def _doubles(self, controller: Controller, first: int, count: int) -> tuple[float, ...]:
-        return controller.input_doubles(self._d + first, count)
+        values = controller.input_doubles(self._d + first, count)
+        wrong = [value for value in values if not abs(value) <= _MOST]
+        if wrong:
+            raise ScriptError(f"an argument is {wrong[0]!r}: not a finite number between -{_MOST:g} and {_MOST:g}")
+        return values
 
     def _answer_int(self, controller: Controller, value: int) -> None:
         controller.set_output_int(self._i + 1, value)
@@ -209,7 +217,7 @@ class ControlScript:
             controller.follow(goal, rate)
 
     def _stop(self, controller: Controller, deceleration: float | None, *, asynchronous: bool) -> None:
-        if deceleration is not None and not 0.0 < deceleration < math.inf:
+        if deceleration is not None and not _LEAST_DECELERATION <= deceleration < math.inf:
             raise ScriptError(f"stopj: a deceleration of {deceleration!r} rad/s^2 is not above 0")
         self._next_move = None
         self._end_thread(controller)

@@ -9,16 +9,17 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from drivers.emulators.ur_controller import poses, streamed
 from drivers.emulators.ur_controller.braking import Brakes, StopTrigger
+from drivers.emulators.ur_controller.journal import Journal
 from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.motion import Array, Motions
 from drivers.emulators.ur_controller.personality import ControllerConfig
+from drivers.emulators.ur_controller.program import Program, ScriptError
 from drivers.emulators.ur_controller.slider import SpeedSlider
 from drivers.emulators.ur_controller.streamed import Values
 
@@ -27,23 +28,12 @@ _MAX_PAUSE_S = 0.05
 """A longer pause of this process counts only as this for the watchdog: the client was not silent meanwhile."""
 _STEADY_S = 0.1
 _MOST_STARTS = 2000
+_LEAST_RATE = 1e-6
+"""A joint speed [rad/s] or acceleration [rad/s^2] below this counts as 0: the motion would take days."""
 _ZERO6: Values = (0.0,) * 6
-
-
-class ScriptError(Exception):
-    """A program requests something impossible; the program ends."""
-
-
-class Program(Protocol):
-    """A program on a controller, executed one cycle at a time."""
-
-    name: str
-
-    def begin(self, controller: Controller) -> None:
-        """Execute the first step. Raises ``ScriptError``."""
-
-    def cycle(self, controller: Controller) -> bool:
-        """Execute one control cycle; return whether the program continues. Raises ``ScriptError``."""
+_COMMAND_REGISTERS = ("input_int_register_0", "input_int_register_24")
+_STOPPING: Mapping[float, str] = {15: "stopl", 16: "stopj", 33: "stopl", 34: "stopj", 255: "end of the script"}
+"""Commands of ur_rtde that stop the arm."""
 
 
 class Controller:
@@ -63,6 +53,8 @@ class Controller:
         Number of motions started; resumed ones count again.
     began_s : deque of float
         When the last motions were started, by ``clock``.
+    journal : Journal
+        The stops received, in each way, and the motions begun and ended.
     start_delay_s : float
         Wall time from an uploaded program to its start.
     """
@@ -90,6 +82,7 @@ class Controller:
         self.log: deque[str] = deque(maxlen=200)
         self.moves = 0
         self.began_s: deque[float] = deque(maxlen=_MOST_STARTS)
+        self.journal = Journal(clock)
         self._monotonic = clock
         self.now_s = 0.0
         self._uploaded: tuple[float, Program] | None = None
@@ -180,8 +173,10 @@ class Controller:
             if self.values["speed_slider_mask"][0]:
                 self.set_slider(value[0])
             return
-        self.values[name] = value
+        before, self.values[name] = self.values[name], value
         if name.startswith("input_int_register_"):
+            if name in _COMMAND_REGISTERS and value != before and value[0] in _STOPPING:
+                self.journal.note("stop", f"rtde: {_STOPPING[value[0]]}")
             self._written_s[int(name[19:])] = self._running_s
 
     def set_slider(self, fraction: float) -> None:
@@ -209,19 +204,20 @@ class Controller:
         for joint, (value, (low, high)) in enumerate(zip(q, config.limits, strict=True), start=1):
             if not low - 1e-9 <= value <= high + 1e-9:
                 raise ScriptError(f"movej: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
-        if speed <= 0.0 or acceleration <= 0.0:
+        if speed < _LEAST_RATE or acceleration < _LEAST_RATE:
             raise ScriptError("movej: speed and acceleration must be above 0")
         goal = np.array(q, dtype=np.float64)
         self._start(goal, np.minimum(speed, config.speed), np.minimum(acceleration, config.acceleration))
 
     def _start(self, goal: Array, speed: Array, acceleration: Array) -> None:
+        self._note_start("move" if self._goal is None else "resume")
         self._goal = (goal, speed, acceleration)
-        self._note_start()
         self.motions.start_move(self.name, goal, speed, acceleration)
         self.motions.scale_speed(self.name, self.slider.scaling)
         self._was_moving = True  # at a high pace the motion may end before the next cycle
 
-    def _note_start(self) -> None:
+    def _note_start(self, how: str) -> None:
+        self.journal.note("begun", how)
         self._move_from = self.motions.q(self.name)
         self.moves += 1
         self.began_s.append(self._monotonic())
@@ -230,7 +226,7 @@ class Controller:
         """Follow a position of a stream with the lag ``rate`` [1/s]; an arm that brakes does not."""
         if not self.brakes.braking:
             if not self.moving:
-                self._note_start()
+                self._note_start("stream")
             self.motions.servo(self.name, np.array(q), rate)
             self._was_moving = True
 
@@ -262,6 +258,8 @@ class Controller:
 
     def stop_program(self, reason: str = "") -> None:
         """End a program that runs, is paused or is about to start; the arm brakes."""
+        if reason or self.runtime is not Runtime.STOPPED:
+            self.journal.note("stop", reason or "a new program")
         self._uploaded = None
         self._watchdog = None
         if self.runtime in (Runtime.STOPPED, Runtime.STOPPING):
@@ -273,8 +271,9 @@ class Controller:
         self.program = None
         self._set_runtime(Runtime.STOPPING)
 
-    def pause_program(self) -> bool:
+    def pause_program(self, how: str = "dashboard: pause") -> bool:
         """Pause the program; return whether one ran."""
+        self.journal.note("stop", how)
         if not self.running:
             return False
         self.brakes.request("program")
@@ -298,6 +297,7 @@ class Controller:
         if not self._can_move():
             return
         self.log.append(f"protective stop: {reason}")
+        self.journal.note("stop", f"protective stop: {reason}")
         self.safety_mode = SafetyMode.PROTECTIVE_STOP
         self._protective_stop_s = self.motions.clock_s
         self._release_s = math.inf
@@ -324,7 +324,7 @@ class Controller:
         """Press the emergency stop: the program ends, the arm brakes and loses power."""
         self.log.append("emergency stop")
         self.brakes.request("emergency")
-        self.stop_program()
+        self.stop_program("emergency stop")
         self._goal = None
         self._stop_trigger = StopTrigger()
         self.safety_mode = SafetyMode.ROBOT_EMERGENCY_STOP
@@ -357,10 +357,10 @@ class Controller:
             self._mode_due.append((idle_s + self.config.brake_release_s, RobotMode.RUNNING))
         return True
 
-    def power_off(self) -> None:
+    def power_off(self, how: str = "power off") -> None:
         """End the program and switch power off."""
         self.brakes.request("program")
-        self.stop_program("power off")
+        self.stop_program(how)
         self._goal = None
         self._mode_due.clear()
         self.robot_mode = RobotMode.POWER_OFF
@@ -401,6 +401,8 @@ class Controller:
             values = self.values
             values["actual_q"] = values["target_q"] = q
             values["actual_qd"] = values["target_qd"] = self._qd
+        if self._was_moving and not moving:
+            self.journal.note("ended", "at rest")
         self._was_moving = moving
         if moving:
             self._rest_since_s = clock_s

@@ -121,11 +121,11 @@ def _commands(controller: Controller) -> dict[str, Callable[[], str]]:
     """Return the function of each command; an empty answer is a refusal."""
 
     def stop() -> str:
-        controller.stop_program("by the dashboard")
+        controller.stop_program("dashboard: stop")
         return "Stopped"
 
     def power_off() -> str:
-        controller.power_off()
+        controller.power_off("dashboard: power off")
         return "Powering off"
 
     def restart_safety() -> str:

@@ -23,6 +23,8 @@ _MAX_QUEUED = 1 << 20
 _MAX_STREAMED = 1 << 16
 _MAX_FD = 1000  # select() takes no more than 1024
 _TRICKLE_S = 0.05
+_MOST_UNREAD = 64
+"""Chunks that are read from a client whose connection ends; one that sends on and on is reset."""
 
 
 class Session(Protocol):
@@ -152,7 +154,8 @@ class Port:
             connection.close()
             return
         connection.setblocking(False)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with suppress(OSError):  # some systems refuse it once the client has gone
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         link = Link(self, connection)
         self.links.append(link)
         self._selector.register(connection, selectors.EVENT_READ, link)
@@ -225,8 +228,9 @@ class Port:
             if ending == "rst":
                 link.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             else:
-                while link.socket.recv(_CHUNK):  # unread bytes would turn the end into a reset
-                    pass
+                for _ in range(_MOST_UNREAD):  # unread bytes would turn the end into a reset
+                    if not link.socket.recv(_CHUNK):
+                        break
         if ending == "fin":
             with suppress(OSError):
                 link.socket.shutdown(socket.SHUT_WR)

@@ -19,6 +19,8 @@ _VERSION, _CONTROLLER_VERSION, _TEXT = ord("V"), ord("v"), ord("M")
 _OUTPUTS, _INPUTS, _START, _PAUSE, _DATA = ord("O"), ord("I"), ord("S"), ord("P"), ord("U")
 _PROTOCOL = 2
 _MAX_RECIPES = 255
+_LARGEST = 65535
+"""Bytes of a package: its length is told in 16 bits."""
 _POSES = frozenset({"actual_TCP_pose", "actual_TCP_speed", "target_TCP_pose", "target_TCP_speed"})
 
 
@@ -82,11 +84,12 @@ class RtdeSession:
         self._credit = 0.0
         self._share = 1.0
         self._poses = False
+        self._over = False
 
     def received(self, data: bytes) -> None:
         """Process bytes from the client."""
         self._received += data
-        while len(self._received) >= _HEADER.size:
+        while not self._over and len(self._received) >= _HEADER.size:
             size, kind = _HEADER.unpack_from(self._received)
             if size < _HEADER.size:
                 self._close()
@@ -99,6 +102,7 @@ class RtdeSession:
 
     def closed(self) -> None:
         """Free the inputs of this connection."""
+        self._over = True
         self._server.release(self)
 
     def cycle(self) -> None:
@@ -161,20 +165,32 @@ class RtdeSession:
         types = [self._server.outputs.get(name, "NOT_FOUND") for name in names]
         rate_hz = controller.config.personality.rate_hz
         good = bool(names) and "NOT_FOUND" not in types and frequency > 0.0
-        self._output = _Recipe(1, tuple(names), layout(types)) if good else None
+        recipe = _Recipe(1, tuple(names), layout(types)) if good else None
+        if recipe is not None and _HEADER.size + 1 + recipe.layout.size > _LARGEST:
+            recipe, good = None, False
+            controller.log.append(f"RTDE: outputs refused: they take more than the {_LARGEST} bytes of a package")
+        self._output = recipe
         self._streaming = self._streaming and good
         self._share = min(frequency / rate_hz, 1.0) if good else 1.0
         self._poses = bool(_POSES & set(names))
-        self._reply(_OUTPUTS, bytes((int(good),)) + ",".join(types).encode())
+        self._reply_recipe(_OUTPUTS, int(good), types)
 
     def _set_inputs(self, payload: bytes) -> None:
         names = _split(payload)
-        types = self._server.claim(names, self)
+        full = len(self._inputs) >= _MAX_RECIPES
+        types = ["IN_USE"] * len(names) if full else self._server.claim(names, self)
         number = 0
-        if names and not {"NOT_FOUND", "IN_USE"} & set(types) and len(self._inputs) < _MAX_RECIPES:
+        if names and not {"NOT_FOUND", "IN_USE"} & set(types):
             number = len(self._inputs) + 1
             self._inputs[number] = _Recipe(number, tuple(names), layout(types), tuple(map(width, types)))
-        self._reply(_INPUTS, bytes((number,)) + ",".join(types).encode())
+        self._reply_recipe(_INPUTS, number, types)
+
+    def _reply_recipe(self, kind: int, number: int, types: Sequence[str]) -> None:
+        """Answer with the recipe's number, 0 if it was refused, and the types, as many as a package holds."""
+        text = ",".join(types).encode()
+        if len(text) > _LARGEST - _HEADER.size - 1:
+            text = text[: text.rfind(b",", 0, _LARGEST - _HEADER.size)]
+        self._reply(kind, bytes((number,)) + text)
 
     def _data(self, payload: bytes) -> None:
         recipe = self._inputs.get(payload[0]) if payload else None

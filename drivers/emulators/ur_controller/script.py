@@ -11,13 +11,14 @@ import re
 from dataclasses import dataclass
 
 from drivers.emulators.ur_controller.control_script import ControlScript
-from drivers.emulators.ur_controller.controller import Controller, Program
+from drivers.emulators.ur_controller.controller import Controller
+from drivers.emulators.ur_controller.program import Program
 
 _MAX_BYTES = 1 << 20
 _HEAD = re.compile(rb"^def[ \t]+([A-Za-z_]\w*)[ \t]*\([^)\n]*\)[ \t]*:", re.MULTILINE)
 _TAIL = re.compile(rb"^end[ \t]*\r?\n", re.MULTILINE)
-_FLOAT_OFFSET = re.compile(rb"# ?float register offset\s*\n?\s*(\d+)")
-_INT_OFFSET = re.compile(rb"# ?int register offset\s*\n?\s*(\d+)")
+_FLOAT_OFFSET = re.compile(rb"# ?float register offset\s*\n?\s*(\d{1,9})\b")
+_INT_OFFSET = re.compile(rb"# ?int register offset\s*\n?\s*(\d{1,9})\b")
 
 
 @dataclass

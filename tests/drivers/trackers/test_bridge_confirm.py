@@ -146,7 +146,7 @@ def test_a_tracker_that_hangs_behind_a_living_bridge_is_dead_and_may_come_back(k
             try:
                 tracker.confirm(WITHIN_S)
             except TrackerTimeout:
-                time.sleep(0.01)
+                threading.Event().wait(0.01)
 
 
 def test_a_tracker_without_a_link_is_reported_at_once_and_connected_again_at_the_next_question() -> None:
@@ -214,9 +214,9 @@ def test_while_it_measures_the_age_is_the_trackers_and_not_the_bridges() -> None
         while time.monotonic() < alive_until_s:
             behind.sign_s = time.monotonic()
             assert tracker.data_age_s() < LATEST_S
-            time.sleep(0.01)
+            threading.Event().wait(0.01)
         began_s = time.monotonic()  # from now on it hangs, and the bridge goes on to send its lines
-        time.sleep(0.8)
+        threading.Event().wait(0.8)
         assert tracker.data_age_s() > 0.75 * (time.monotonic() - began_s)
         behind.may_end.set()
         measuring.join(10.0)

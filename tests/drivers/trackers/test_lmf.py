@@ -584,7 +584,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
     until_s = time.monotonic() + LONG_S
     while not condition():
         assert time.monotonic() < until_s
-        time.sleep(0.001)
+        threading.Event().wait(0.001)
 
 
 def test_a_connect_that_comes_too_late_lets_go_again(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
