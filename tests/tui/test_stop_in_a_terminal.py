@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -45,7 +46,7 @@ class Held:
         before = len(self.calls())
         self.terminal.send(keys)
         assert comes_about(lambda: len(self.calls()) >= before + calls, time.monotonic() + WAIT_S), f"{keys!r}"
-        time.sleep(QUIET_S)
+        threading.Event().wait(QUIET_S)
         assert len(self.calls()) == before + calls, f"{keys!r}: {self.calls()[before:]}"
 
     def says(self, *words: str) -> None:
@@ -54,7 +55,7 @@ class Held:
 
     def resume(self) -> None:
         """Resume, later than a press that could have been made before the stop."""
-        time.sleep(QUIET_S)
+        threading.Event().wait(QUIET_S)
         self.terminal.send("c")
         self.says("resumed by a person")
 
@@ -135,13 +136,13 @@ def test_what_is_no_press_of_stop_stops_nothing(running: Held, keys: bytes) -> N
 def test_an_arrow_in_two_parts_stops_nothing(running: Held) -> None:
     before = len(running.calls())
     split_arrow(running)
-    time.sleep(QUIET_S)
+    threading.Event().wait(QUIET_S)
     assert len(running.calls()) == before
 
 
 def test_a_paste_whose_end_is_lost_does_not_hide_stop(running: Held) -> None:
     running.terminal.send(b"\x1b[200~half a tex")
-    time.sleep(1.0)
+    threading.Event().wait(1.0)
     running.press(b"\x03", 1)
     running.resume()
 
@@ -149,7 +150,7 @@ def test_a_paste_whose_end_is_lost_does_not_hide_stop(running: Held) -> None:
 def test_a_resume_that_was_pressed_before_a_stop_does_not_undo_it(running: Held) -> None:
     running.press(b"\x1b", 1)
     running.says("STOPPED")
-    time.sleep(QUIET_S)
+    threading.Event().wait(QUIET_S)
     running.press(b"c\x03", 1)
     running.says("STOPPED", "in the same moment")
     running.resume()

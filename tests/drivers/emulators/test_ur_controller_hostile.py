@@ -373,9 +373,9 @@ def test_the_journal_tells_each_stop_with_its_way_and_each_motion(stage: Stage) 
             stage.say(link, ours, package(ord("U"), b"\x01" + struct.pack(">i", command)))
             stage.cycles(2)
     assert journal(stage)[2:] == [("stop", "rtde: stopj"), ("stop", "rtde: end of the script"), ("stop", "it ended")]
-    for line in (b"stop\n", b"pause\n", b"power off\n"):
+    for asked in (b"stop\n", b"pause\n", b"power off\n"):
         with stage.connected("left", "dashboard") as (link, ours):
-            stage.say(link, ours, line)
+            stage.say(link, ours, asked)
     stage.set_right()
     for line in ("left protective now", "left estop"):
         assert stage.ask(line) == "ok null\n"
