@@ -148,6 +148,7 @@ def test_requests_act_on_the_job_and_its_state_comes_back(folder: Path) -> None:
         until(remote, "none")
         remote.resume()
         watched.until_said("resume: refused: the job is neither paused nor stopped")
+        job.has_braked.clear()
         remote.abort()
         assert job.has_braked.wait(WAIT_S)
         assert remote.cancelled

@@ -27,7 +27,12 @@ def say(line: str) -> None:
 def main() -> int:
     """Move until somebody ends it."""
     folder, control, over = Path(sys.argv[1]), JobControl(holds="batch" not in sys.argv), threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+
+    def wait_for_end() -> None:
+        sys.stdin.read()
+        over.set()
+
+    threading.Thread(target=wait_for_end, daemon=True).start()
     try:
         with (
             taking_requests(folder, control, "collect") as listener,
