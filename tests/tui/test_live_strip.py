@@ -6,6 +6,8 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from cellapp.control import JobControl
 from cellapp.progress import ArmLive, CellLive, Halt, Listener, MeasurementBegun, Progress
 from cellapp.run import RunFile
@@ -34,26 +36,26 @@ class HungJob:
         return Job("collect", work, moves=True)
 
 
-async def test_a_cell_that_is_dead_is_not_shown_as_running_though_its_job_hangs() -> None:
-    for size in SIZES:
-        app, job = CellApp(PROFILES), HungJob()
-        async with app.run_test(size=size) as pilot:
-            await opened(pilot, app)
-            app.start_job(job.job())
-            await pilot.press("3")
-            await until(pilot, lambda: "right moves 0.0 s" in shown_text(app), "the ages")
-            assert "left rests 0.0 s" in shown_text(app)
-            assert "tracker 0.1 s" in shown_text(app) or "tracker 0.0 s" in shown_text(app)
-            await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
-            job.live = replace(FRESH, arms={"left": ArmLive(2.0, False), "right": ArmLive(None, True)})
-            await until(pilot, lambda: "RUNNING" not in shown_text(app), "what is old is not running")
-            assert "NO DATA from arm left, arm right" in shown_text(app)
-            assert app.screen.query_one("#state").has_class("halted")
-            await pilot.press("1")
-            await until(pilot, lambda: "NO DATA from arm left, arm right" in shown_text(app), "another screen")
-            job.over.set()
-            await ended(pilot, app)
-            await until(pilot, lambda: "NO DATA" not in shown_text(app), "no cell is open any more")
+@pytest.mark.parametrize("size", SIZES)
+async def test_a_cell_that_is_dead_is_not_shown_as_running_though_its_job_hangs(size: tuple[int, int]) -> None:
+    app, job = CellApp(PROFILES), HungJob()
+    async with app.run_test(size=size) as pilot:
+        await opened(pilot, app)
+        app.start_job(job.job())
+        await pilot.press("3")
+        await until(pilot, lambda: "right moves 0.0 s" in shown_text(app), "the ages")
+        assert "left rests 0.0 s" in shown_text(app)
+        assert "tracker 0.1 s" in shown_text(app) or "tracker 0.0 s" in shown_text(app)
+        await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
+        job.live = replace(FRESH, arms={"left": ArmLive(2.0, False), "right": ArmLive(None, True)})
+        await until(pilot, lambda: "RUNNING" not in shown_text(app), "what is old is not running")
+        assert "NO DATA from arm left, arm right" in shown_text(app)
+        assert app.screen.query_one("#state").has_class("halted")
+        await pilot.press("1")
+        await until(pilot, lambda: "NO DATA from arm left, arm right" in shown_text(app), "another screen")
+        job.over.set()
+        await ended(pilot, app)
+        await until(pilot, lambda: "NO DATA" not in shown_text(app), "no cell is open any more")
 
 
 async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
@@ -93,7 +95,7 @@ async def test_an_arm_that_was_not_seen_stays_on_every_screen_until_a_person_say
         await pilot.press("ctrl+p")
         await pilot.press(*"arm left is at rest")
         await until(pilot, lambda: "it no longer counts as moving" in shown_text(app), "the command")
-        await pilot.press("enter", "enter")
+        await pilot.press("enter")
         await until(pilot, lambda: "Is arm left at rest?" in shown_text(app), "the question")
         await pilot.press("s")
         await until(pilot, lambda: "NOT SEEN AT REST" not in shown_text(app), "it is settled")
