@@ -58,6 +58,8 @@ def driver_that_stops(usual: type[Driver]) -> type[Driver]:
     """The driver whose thread gives a stop itself, in place of the usual one of a POSIX terminal."""
     if sys.platform == "win32":
         return usual
-    from cellapp.tui.urgent_keys import LinuxDriver, UrgentDriver
+    from textual.drivers.linux_driver import LinuxDriver
+
+    from cellapp.tui.urgent_keys import UrgentDriver
 
     return UrgentDriver if usual is LinuxDriver else usual

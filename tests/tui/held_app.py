@@ -27,7 +27,7 @@ class WrittenJob(MovingJob):
 class HeldApp(CellApp):
     """Starts the job as soon as a profile is open."""
 
-    CSS_PATH = Path(cellapp.tui.__file__).with_name("app.tcss")
+    CSS_PATH = str(Path(cellapp.tui.__file__).with_name("app.tcss"))
 
     def __init__(self, moving: WrittenJob) -> None:
         super().__init__(PROFILES, ends_process=True)
