@@ -84,3 +84,15 @@ def test_waiting_ends_with_the_request() -> None:
     assert control.wait_while("pause", timeout_s=30.0) == "none"
     threading.Timer(0.01, control.stop).start()
     assert control.wait(30.0)
+
+
+def test_who_leaves_is_named_once_and_nothing_resumes() -> None:
+    control, braked = JobControl(holds=True), list[tuple[str, str]]()
+    with control.brakes(lambda verb: braked.append((verb, control.left))):
+        control.leave("the terminal was closed")
+        control.leave("the application ended")
+        control.resume()
+        with pytest.raises(Stopped, match="the terminal was closed"):
+            control.check()
+    assert braked == [("stop", "the terminal was closed")]
+    assert (control.request, control.left) == ("stop", "the terminal was closed")

@@ -196,7 +196,7 @@ def press_bench(profile_path: Path, folder: Path, seed: int = 1) -> Iterator[Pre
     """
     profile = load_profile(profile_path)
     new_planned_run(profile, folder / "logs" / "presses").close()
-    with emulated_cell(profile, 1.0) as cell:
+    with emulated_cell(profile, 1.0, watch_clearance=False) as cell:
         terminal = PseudoTerminal([sys.executable, "-m", "cellapp"], folder, COLUMNS, ROWS)
         try:
             yield PressBench(terminal, cell, np.random.default_rng(seed))

@@ -36,6 +36,7 @@ def run_app(folder: Path = Path("profiles")) -> int:
 
     sys.setswitchinterval(_SWITCH_S)
     app = CellApp(folder, ends_process=True)
+    app.passes.watch()
     app.run()
     app.wait_for_job()
     return app.return_code or 0

@@ -42,6 +42,7 @@ from cellapp.tui.offers import offer_at_rest, offer_paths, offer_to_quit, offer_
 from cellapp.tui.presses import StopPresses, driver_that_stops
 from cellapp.tui.screens import SCREENS
 from cellapp.tui.screens.base import DayScreen
+from cellapp.tui.slow_passes import SlowPasses
 from cellapp.tui.themes import HIGH_CONTRAST
 from cellapp.tui.widgets.header import DayHeader, StepLine, StepTab
 from cellapp.tui.workspace import Step, Workspace, holds_run, load_workspace
@@ -112,6 +113,7 @@ class CellApp(App[None]):
         self.record = JobRecord()
         self.jobs = JobRunner(self.post_message)
         self.presses = StopPresses(self.jobs)
+        self.passes = SlowPasses()
         self.leaving = Leaving(self, ends_process=ends_process)
         self.others = JobsOfOthers(self)
         self.asked_by: DayScreen | None = None
@@ -437,6 +439,7 @@ class CellApp(App[None]):
         folder = message.job.folder or self.workspace.folder
         self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
         self.refresh_bindings()
+        self.passes.look_again()  # nothing moves now
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
