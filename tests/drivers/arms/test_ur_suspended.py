@@ -28,11 +28,19 @@ TIMES = 3
 
 APPLICATION = """
 import sys
-from drivers.arms.protocol import ArmError
+from drivers.arms.protocol import ArmError, ArmTimeout
 from tests.drivers.arms.emulated_ur_cell import ACCELERATION, FAR, HOME, SPEED, driven
 
 def report(error):
-    print(type(error).__name__, error, flush=True)
+    sys.stdout.write(f"{type(error).__name__} {error}\\n")  # at once: two threads report
+    sys.stdout.flush()
+
+def settle(arm):
+    while True:  # in short rounds, as jobs do
+        try:
+            return arm.wait_settled(1.0)
+        except ArmTimeout:
+            arm.state()
 
 with driven(sys.argv[1]) as arm:
     arm.watch(report)
@@ -42,8 +50,9 @@ with driven(sys.argv[1]) as arm:
             for goal in (FAR, HOME):
                 arm.confirm()
                 arm.start_move(goal, SPEED * 0.3, ACCELERATION)
-                print("moving", flush=True)
-                arm.wait_settled(60.0)
+                sys.stdout.write("moving\\n")
+                sys.stdout.flush()
+                settle(arm)
         except ArmError as error:
             report(error)
 """
