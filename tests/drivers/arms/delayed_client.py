@@ -28,7 +28,7 @@ class DelayedClient:
     def __init__(self) -> None:
         self.q, self.stamp = list(HOME), 0.0
         self.playing, self.running, self.local = True, False, False
-        self.fraction, self.safety, self.speed = 1.0, 1, 0.0
+        self.fraction, self.safety, self.mode, self.speed = 1.0, 1, 7, 0.0
 
     def tick(self, _: float) -> None:
         self.stamp += 0.16  # a cell at twenty times the pace
@@ -46,7 +46,7 @@ class DelayedClient:
         return [30.0] * 6
 
     def getRobotMode(self) -> int:
-        return 7
+        return self.mode
 
     def getSafetyMode(self) -> int:
         return self.safety

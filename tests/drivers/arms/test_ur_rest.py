@@ -78,14 +78,16 @@ def test_another_motion_is_refused_until_the_arm_was_seen_at_rest(delayed: Delay
     assert "still moving" in monitor(0.01, PATH)[-1]["text"]
 
 
-def test_old_positions_at_the_end_of_a_closed_path_do_not_end_it(delayed: Delayed) -> None:
+def test_old_positions_at_the_end_of_a_closed_path_do_not_end_it(
+    delayed: Delayed, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """It ends where it began, and the states come late: those of before look like those of the end."""
     client, monitor = delayed
     end(client, monitor)
     monitor(1.0)
     client.q = list(HOME)
     monitor(0.2)
-    client.tick = lambda seconds: setattr(client, "stamp", client.stamp + 1e-6)  # type: ignore[method-assign]
+    monkeypatch.setattr(client, "tick", lambda seconds: setattr(client, "stamp", client.stamp + 1e-6))
     monitor(0.01, PATH)
     stood = client.stamp
     monitor(0.2)
