@@ -39,7 +39,7 @@ _REMEDIES = {
     "link": "see whether the controller is on and the network between works, then connect again",
     "driver": "close other programs on this computer, then connect again",
     "nonsense": "look at the pendant's log, restart the controller",
-    "timeout": "look at the speed slider and at the pendant",
+    "timeout": "see what the pendant shows",
     "stopped": "connect again when it may move",
     "stalled": "nothing is wrong at the arm; close other programs on this computer",
     "failed": "look at the arm and at the pendant's log, then connect again",

@@ -198,7 +198,8 @@ def _port(port: int, is_open: bool) -> Check:
 def _state(probe: UrProbe) -> Check:
     subject, sample = "state", probe.sample
     if sample is None:
-        return Check(subject, "failed", f"could not be read: {probe.sample_note}", LinkLost)
+        text = f"could not be read: {probe.sample_note}; see what the pendant shows, and check the network"
+        return Check(subject, "failed", text, LinkLost)
     if not sample.at_rest:
         return Check(subject, "failed", "the arm moves; wait until it rests, or stop what moves it on the pendant")
     where = ", ".join(f"{np.degrees(angle):.1f}" for angle in sample.q)

@@ -15,6 +15,7 @@ from drivers.arms.protocol import ArmError, DoubtListener, LinkLost, LiveArm, Mo
 from drivers.arms.ur_answers import arm_error
 from drivers.arms.ur_doubt import FirstDoubt
 from drivers.arms.ur_latch import StopLatch
+from drivers.arms.ur_links import cause
 from drivers.arms.ur_program import OwnProgram
 from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_stop_line import StopLine
@@ -78,7 +79,7 @@ class GuardedLink:
         try:
             self._stop_line.confirm(patience)
         except LinkLost as error:
-            raise self._dashboard_lost(str(error)) from error
+            raise self._dashboard_lost(cause(error)) from error
         try:
             fault = worker.call("confirm", patience.left_s)["fault"]
         except WorkerGone as error:
@@ -108,7 +109,7 @@ class GuardedLink:
                 self._command_stop()
             except LinkLost as error:
                 raise LinkLost(
-                    f"arm {self._name}: its stop was not confirmed: {error}; its watchdog stops it after"
+                    f"arm {self._name}: its stop was not confirmed: {cause(error)}; its watchdog stops it after"
                     f" {1.0 / self._settings.watchdog_hz:.1f} s, but treat it as moving until you see it at rest"
                 ) from error
 
@@ -132,7 +133,8 @@ class GuardedLink:
                     worker.call("release", ANSWER_WITHIN_S, self._require_last_stop)
             except (LinkLost, WorkerGone, WorkerRefusal) as error:
                 kind = error.kind if isinstance(error, WorkerGone) else "link"
-                doubt = self._link_in_doubt(f"the stop failed: {error}", kind)
+                why = cause(error) if isinstance(error, LinkLost) else str(error)
+                doubt = self._link_in_doubt(f"the stop failed: {why}", kind)
                 if self._program.may_run:  # else it was seen at rest, and the lost link shows at the next call
                     raise doubt from error
 
@@ -164,7 +166,7 @@ class GuardedLink:
         try:
             self._program.bring_to_rest(quickly=quickly, look=look)
         except LinkLost as error:
-            text = f"its stop was not confirmed: {error}; treat it as moving until you see it at rest"
+            text = f"its stop was not confirmed: {cause(error)}; treat it as moving until you see it at rest"
             raise LinkLost(f"arm {self._name}: {text}") from error
 
     # -- doubts --------------------------------------------------------------------------------------------------------
@@ -199,9 +201,9 @@ class GuardedLink:
             self._program.bring_to_rest()
             outcome = "a stop was requested and the arm was seen at rest"
         except LinkLost as error:
-            cause = "" if kind == "nonsense" else f" ({error})"  # else it would be said twice
+            reason = "" if kind == "nonsense" else f" ({cause(error)})"  # else it would be said twice
             outcome = (
-                f"it could not be seen at rest{cause}; its controller stops it"
+                f"it could not be seen at rest{reason}; its controller stops it"
                 f" {1.0 / self._settings.watchdog_hz:.1f} s after the last message of this computer, but treat it as"
                 " moving until you see it at rest"
             )

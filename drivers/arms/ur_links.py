@@ -69,6 +69,11 @@ def printable(text: str, longest: int = 80) -> str:
     return f"{clean}..." if len(text) > longest else clean
 
 
+def cause(error: LinkLost) -> str:
+    """Return what is wrong with a plain link, without what to do, which the arm's message says at its end."""
+    return str(error).split("; ")[0]
+
+
 class Connection:
     """A TCP connection that is started at once and completes later. Use ``with`` to close it."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.arms.protocol import LinkLost
-from drivers.arms.ur_links import stop_program
+from drivers.arms.ur_links import cause, stop_program
 from drivers.arms.ur_rtde_reader import wait_at_rest
 
 _STOP_WITHIN_S = 1.0
@@ -52,7 +52,7 @@ class OwnProgram:
         try:
             sample = wait_at_rest(self._host, _QUICK_REST_S if quickly else self._rest_s, look=look)
         except LinkLost as error:
-            raise LinkLost(f"{not_stopped}; {error}" if not_stopped else str(error)) from error
+            raise LinkLost(" and ".join(cause(one) for one in (not_stopped, error) if one is not None)) from error
         if not_stopped is not None and sample.program == "PLAYING":
             raise not_stopped
         self._ended = max(self._ended, started)

@@ -75,11 +75,11 @@ class States:
             self.lost(f"no state came for {_SILENT_S:g} s")
         return sample, False
 
-    def next(self) -> WorkerSample:
-        """Return the first state that the controller sends after this call."""
+    def next(self, within_s: float = _SILENT_S) -> WorkerSample:
+        """Return the first state that the controller sends after this call; end if none comes ``within_s`` [s]."""
         self._note_look()
         before = self._control.time_s
-        patience = Patience(_SILENT_S)
+        patience = Patience(within_s)
         while True:
             if self._note_look():  # states that came meanwhile are read first
                 time.sleep(_CATCH_UP_S)
@@ -88,7 +88,7 @@ class States:
                 return self.newest()
             self.check_links()
             if patience.over:
-                self.lost(f"no state came for {_SILENT_S:g} s")
+                self.lost(f"no state came for {within_s:g} s")
             self._meanwhile()
             time.sleep(_ASK_AGAIN_S)
 

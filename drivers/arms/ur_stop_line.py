@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from drivers.arms.protocol import LinkLost
-from drivers.arms.ur_links import DASHBOARD_PORT, Connection, Dashboard, require_stopped, stop_program
+from drivers.arms.ur_links import DASHBOARD_PORT, Connection, Dashboard, cause, require_stopped, stop_program
 from drivers.patience import SLICE_S, Patience, patient_get
 
 _QUESTION = "running"
@@ -205,7 +205,7 @@ class StopLine:
             except LinkLost as error:
                 failures += 1
                 if failures >= _TRIES and not closing.is_set():
-                    self._lost(str(error))
+                    self._lost(cause(error))
                 closing.wait(_AGAIN_S)
 
     def _watch(self, line: _Line, closing: threading.Event) -> None:

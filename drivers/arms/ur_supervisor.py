@@ -29,6 +29,8 @@ from drivers.arms.ur_safety import not_ready
 from drivers.arms.ur_states import States
 from drivers.patience import Patience, RunningTime
 
+_FIRST_STATE_WITHIN_S = 2.0
+"""While connecting: nothing moves, and the client and its controller are busy."""
 _STARTS_WITHIN_S = 1.0
 _STOP_SEEN_WITHIN_S = 0.05
 """The application sends ``brake`` before it stops the program over another connection. A program that has been seen
@@ -108,6 +110,7 @@ class Supervisor:
         computer that is busy just then would end the program.
         """
         tcp = self._control.tcp()
+        self._states.next(_FIRST_STATE_WITHIN_S)
         state = self.state()
         self._start_watchdog()
         return {**state, "tcp": tcp}

@@ -10,6 +10,7 @@ import pytest
 from drivers.arms.protocol import ArmError, HostStalled
 from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
+from tests.drivers.arms.delayed_client import DelayedClient, Monitor, delayed_worker
 from tests.drivers.arms.emulated_ur_cell import repair
 from tests.latency import ATTEMPTS
 
@@ -45,3 +46,9 @@ def connected_arms(fixtures: Mapping[str, object]) -> list[UrArm]:
     values += [one for group in values if isinstance(group, Mapping) for one in group.values()]
     arms = {one.name: one for one in values if isinstance(one, UrArm)}
     return [arm for arm in arms.values() if arm.worker_pid is not None]
+
+
+@pytest.fixture
+def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Monitor]:
+    """A client in a motion from HOME to AWAY, and what runs its worker."""
+    return delayed_worker(monkeypatch)

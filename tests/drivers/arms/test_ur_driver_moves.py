@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 import os
 import re
 import socket
@@ -11,12 +9,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,7 +25,7 @@ from cellapp.progress import CancelToken
 from cellapp.trials.link_bench import travel_s
 from cellapp.trials.link_results import LinksResult
 from cellapp.trials.links import link_trials
-from drivers.arms import ur_path_supervisor, ur_states, ur_supervisor, ur_worker
+from drivers.arms import ur_supervisor
 from drivers.arms.protocol import (
     ArmError,
     JointLimits,
@@ -39,10 +36,8 @@ from drivers.arms.protocol import (
     WrongRobot,
 )
 from drivers.arms.ur import UrArm
-from drivers.arms.ur_control import UrControl
 from drivers.arms.ur_links import stop_program
-from drivers.arms.ur_motion import MAX_SPEED, Kicks, Motion, RestCriterion, leading_rates
-from drivers.arms.ur_path_supervisor import PathSupervisor
+from drivers.arms.ur_motion import MAX_SPEED, Kicks, leading_rates
 from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_worker_process import HeartbeatGaps
@@ -464,126 +459,8 @@ def test_a_peer_that_is_not_an_rtde_server_is_refused(answer: bytes) -> None:
 # -- delayed positions ------------------------------------------------------------------------------------------------
 
 
-class DelayedClient:
-    """A client that reports the end of a motion at once, while its positions come late."""
-
-    def __init__(self) -> None:
-        self.q, self.stamp = list(HOME), 0.0
-        self.playing, self.running, self.local = True, False, False
-        self.fraction = 1.0
-
-    def tick(self, _: float) -> None:
-        self.stamp += 0.16  # a cell at twenty times the pace
-
-    def getTimestamp(self) -> float:
-        return self.stamp
-
-    def getActualQ(self) -> list[float]:
-        return self.q
-
-    def getActualQd(self) -> list[float]:
-        return [0.0] * 6
-
-    def getJointTemperatures(self) -> list[float]:
-        return [30.0] * 6
-
-    def getRobotMode(self) -> int:
-        return 7
-
-    def getSafetyMode(self) -> int:
-        return 1
-
-    def getRuntimeState(self) -> int:
-        return 2 if self.playing else 1
-
-    def isConnected(self) -> bool:
-        return True
-
-    def isProgramRunning(self) -> bool:
-        return self.playing
-
-    def kickWatchdog(self) -> bool:
-        return True
-
-    def getAsyncOperationProgressEx(self) -> DelayedClient:
-        return self
-
-    def operationId(self) -> int:
-        return 2
-
-    def isAsyncOperationRunning(self) -> bool:
-        return self.running
-
-    def getTargetSpeedFraction(self) -> float:
-        return self.fraction
-
-    def setWatchdog(self, hertz: float) -> bool:
-        return True
-
-    def getTCPOffset(self) -> list[float]:
-        return [0.0] * 6
-
-    def stopJ(self, deceleration: float, asynchronous: bool) -> None:
-        self.running = False
-
-    def moveJ(self, *_: object) -> bool:
-        return True
-
-    def isJointsWithinSafetyLimits(self, *_: object) -> bool:
-        return True
-
-    def isSteady(self) -> bool:
-        return True
-
-    def end_program(self, *_: object) -> bool:
-        """A command that is not served, because the program ended."""
-        self.playing = False
-        return False
-
-
 MOVE = {"do": "move", "q": list(HOME), "speed": [1.0] * 6, "acceleration": [1.0] * 6}
 COMMANDS = [("moveJ", MOVE), ("isJointsWithinSafetyLimits", {"do": "allowed", "q": [list(HOME)]})]
-
-
-@pytest.fixture
-def delayed(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Callable[..., list[dict[str, Any]]]]:
-    """The client, and a function that sends a message, runs the worker for some seconds and returns its answers."""
-    client, answers, now = DelayedClient(), io.BytesIO(), [1000.0]
-    clock = SimpleNamespace(monotonic=lambda: now[0], sleep=client.tick)
-    for module in (ur_path_supervisor, ur_states):
-        monkeypatch.setattr(module, "time", clock)
-    for module in (ur_worker, ur_supervisor):
-        monkeypatch.setattr(module, "time", clock)
-        monkeypatch.setattr(module, "stop_program", lambda host, within_s: None)
-    monkeypatch.setattr(ur_supervisor, "in_local_control", lambda host, within_s: client.local)
-    worker = ur_worker.Worker(answers)
-    control = UrControl("127.0.0.1", client, client, ("target_speed_fraction",))
-    supervisor = PathSupervisor(worker, control, 5.0, RestCriterion(dwell_s=0.1, speed=0.005, position=2e-4))
-    supervisor.begin()
-    supervisor._motion = Motion(list(AWAY), number_before=1, began_s=now[0])
-    supervisor.wait_settled(7, 60.0)
-    worker._supervisor = supervisor
-    worker._host = "127.0.0.1"
-    answers.truncate(0)
-
-    def monitor(for_s: float, message: dict[str, Any] | None = None, beats: bool = True) -> list[dict[str, Any]]:
-        if message:
-            worker.received({"id": 8, "timeout_s": 5.0, **message})
-        end_s = now[0] + for_s
-        while now[0] < end_s:
-            now[0] += 0.008
-            client.tick(0.008)
-            if beats:
-                worker.received({"beat": True})
-            while not worker._requests.empty():
-                request = worker._requests.get()
-                if request is not None:
-                    worker._serve(request)
-            supervisor.monitor()
-        said = [json.loads(line) for line in answers.getvalue().splitlines()]
-        return [message for message in said if "beat" not in message]
-
-    return client, monitor
 
 
 def test_positions_from_before_a_motion_do_not_end_it(delayed: Any) -> None:

@@ -66,6 +66,10 @@ class Heard:
         self.doubts: list[tuple[float, ArmError]] = []
         arm.watch(lambda error: self.doubts.append((time.monotonic(), error)))
 
+    def first(self) -> tuple[float, ArmError]:
+        until(lambda: bool(self.doubts), "the listener is told")
+        return self.doubts[0]
+
 
 # -- confirm ----------------------------------------------------------------------------------------------------------
 
@@ -138,8 +142,7 @@ def lost_dashboard_is_noticed(emulator: EmulatorProcess, arm: UrArm, *, how: str
         heard = Heard(arm)
         began_s = time.monotonic()
         emulator.control(arm.name, "fault", "dashboard", how)
-        until(partial(bool, heard.doubts), "it is told")
-        told_s, doubt = heard.doubts[0]
+        told_s, doubt = heard.first()
         assert isinstance(doubt, LinkLost)
         assert "the dashboard, over which it is stopped, does not answer" in str(doubt)
         took["told"] = told_s - began_s

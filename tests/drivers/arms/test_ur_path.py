@@ -97,6 +97,9 @@ def path_is_followed_to_its_end(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.start_path(path, arm.path_period_s)
     with pytest.raises(ArmError, match="still moving"):
         arm.start_path(path, arm.path_period_s)
+    until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.05, "it is far from the beginning")
+    with pytest.raises(ArmError, match="still moving"):
+        arm.start_path(path, arm.path_period_s)
     state = arm.wait_settled(PATIENT_S)
     np.testing.assert_allclose(state.q, path[-1], atol=1e-3)
     followed = arm.followed()

@@ -1,0 +1,107 @@
+"""Time limits that count only the time in which a process ran."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+
+import pytest
+
+from drivers import patience
+from drivers.patience import MOST_S, SLICE_S, Patience, RunningTime, patient_get
+
+pytestmark = pytest.mark.fast
+
+
+class Clock:
+    """A clock that a test moves."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 50.0
+        monkeypatch.setattr(patience, "time", self)
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def run(self, seconds: float) -> None:
+        """Let time pass in slices, with a look at each."""
+        self.now_s += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
+
+
+def test_a_limit_is_over_after_its_time(clock: Clock) -> None:
+    limit, looks = Patience(1.0), 0
+    while limit.slice_s > 0.0:
+        clock.run(SLICE_S)
+        looks += 1
+    assert looks == pytest.approx(1.0 / SLICE_S, abs=1)
+    assert limit.over
+
+
+def test_a_suspension_hardly_counts_and_leaves_time_to_read(clock: Clock) -> None:
+    limit = Patience(0.3)
+    clock.run(0.04)
+    assert limit.left_s == pytest.approx(0.26)
+    clock.run(3.0)
+    assert limit.left_s == pytest.approx(0.26 - MOST_S)
+    clock.run(0.1)
+    assert limit.left_s == pytest.approx(0.06)
+    clock.run(3.0)
+    assert limit.left_s == pytest.approx(SLICE_S)
+    clock.run(1.01 * SLICE_S)
+    assert limit.over
+
+
+def test_a_part_ends_with_the_whole_and_is_counted_in_it(clock: Clock) -> None:
+    whole = Patience(1.0)
+    part = whole.share(0.5)
+    for _ in range(10):
+        clock.run(0.0501)
+        assert part.left_s >= 0.0
+    assert part.over
+    assert whole.left_s == pytest.approx(0.5, abs=0.002)
+    longer = Patience(9.0, whole)
+    for _ in range(10):
+        clock.run(0.05)
+        assert longer.left_s >= 0.0
+    assert longer.over
+
+
+def test_a_wait_ends_when_the_look_raises(clock: Clock) -> None:
+    def look() -> None:
+        if clock.now_s > 50.2:
+            raise InterruptedError
+
+    limit = Patience(10.0, look=look).share(0.5)
+    clock.run(0.1)
+    assert not limit.over
+    clock.run(0.2)
+    with pytest.raises(InterruptedError):
+        assert limit.over
+
+
+def test_a_clock_stands_still_while_its_process_does(clock: Clock) -> None:
+    running = RunningTime()
+    assert running.at(10.0) == 10.0
+    assert running.at(10.008) == pytest.approx(10.008)
+    assert running.at(13.0) == pytest.approx(10.008 + MOST_S)
+    assert running.at(13.01) == pytest.approx(10.018 + MOST_S)
+
+
+def test_an_answer_that_waits_is_taken_even_without_time_left() -> None:
+    answers: queue.SimpleQueue[int] = queue.SimpleQueue()
+    answers.put(1)
+    assert patient_get(answers, Patience(0.0)) == 1
+    with pytest.raises(queue.Empty):
+        patient_get(answers, Patience(0.0))
+    began_s = time.monotonic()
+    threading.Timer(0.1, answers.put, (2,)).start()
+    assert patient_get(answers, Patience(5.0)) == 2
+    with pytest.raises(queue.Empty):
+        patient_get(answers, Patience(0.1))
+    assert time.monotonic() - began_s >= 0.2
