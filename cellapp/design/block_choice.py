@@ -19,8 +19,8 @@ from cellapp.progress import CancelToken
 _SMALLEST_BATCH = 20
 """Stops of a batch of the first choice: with fewer the fresh subset costs more than the choice."""
 _FIRST_BATCH = 5
-"""The same at the very beginning: the first stops reduce the variance of base and SMR a thousandfold each, and single
-precision would not stand twenty of them."""
+"""The same at the very beginning: the first stops reduce the variance of base and SMR a thousandfold each, and
+updates lose as many digits."""
 
 
 @dataclass(frozen=True)
