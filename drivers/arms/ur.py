@@ -103,11 +103,11 @@ class UrArm(GuardedLink):
         self._doubt.report()
 
     def _give_up(self) -> None:
-        """Kill the client, and stop the program that it has started, if any."""
+        """Kill the client, and stop the program that it has started, if any: in half a second, as nothing has moved."""
         self._drop_worker()
         if self._program.may_run:
             with suppress(LinkLost):
-                self._program.bring_to_rest(quickly=self._interrupted)
+                self._program.bring_to_rest(quickly=True)
             self._program.started()  # one that was uploaded may still start
 
     def _connect_anew(self, going_on: GoingOn) -> None:

@@ -10,7 +10,7 @@ import queue
 import threading
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 
 from drivers.arms.protocol import LinkLost
 from drivers.arms.ur_links import DASHBOARD_PORT, Connection, Dashboard, cause, require_stopped, stop_program
@@ -36,13 +36,11 @@ class _Line:
 
     def __init__(self, host: str, port: int, patience: Patience) -> None:
         """Connect and read the greeting. Raises ``LinkLost``."""
-        self._link = Connection.to(host, port, patience)
-        try:
+        with ExitStack() as unfinished:
+            self._link = unfinished.enter_context(Connection.to(host, port, patience))
             Dashboard(self._link, patience)
-        except BaseException:
-            self._link.close()
-            raise
-        self._link.keep_alive()
+            self._link.keep_alive()
+            unfinished.pop_all()
         self._sending = threading.Lock()
         self._waiting: deque[queue.SimpleQueue[str | None]] = deque()
         self._received = bytearray()
@@ -202,23 +200,30 @@ class StopLine:
             try:
                 self._watch(self._reopened(Patience(_OPEN_WITHIN_S)), closing)
                 failures = 0
+                continue
             except LinkLost as error:
-                failures += 1
-                if failures >= _TRIES and not closing.is_set():
-                    self._lost(cause(error))
-                closing.wait(_AGAIN_S)
+                why = cause(error)
+            failures += 1
+            if failures >= _TRIES and not closing.is_set():
+                self._lost(why)
+            closing.wait(_AGAIN_S)
 
     def _watch(self, line: _Line, closing: threading.Event) -> None:
-        """Ask again and again, until the connection ends. Reports a silent one, and ends it."""
-        until_next, silence = Patience(0.0), Patience(_SILENT_S)
-        question: queue.SimpleQueue[str | None] | None = None
+        """Ask again and again, until the connection ends. Reports a silent one, and ends it.
+
+        Raises ``LinkLost`` if it ended before any answer.
+        """
+        until_next, silence, answers = Patience(_ASK_EVERY_S), Patience(_SILENT_S), 0
+        question: queue.SimpleQueue[str | None] | None = line.send(_QUESTION)
         while not (line.ended or closing.is_set()):
             line.pump(Patience(SLICE_S))
             if question is not None and not question.empty():
-                question, until_next = None, Patience(_ASK_EVERY_S)
+                question, until_next, answers = None, Patience(_ASK_EVERY_S), answers + (not line.ended)
             elif question is None and until_next.left_s < SLICE_S:
                 question, silence = line.send(_QUESTION), Patience(_SILENT_S)
             elif question is not None and silence.over:
-                self._lost(f"{line.where}: it left a question unanswered for {_SILENT_S:g} s")
                 line.end()
+                self._lost(f"{line.where}: it left a question unanswered for {_SILENT_S:g} s")
         line.close()
+        if not (answers or closing.is_set()):
+            raise LinkLost(f"{line.where}: the controller closed the connection at once")

@@ -72,6 +72,9 @@ class Brakes:
         except ArmError as error:
             self.failures += 1
             sys.stdout.write(f"not braked: {error}\n")
+            for arm in arms:
+                with suppress(ArmError):
+                    arm.stop()
             return
         barrier = threading.Barrier(len(arms))
         threads = [threading.Thread(target=self.brake, args=(arm, barrier)) for arm in arms]
