@@ -377,8 +377,8 @@ def test_the_journal_tells_each_stop_with_its_way_and_each_motion(stage: Stage) 
         with stage.connected("left", "dashboard") as (link, ours):
             stage.say(link, ours, asked)
     stage.set_right()
-    for line in ("left protective now", "left estop"):
-        assert stage.ask(line) == "ok null\n"
+    for order in ("left protective now", "left estop"):
+        assert stage.ask(order) == "ok null\n"
     ways = [how for _, how in journal(stage)[5:]]
     assert ways[:3] == ["dashboard: stop", "dashboard: pause", "dashboard: power off"]
     assert ways[-2:] == ["protective stop: commanded", "emergency stop"]
