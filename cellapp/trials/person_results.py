@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -12,14 +13,14 @@ from cellapp.results import Record, Result
 
 
 class PersonRow(Record):
-    """One row: ``median`` and ``worst`` in ``unit``, infinite where it never came; a bar that is None is not judged."""
+    """One row: ``median`` and ``worst`` in ``unit``, None where it never came; a ``median_bar`` None is not judged."""
 
     what: str
     before: str
     unit: Literal["ms", ""]
     n: int
-    median: float
-    worst: float
+    median: float | None
+    worst: float | None
     median_bar: float | None
     worst_bar: float
 
@@ -35,13 +36,15 @@ class PersonRow(Record):
     ) -> PersonRow:
         """Statistics of values, at least one."""
         return cls(
-            what=what, before=before, unit=unit, n=len(values), median=float(np.median(values)),
-            worst=float(max(values)), median_bar=median_bar, worst_bar=worst_bar,
+            what=what, before=before, unit=unit, n=len(values), median=_finite(float(np.median(values))),
+            worst=_finite(float(max(values))), median_bar=median_bar, worst_bar=worst_bar,
         )  # fmt: skip
 
     @property
     def kept(self) -> bool:
         """Whether the bars were kept."""
+        if self.worst is None or self.median is None:
+            return False
         return self.worst <= self.worst_bar and (self.median_bar is None or self.median <= self.median_bar)
 
 
@@ -66,6 +69,10 @@ def person_table(result: PersonResult) -> Table:
         bar = f"{row.worst_bar:g} {row.unit}".rstrip()
         if row.median_bar is not None:
             bar = f"median {row.median_bar:g}, worst {bar}"
-        median, worst = (Number(value, 0, row.unit) for value in (row.median, row.worst))
+        median, worst = ("never" if value is None else Number(value, 0, row.unit) for value in (row.median, row.worst))
         rows.append((row.what, row.before, row.n, median, worst, bar, "yes" if row.kept else "MISSED"))
     return Table(f"A person at the cell, beside {result.busy} busy processes", columns, tuple(rows))
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -28,6 +28,7 @@ def test_a_missed_bar_is_shown_and_the_command_fails(
 ) -> None:
     found = result(*values)
     assert person_table(found).rows[0][-1] == ("yes" if kept else "MISSED")
+    assert PersonResult.from_json(found.to_json(), "it") == found
     monkeypatch.setattr(person, "person_trial", lambda *_: found)
     ended = CliRunner().invoke(trials_app, ["links", "--person", str(Path("cell.yaml"))])
     assert isinstance(ended.exception, CheckFailed) != kept
