@@ -105,6 +105,12 @@ def links(
     moves: Annotated[int, typer.Option("--moves", min=2, help="Motions in all, of two arms at once.")] = 1000,
     every: Annotated[int, typer.Option("--every", min=2, help="Motions to each fault.")] = 20,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Draws targets and faults.")] = 0,
+    person: Annotated[
+        Path | None, typer.Option("--person", metavar="PROFILE", help="Press STOP in a terminal on this emulated cell.")
+    ] = None,
+    presses: Annotated[int, typer.Option("--presses", min=1, help="With --person: presses of each key.")] = 50,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, help="With --person: of each way to leave.")] = 10,
+    busy: Annotated[int, typer.Option("--busy", min=0, help="With --person: processes that compute beside it.")] = 0,
     json_file: JsonOption = None,
 ) -> None:
     """Two emulated UR arms under the real client, random faults: how soon every arm of the cell stops."""
@@ -112,6 +118,9 @@ def links(
     from cellapp.trials.tables import link_tables
 
     with Job(json_file) as job:
+        if person is not None:
+            _person(job, person, presses, repeats, busy)
+            return
         result = link_trials(moves, every, seed, job.listen, job.control)
         job.show(link_tables(result))
         job.say(f"{result.moves} moves, {result.faults} faults, {len(result.complaints)} complaints")
@@ -123,6 +132,17 @@ def links(
         job.result(result)
         if result.complaints:
             raise CheckFailed(f"trials links: {len(result.complaints)} things were not as specified; see above")
+
+
+def _person(job: Job, profile: Path, presses: int, repeats: int, busy: int) -> None:
+    from cellapp.trials.person import person_trial
+    from cellapp.trials.person_results import person_table
+
+    result = person_trial(profile, presses, repeats, busy, job.listen, job.control)
+    job.show([person_table(result)])
+    job.result(result)
+    if result.missed():
+        raise CheckFailed(f"trials links: bars were missed: {'; '.join(result.missed())}")
 
 
 @trials_app.command("bridge")

@@ -14,6 +14,7 @@ from cellapp.trials.league.trial import LeagueResult
 from cellapp.trials.link_results import LinksResult
 from cellapp.trials.paper import PaperResult
 from cellapp.trials.parameter_sets import ParameterSetsResult
+from cellapp.trials.person_results import PersonResult
 from cellapp.trials.plan_trial import PlanTrialsResult
 from cellapp.trials.sealed import SealResult
 from cellapp.trials.signature import SignatureResult
@@ -24,6 +25,7 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     ParameterSetsResult,
     PaperResult,
     LinksResult,
+    PersonResult,
     StormResult,
     BridgeResult,
     CampaignsResult,

@@ -152,7 +152,7 @@ class PressBench:
         """
         self._go_while_moving(PLACES[place], f"{key}, {place}")
         sent_s = self.terminal.send(KEYS[key])
-        latency_ms = {name: self._stop_ms(name, sent_s) for name in self.cell.arms}
+        latency_ms = {name: self.stop_ms(name, sent_s) for name in self.cell.arms}
         if key == "mouse":
             self.terminal.send(_RELEASED)
         if not self.cell.wait_at_rest(_RESTS_WITHIN_S):
@@ -178,7 +178,8 @@ class PressBench:
     def _began(self, since_s: float) -> bool:
         return any(self.cell.control(name, "starts", since_s) for name in self.cell.arms)
 
-    def _stop_ms(self, name: str, sent_s: float) -> float:
+    def stop_ms(self, name: str, sent_s: float) -> float:
+        """Time from ``sent_s`` to the stop command at a controller [ms]; infinite if none comes."""
         if not comes_about(lambda: bool(self.cell.control(name, "stops", sent_s)), sent_s + _STOPS_WITHIN_S):
             return float("inf")
         return float(self.cell.control(name, "stops", sent_s)[0]["received_s"] - sent_s) * 1e3
