@@ -117,8 +117,8 @@ class UrArm(GuardedLink):
         self._raise_failed(
             [check for check in checks(self._expected, probe) if check.subject not in ("program", "state")]
         )
-        program = "" if probe.sample is None else probe.sample.program
-        if program != "STOPPED" and self._program.may_run:
+        stopped = probe.sample is not None and probe.sample.program == "STOPPED" and not probe.program_running
+        if not stopped and self._program.may_run:  # the two may differ: its watchdog may just have ended it
             self._require_rest(look=going_on)
             probe = self._probe(going_on)
         results = checks(self._expected, probe)
