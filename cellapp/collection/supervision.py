@@ -268,7 +268,8 @@ class Supervisor:
                     self._resumed("by a person")
                     return
                 reason = self.reaction.causes[-1].text
-                self.record(self.reaction.causes[-1].kind, reason)
+                for cause in self.reaction.causes[len(shown) :]:  # a person's stop too, where a doubt followed it
+                    self.record(cause.kind, cause.text)
             except HardwareError as error:
                 reason = str(error)
                 by_person = (cause.kind for cause in self.reaction.causes if all(cause is not one for one in shown))
