@@ -152,17 +152,10 @@ class UrControl:
     def within_safety_limits(self, q: Sequence[float]) -> bool:
         """Return whether the controller's safety configuration allows the joint positions. Raises ``Refusal``."""
         allowed = self._asked(lambda: self._control.isJointsWithinSafetyLimits(q))
-        self._require_answered(allowed)
+        # an unanswered question also counts as "not allowed" in the client
+        if not allowed and not (self.connected and self.program_runs):
+            raise failed("its control program ended while it was asked about safety limits")
         return bool(allowed)
-
-    def confirm(self) -> None:
-        """Ask the control program something that changes nothing. Raises ``Refusal``."""
-        self._require_answered(self._asked(self._control.isSteady))
-
-    def _require_answered(self, answer: Any) -> None:
-        """Raise if an answer that also stands for none, "no", is none."""
-        if not answer and not (self.connected and self.program_runs):
-            raise failed("its control program ended while it was asked a question")
 
     def _asked(self, question: Callable[[], Any]) -> Any:
         """Return the control program's answer. Raises ``Refusal``: the client raises for some that are not served."""

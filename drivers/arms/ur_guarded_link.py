@@ -66,7 +66,7 @@ class GuardedLink:
         return None if worker is None else worker.pid
 
     def confirm(self) -> None:
-        """Ask the dashboard, then the worker, and over that the arm's state and its control program.
+        """Ask the dashboard, then the worker, and over that the arm's state and whether its control program runs.
 
         Raises ``LinkLost``, or the arm's fault; the listener has been told.
         """

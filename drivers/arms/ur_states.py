@@ -11,7 +11,7 @@ from drivers.arms.ur_control import UrControl
 from drivers.arms.ur_motion import WorkerSample
 from drivers.patience import Patience
 
-_SILENT_S = 0.3
+SILENT_S = 0.3
 """The arm's state is unknown if no new one comes for this long."""
 _SILENT_LOOKS = 10
 """And if the worker has looked this often meanwhile: a process that was not scheduled has not looked."""
@@ -71,11 +71,11 @@ class States:
             self._time_s, self._news_s, self._looks_without_news = sample.time_s, now, 0
             return sample, True
         self._looks_without_news += 1
-        if now - self._news_s > _SILENT_S and self._looks_without_news > _SILENT_LOOKS:
-            self.lost(f"no state came for {_SILENT_S:g} s")
+        if now - self._news_s > SILENT_S and self._looks_without_news > _SILENT_LOOKS:
+            self.lost(f"no state came for {SILENT_S:g} s")
         return sample, False
 
-    def next(self, within_s: float = _SILENT_S) -> WorkerSample:
+    def next(self, within_s: float = SILENT_S) -> WorkerSample:
         """Return the first state that the controller sends after this call; end if none comes ``within_s`` [s]."""
         self._note_look()
         before = self._control.time_s

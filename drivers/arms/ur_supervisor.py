@@ -26,7 +26,7 @@ from drivers.arms.ur_motion import (
     leading_rates,
 )
 from drivers.arms.ur_safety import not_ready
-from drivers.arms.ur_states import States
+from drivers.arms.ur_states import SILENT_S, States
 from drivers.patience import Patience, RunningTime
 
 _FIRST_STATE_WITHIN_S = 2.0
@@ -110,14 +110,13 @@ class Supervisor:
         computer that is busy just then would end the program.
         """
         tcp = self._control.tcp()
-        self._states.next(_FIRST_STATE_WITHIN_S)
-        state = self.state()
+        state = self.state(_FIRST_STATE_WITHIN_S)
         self._start_watchdog()
         return {**state, "tcp": tcp}
 
-    def state(self) -> dict[str, Any]:
-        """Return the next state of the arm."""
-        state = self._states.next().as_dict()
+    def state(self, within_s: float = SILENT_S) -> dict[str, Any]:
+        """Return the next state of the arm, which must come ``within_s`` [s]."""
+        state = self._states.next(within_s).as_dict()
         fault = self._fault
         return {
             **state,
@@ -141,13 +140,17 @@ class Supervisor:
         return LiveArm(self._states.age_s, self.may_move or self._fast)
 
     def confirm(self) -> dict[str, Any]:
-        """Return the next state; at rest, after the control program has answered, too."""
-        if not (self._halted or self.may_move or self._application.braked) and self._control.program_runs:
-            try:
-                self._control.confirm()
-            except Refusal as refusal:
-                raise self._not_served(refusal) from refusal
-        return self.state()
+        """Return the next state, which shows whether the program runs; both connections must be open then.
+
+        That the program runs proves the connection for commands: its watchdog ends it a fifth of a second after the
+        last kick that came through. A question to the program would prove it at once, but keeps kicks from being sent.
+        """
+        state = self.state()
+        self._states.check_links()
+        meant = self._halted or self._application.braked
+        if state["program"] != "PLAYING" and not (meant or self._control.program_runs):
+            raise self._not_served(failed("its control program has ended"))
+        return state
 
     def move(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Begin a motion."""

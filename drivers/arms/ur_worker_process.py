@@ -216,7 +216,7 @@ class WorkerProcess:
         try:
             answer = patient_get(answered, Patience(within_s))
         except queue.Empty:
-            raise WorkerGone(f"no answer to '{request}' within {within_s:g} s") from None
+            raise WorkerGone(f"its driver process did not answer '{request}' within {within_s:.1f} s") from None
         finally:
             with self._lock:
                 self._pending.pop(number, None)

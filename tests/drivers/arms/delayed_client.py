@@ -96,9 +96,6 @@ class DelayedClient:
     def servoStop(self, *_: object) -> bool:
         return True
 
-    def isSteady(self) -> bool:
-        return True
-
     def end_program(self, *_: object) -> bool:
         """A command that is not served, because the program ended."""
         self.playing = False
