@@ -186,6 +186,27 @@ async def test_a_button_refuses_the_motion() -> None:
 
 
 @pytest.mark.fast
+async def test_a_resume_that_is_handled_after_a_later_stop_does_not_undo_it() -> None:
+    moving = MovingJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await started(pilot, app, moving)
+        given = app.presses.give()  # as the thread does that reads the terminal
+        assert given is not None
+        requests: list[str] = []
+        app.action_resume()
+        requests.append(moving.control.request)  # it may have been pressed before
+        app.post_message(given)
+        await until(pilot, lambda: "STOP: all arms brake" in log_text(app), "the words")
+        await until(pilot, lambda: not app.presses.just_given, "a moment later")
+        app.action_resume()
+        requests.append(moving.control.request)
+        assert requests == ["stop", "none"]
+        assert [verb for verb, _ in moving.brakes] == ["stop"]
+        await aborted(pilot, app)
+
+
+@pytest.mark.fast
 async def test_leaving_brakes_and_ends_a_job_that_holds() -> None:
     moving = MovingJob()
     app = CellApp(PROFILES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -46,8 +45,11 @@ class Held:
         before = len(self.calls())
         self.terminal.send(keys)
         assert comes_about(lambda: len(self.calls()) >= before + calls, time.monotonic() + WAIT_S), f"{keys!r}"
-        threading.Event().wait(QUIET_S)
-        assert len(self.calls()) == before + calls, f"{keys!r}: {self.calls()[before:]}"
+        self.stays(before + calls)
+
+    def stays(self, calls: int, for_s: float = QUIET_S) -> None:
+        """Watch for a while that the brakes are not called any more."""
+        assert not comes_about(lambda: len(self.calls()) != calls, time.monotonic() + for_s), self.calls()[calls:]
 
     def says(self, *words: str) -> None:
         """Wait for words on the screen, wherever its lines break."""
@@ -55,7 +57,7 @@ class Held:
 
     def resume(self) -> None:
         """Resume, later than a press that could have been made before the stop."""
-        threading.Event().wait(QUIET_S)
+        self.stays(len(self.calls()))
         self.terminal.send("c")
         self.says("resumed by a person")
 
@@ -136,13 +138,12 @@ def test_what_is_no_press_of_stop_stops_nothing(running: Held, keys: bytes) -> N
 def test_an_arrow_in_two_parts_stops_nothing(running: Held) -> None:
     before = len(running.calls())
     split_arrow(running)
-    threading.Event().wait(QUIET_S)
-    assert len(running.calls()) == before
+    running.stays(before)
 
 
 def test_a_paste_whose_end_is_lost_does_not_hide_stop(running: Held) -> None:
     running.terminal.send(b"\x1b[200~half a tex")
-    threading.Event().wait(1.0)
+    running.stays(len(running.calls()), 1.0)
     running.press(b"\x03", 1)
     running.resume()
 
@@ -150,9 +151,10 @@ def test_a_paste_whose_end_is_lost_does_not_hide_stop(running: Held) -> None:
 def test_a_resume_that_was_pressed_before_a_stop_does_not_undo_it(running: Held) -> None:
     running.press(b"\x1b", 1)
     running.says("STOPPED")
-    threading.Event().wait(QUIET_S)
+    running.stays(len(running.calls()))
     running.press(b"c\x03", 1)
-    running.says("STOPPED", "in the same moment")
+    running.terminal.quiet(QUIET_S)
+    running.says("collect STOPPED")
     running.resume()
 
 
