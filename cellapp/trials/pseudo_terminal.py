@@ -17,6 +17,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 ENVIRONMENT = {"TERM": "xterm-256color", "COLORTERM": "truecolor"}
+_SIZE_OF_ANOTHER = ("COLUMNS", "LINES")
+"""Variables that programs prefer to the size of their terminal; the readline library sets them for child processes."""
 _POLL_S = 0.2
 _ENDS_WITHIN_S = 30.0
 _KEPT = 200_000
@@ -52,9 +54,10 @@ class PseudoTerminal:
         self._drawn = ""
         self._master, slave = pty.openpty()
         fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
+        inherited = {name: value for name, value in os.environ.items() if name not in _SIZE_OF_ANOTHER}
         self.began_s = time.monotonic()
         self.process = subprocess.Popen(
-            command, cwd=folder, env={**os.environ, **ENVIRONMENT, **(environment or {})}, stdin=slave, stdout=slave,
+            command, cwd=folder, env={**inherited, **ENVIRONMENT, **(environment or {})}, stdin=slave, stdout=slave,
             stderr=slave, start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
         )  # fmt: skip
         os.close(slave)

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from drivers.arms.protocol import MotionStopped
+from drivers.arms.protocol import ArmError, MotionStopped
 from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.emulated_ur_cell import (
@@ -116,6 +116,25 @@ def while_a_port_is_silent(emulator: EmulatorProcess, arm: UrArm, *, port: str) 
         assert_nothing_runs(emulator, arm, 0.2)
 
 
+def while_programs_are_not_read(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """A program that was sent before the refusal may be read and start later: it moves nothing, and is not ignored."""
+    for took in attempts(ended=ENDS_WITHIN_S):
+        emulator.control(arm.name, "fault", "script", "silent")
+        took["ended"] = interrupted(arm, UrArm.refuse_motion, lambda: pause(0.1))
+        arm.disconnect()
+        moves = emulator.control(arm.name, "status")["moves"]
+        emulator.control(arm.name, "fault", "script", "none")
+        pause(0.2)
+        status = emulator.control(arm.name, "status")
+        assert (status["moves"], status["moving"]) == (moves, False)
+        if status["runtime_state"] == "PLAYING":
+            with pytest.raises(ArmError, match="program: a program runs, and the arm may move; stop it on the pendant"):
+                arm.connect()
+            arm.disconnect()
+        emulator.control(arm.name, "power-off")  # ends the program
+        make_ready(emulator, arm)
+
+
 def at_any_moment(emulator: EmulatorProcess, arm: UrArm, *, again: bool) -> None:
     """Of a first connection, or of one after a brake. Nothing runs afterwards, and nothing has moved."""
     moments = random.Random(17)
@@ -165,7 +184,7 @@ ROUNDS: dict[str, dict[str, list[Episode]]] = {
         "left": [start("refuse_motion")],
         "right": [start("brake")],
         "left2": [silent("dashboard"), silent("rtde")],
-        "right2": [silent("primary"), silent("script")],
+        "right2": [silent("primary"), while_programs_are_not_read],
     },
     "any moment": {
         "left": [partial(at_any_moment, again=False)],
