@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +116,16 @@ def test_each_state_says_what_can_be_done(state: JobState, request_: Request, wo
     assert found.word == word
     assert sentence in found.sentence
     assert ("because" in found.sentence) == (state != "running")
+
+
+def test_a_stopped_job_says_what_a_person_may_do_though_an_arm_gives_no_data() -> None:
+    record = JobRecord(name="collect", state="stopped", reason="arm right: link lost", lost=("arm right",))
+    found = headline(Workspace(), record, "none")
+    assert (found.word, found.sentence) == (
+        "STOPPED",
+        "arm right: link lost. c resumes when the cell is clear; x ends it.",
+    )
+    assert headline(Workspace(), replace(record, state="running"), "none").word == "NO DATA"
 
 
 @pytest.mark.parametrize("state", ["running", "stopped"])

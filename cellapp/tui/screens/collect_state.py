@@ -70,7 +70,7 @@ def headline(workspace: Workspace, record: JobRecord, request: Request) -> Headl
     state = record.state
     if state in ("running", "pausing") and record.causes:  # the job's thread has not noticed yet, or hangs
         return Headline("STOPPED", f"{'; '.join(record.causes).rstrip('.')}. {_DOING['stopped'][1]}", "halted")
-    if record.lost:
+    if record.lost and state != "stopped":  # a stopped job says why, and what a person may do; the strip shows the ages
         text = f"from {', '.join(record.lost)}: what is shown of it is old. Escape brakes all arms."
         return Headline("NO DATA", text, "halted")
     if state == "running" and request != "none":
