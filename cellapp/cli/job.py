@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from cellapp.control import Aborted, JobControl
 from cellapp.errors import CellappError, CheckFailed, InputError
 from cellapp.progress import Progress, StateChange, Suspicion, eta_words
-from cellapp.signals import available, watch_signals
+from cellapp.signals import available, ended_by, watch_signals
 
 if TYPE_CHECKING:
     from cellapp.reporting.table import Table
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
 HANGUP = available("SIGHUP")
 """The terminal was closed. It may come twice: once from the system, once from the shell."""
+_BY_KEY = available("SIGINT", "SIGBREAK")
+"""A person pressed Ctrl-C; everything else that ends the job is recorded as what it was."""
 _SUSPENDS = available("SIGTSTP")
 _LAST_WORDS_S = 1.0
 """How long the end of a job waits for its messages to be printed."""
@@ -144,7 +146,10 @@ class Job:
             self.control.abort()
             self._announce("abort: the job ends at once")
         elif number in INTERRUPTS or number in HANGUP:
-            self.control.stop()
+            if number in _BY_KEY:
+                self.control.stop()
+            else:
+                self.control.leave(ended_by(number))
             what = "all arms brake now; the job then ends" if arms else "the job ends at its next step"
             self._announce(f"stop: {what} and can be resumed. Once more: end at once")
         elif number in _SUSPENDS and not arms:

@@ -62,14 +62,16 @@ class PersonResult(Result):
 
 
 def person_table(result: PersonResult) -> Table:
-    """All rows, with what was met on 2026-11-23 before."""
-    columns = (Column("what"), Column("2026-11-23"), *(Column(t) for t in ("n", "median", "worst", "bar", "kept")))
+    """All rows; *before* is what was met on 2026-11-23. A bar is of the worst, or of median and worst."""
+    columns = (
+        Column("to the stop, ms"),
+        Column("before"),
+        *(Column(t) for t in ("n", "median", "worst", "bar", "kept")),
+    )
     rows: list[tuple[Cell, ...]] = []
     for row in result.rows:
-        bar = f"{row.worst_bar:g} {row.unit}".rstrip()
-        if row.median_bar is not None:
-            bar = f"median {row.median_bar:g}, worst {bar}"
-        median, worst = ("never" if value is None else Number(value, 0, row.unit) for value in (row.median, row.worst))
+        bar = f"{row.worst_bar:g}" if row.median_bar is None else f"{row.median_bar:g}, {row.worst_bar:g}"
+        median, worst = ("never" if value is None else Number(value, 0) for value in (row.median, row.worst))
         rows.append((row.what, row.before, row.n, median, worst, bar, "yes" if row.kept else "MISSED"))
     return Table(f"A person at the cell, beside {result.busy} busy processes", columns, tuple(rows))
 

@@ -85,11 +85,15 @@ def undisturbed_profile(profile: Profile) -> Profile:
 
 @dataclass(frozen=True)
 class StormCell:
-    """The emulated cell as a person at it sees it: pendants, cables, buttons, and the tracker's computer."""
+    """The emulated cell as a person at it sees it: pendants, cables, buttons, and the tracker's computer.
+
+    ``pid`` is the process in which all of it lives.
+    """
 
     arms: tuple[str, ...]
     control: Control
     bridge: EmulatedTracker
+    pid: int
 
     def tracker_fault(self, kind: str) -> None:
         """Let the bridge fail at its next measurement; a bridge that restarts at this moment is left alone."""
@@ -153,7 +157,8 @@ def emulated_cell(profile: Profile, pace: float, *, watch_clearance: bool = True
             raise HardwareError(f"the emulated cell does not start: {answer}")
         control = Control(("127.0.0.1", answer[0]))
         try:
-            yield StormCell(tuple(profile.arms), control, answer[1])
+            assert process.pid is not None
+            yield StormCell(tuple(profile.arms), control, answer[1], process.pid)
         finally:
             control.close()
     finally:

@@ -16,14 +16,18 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.errors import HardwareError
+from cellapp.errors import HardwareError, InputError
 from cellapp.pipeline import new_planned_run
-from cellapp.profile import load_profile
+from cellapp.profile import Profile, load_profile
 from cellapp.trials.polling import comes_about
 from cellapp.trials.pseudo_terminal import PseudoTerminal
 from cellapp.trials.storm_cell import StormCell, emulated_cell
+from cellapp.trials.tcp_relay import TcpRelay
+from drivers.trackers.bridge_settings import BridgeSettings
 
 COLUMNS, ROWS = 120, 40
+RUN = Path("logs") / "presses"
+"""The folder of the run, in the folder of the application."""
 KEYS: Mapping[str, bytes] = {
     "Escape": b"\x1b",
     "Ctrl-C": b"\x03",
@@ -97,11 +101,14 @@ class Press:
 class PressBench:
     """The application that collects in a pseudo terminal, and its emulated cell.
 
-    ``random`` draws how long after the begin of a motion a key is pressed.
+    ``tracker`` is the way to the tracker, ``folder`` the folder of the application. ``random`` draws how long after the
+    begin of a motion a key is pressed.
     """
 
-    def __init__(self, terminal: PseudoTerminal, cell: StormCell, random: np.random.Generator) -> None:
-        self.terminal, self.cell, self._random = terminal, cell, random
+    def __init__(
+        self, terminal: PseudoTerminal, cell: StormCell, tracker: TcpRelay, folder: Path, random: np.random.Generator
+    ) -> None:
+        self.terminal, self.cell, self.tracker, self.folder, self._random = terminal, cell, tracker, folder, random
 
     def begin(self) -> None:
         """Open the first run of the folder and begin to collect."""
@@ -131,7 +138,7 @@ class PressBench:
             lambda: all(one["moving"] for one in self.cell.status().values()), time.monotonic() + _MOVES_WITHIN_S
         )
 
-    def _go_while_moving(self, place: Place, what: str) -> None:
+    def go_while_moving(self, place: Place, what: str) -> None:
         """Go to a place and wait until all arms move there; a busy computer may stop them meanwhile: then resume."""
         for _ in range(_TRIES):
             self._go(place)
@@ -150,7 +157,7 @@ class PressBench:
         HardwareError
             If the arms do not move before, do not rest after the stop, or do not move again after resume.
         """
-        self._go_while_moving(PLACES[place], f"{key}, {place}")
+        self.go_while_moving(PLACES[place], f"{key}, {place}")
         sent_s = self.terminal.send(KEYS[key])
         latency_ms = {name: self.stop_ms(name, sent_s) for name in self.cell.arms}
         if key == "mouse":
@@ -193,16 +200,32 @@ def _contains(words: str, text: str) -> bool:
 def press_bench(profile_path: Path, folder: Path, seed: int = 1) -> Iterator[PressBench]:
     """Plan a run in ``folder/logs``, emulate its cell in real time, and open the application in ``folder``.
 
-    ``profile_path`` is a profile in ``folder/profiles`` whose arms and tracker are emulated.
+    ``profile_path`` is a profile in ``folder/profiles`` whose arms and tracker are emulated; the tracker's address is
+    changed in it. Raises ``InputError`` for another one, ``HardwareError`` if what must be drawn never is.
     """
     profile = load_profile(profile_path)
-    new_planned_run(profile, folder / "logs" / "presses").close()
-    with emulated_cell(profile, 1.0, watch_clearance=False) as cell:
+    with (
+        emulated_cell(profile, 1.0, watch_clearance=False) as cell,
+        TcpRelay((cell.bridge.host, cell.bridge.port)) as tracker,
+    ):
+        _reach_through(tracker, profile, profile_path)
+        new_planned_run(load_profile(profile_path), folder / RUN).close()
         terminal = PseudoTerminal([sys.executable, "-m", "cellapp"], folder, COLUMNS, ROWS)
         try:
-            yield PressBench(terminal, cell, np.random.default_rng(seed))
+            yield PressBench(terminal, cell, tracker, folder, np.random.default_rng(seed))
+        except TimeoutError as error:
+            raise HardwareError(f"the terminal application: {error}") from error
         finally:
             terminal.close()
+
+
+def _reach_through(relay: TcpRelay, profile: Profile, profile_path: Path) -> None:
+    """Write the relay's address into the file of the profile: a run remembers from which profile it was planned."""
+    driver = profile.tracker.driver
+    text = profile_path.read_text("utf-8")
+    if not isinstance(driver, BridgeSettings) or driver.url not in text:
+        raise InputError(f"{profile_path.name}: tracker.driver: presses need kind 'bridge' with a url on this computer")
+    profile_path.write_text(text.replace(driver.url, f"socket://{relay.host}:{relay.port}"), "utf-8")
 
 
 def measure_presses(

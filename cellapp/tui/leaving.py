@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import threading
 import time
 from typing import TYPE_CHECKING
 
-from cellapp.signals import available, watch_signals
+from cellapp.signals import TERMINAL_CLOSED, available, ended_by, watch_signals
 from cellapp.tui.endings import STOPPED, forget_terminal
 from cellapp.tui.messages import LeaveAsked
 
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 
 LEFT = "a person left the application"
 ENDED = "the terminal application ended"
-_TERMINAL_CLOSED = "the terminal was closed"
 """What a run records as the cause of the stop."""
 _ENDING = available("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 _CLOSED = available("SIGHUP")
@@ -58,7 +56,7 @@ class Leaving:
         if number in _CLOSED:
             self.close_terminal()
         elif number in _ENDING:
-            control.leave(f"the program was asked to end ({signal.Signals(number).name})")
+            control.leave(ended_by(number))
             self._end(_LAST_WORDS_S)
         elif control.request == "pause":
             control.resume()
@@ -67,7 +65,7 @@ class Leaving:
 
     def close_terminal(self) -> None:
         """Leave because the terminal is gone; from any thread."""
-        self._app.jobs.control.leave(_TERMINAL_CLOSED)
+        self._app.jobs.control.leave(TERMINAL_CLOSED)
         forget_terminal()
         self._end(_LAST_WRITES_S)
 

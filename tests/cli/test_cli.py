@@ -912,12 +912,25 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     check_resumes(long_run, call)
 
 
-def test_interrupted_it_exits_with_four_and_is_resumed(long_run: Path, call: Any) -> None:
-    ended = interrupted(long_run, signal.SIGINT)
+@pytest.mark.parametrize(
+    ("number", "cause"),
+    [
+        (signal.SIGINT, "a person stopped the arms"),
+        (signal.SIGTERM, "the program was asked to end (SIGTERM)"),
+        (signal.SIGHUP, "the terminal was closed"),
+    ],
+    ids=["Ctrl-C", "SIGTERM", "closed terminal"],
+)
+def test_interrupted_it_exits_with_four_says_by_what_and_is_resumed(
+    long_run: Path, call: Any, number: int, cause: str
+) -> None:
+    ended = interrupted(long_run, number)
     assert ended.returncode == 4, ended.stderr
     assert "Traceback" not in ended.stderr
     assert "'cellapp collect DIR --resume'" in ended.stderr
     assert not (long_run / "run.sqlite-wal").exists(), "the file is whole"
+    with RunFile.open(long_run) as run:
+        assert cause in run.sessions()[-1].requests[-1][-1]
     check_resumes(long_run, call)
 
 
