@@ -187,10 +187,14 @@ class Supervisor:
             If the cause needs a person and none attends the job, or an arm was not seen at rest.
         """
         unseen = self.reaction.wait_at_rest()
-        causes = self.reaction.causes or (stopped.cause,)
+        known = self.reaction.causes
+        causes = known or (stopped.cause,)
         kinds = {cause.kind for cause in causes}
         text = "; ".join([*(cause.text for cause in causes), *_watch_out(unseen)])
         self._say(causes[0].kind, StateChange("aborted" if "abort" in kinds else "stopped", text))
+        for cause in causes[1:]:
+            if cause.kind in _BY_PERSON:  # under its own name, though another cause came first
+                self.record(cause.kind, cause.text)
         if unseen and (self.control.cancelled or not self.control.holds):
             raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
         self.control.check()
@@ -200,7 +204,7 @@ class Supervisor:
             raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
         if kinds != {"stop"}:  # a person may have resumed that stop already, before the other cause came
             self.control.hold()
-        self._hold_for_person(text)
+        self._hold_for_person(text, known)
 
     def _resumes_after_stall(self, causes: Sequence[StopCause], text: str) -> bool:
         """Resume after a stall of this computer, if the profile allows it and nothing else has happened."""
@@ -248,16 +252,16 @@ class Supervisor:
         if not self.control.holds:
             return False
         self.control.hold()
-        self._hold_for_person(reason)
+        self._hold_for_person(reason, self.reaction.causes)
         return True
 
-    def _hold_for_person(self, reason: str) -> None:
+    def _hold_for_person(self, reason: str, shown: Sequence[StopCause]) -> None:
         """Wait until the request to hold is taken back and every arm is ready; only then release the latch.
 
-        A cause that comes meanwhile is shown, and needs another ``resume``.
+        ``shown`` are the causes that were recorded. One that comes meanwhile is shown, and needs another ``resume``.
         """
+        shown = tuple(shown)
         while True:
-            shown = self.reaction.causes
             self.emit(StateChange("stopped", f"{reason}; resume when the cell is clear, or abort"))
             while self.control.request in ("stop", "pause") and self.reaction.causes == shown:
                 _attend(self.cell, self.control)
@@ -267,14 +271,16 @@ class Supervisor:
                     self._release(shown)
                     self._resumed("by a person")
                     return
-                reason = self.reaction.causes[-1].text
-                for cause in self.reaction.causes[len(shown) :]:  # a person's stop too, where a doubt followed it
+                causes = self.reaction.causes
+                reason = causes[-1].text
+                for cause in causes[len(shown) :]:  # a person's stop too, where a doubt followed it
                     self.record(cause.kind, cause.text)
             except HardwareError as error:
-                reason = str(error)
-                by_person = (cause.kind for cause in self.reaction.causes if all(cause is not one for one in shown))
+                reason, causes = str(error), self.reaction.causes
+                by_person = (cause.kind for cause in causes if all(cause is not one for one in shown))
                 kind = next((kind for kind in by_person if kind in _BY_PERSON), "not released")
                 self.record(kind, reason)
+            shown = causes
             self.control.hold()
 
     def _release(self, known: Sequence[StopCause]) -> None:
