@@ -87,7 +87,7 @@ def test_faults_come_in_order_and_from_the_seed() -> None:
 def test_going_on_without_a_person_is_found(
     bench: Bench, campaigns: list[Campaign], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def release_at_once(self: Supervisor, reason: str) -> None:
+    def release_at_once(self: Supervisor, reason: str, shown: object) -> None:
         self.control.resume()
         self._release(self.reaction.causes)
 
