@@ -134,12 +134,6 @@ def _quit(terminal: PseudoTerminal) -> float:
     return terminal.send("y")
 
 
-def _close(terminal: PseudoTerminal) -> float:
-    left_s = time.monotonic()
-    terminal.hang_up()
-    return left_s
-
-
 @dataclass(frozen=True)
 class Leave:
     """A way to leave the application; ``recorded`` is what the run then says."""
@@ -150,7 +144,7 @@ class Leave:
 
 LEAVES: Mapping[str, Leave] = {
     "Ctrl-Q and yes": Leave(_quit, "a person left the application"),
-    "terminal closed": Leave(_close, "the terminal was closed"),
+    "terminal closed": Leave(PseudoTerminal.hang_up, "the terminal was closed"),
 }
 
 

@@ -62,7 +62,7 @@ class PersonResult(Result):
 
 
 def person_table(result: PersonResult) -> Table:
-    """All rows; *before* is what was met on 2026-11-23. A bar is of the worst, or of median and worst."""
+    """All rows; *was* is the worst that was met on 2026-11-23. A bar is of the worst, or of median and worst."""
     columns = (
         Column("to the stop, ms"),
         Column("before"),

@@ -127,11 +127,13 @@ class PseudoTerminal:
             while self._changed.wait(for_s) and time.monotonic() < end_s:
                 pass
 
-    def hang_up(self) -> None:
-        """Close the terminal, as a person closes its window."""
+    def hang_up(self) -> float:
+        """Close the terminal, as a person closes its window; return when [s] (``time.monotonic``), just before."""
         self._open = False
         self._reader.join()
+        closed_s = time.monotonic()
         os.close(self._master)
+        return closed_s
 
     def close(self) -> None:
         """End the program, whatever it does."""
