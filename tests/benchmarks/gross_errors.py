@@ -10,6 +10,7 @@ much longer the calibration of a clean cell takes than without looking for gross
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -113,7 +114,7 @@ def slowdown() -> tuple[float, float]:
     for kind in ("none", "mlp"):
         chosen = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": kind})})
         with_search = seconds(chosen, readings)
-        with mock.patch.object(calibrate, "gross_errors_of_geometry", lambda *_: np.zeros(1, dtype=np.bool_)):
+        with mock.patch.object(calibrate, "gross_errors_of_geometry", return_value=np.zeros(1, dtype=np.bool_)):
             ratios.append(with_search / seconds(chosen, readings))
     return ratios[0], ratios[1]
 
@@ -141,15 +142,18 @@ def main() -> None:
                     q, p_M = arm.readings.q[good], arm.readings.p_M[good]
                     errors = [float(position_errors(p_M, one.predict(q)).mean()) for one in (model, plain)]
                     ratios.setdefault((arm.name, kind), []).append(errors[0] / errors[1])
-    for (name, kind), of_all in ratios.items():
-        print(f"{name:10} {kind!s:8} mean {np.mean(of_all):.4f}  largest {np.max(of_all):.4f}  n {len(of_all)}")
     everything = np.concatenate(list(ratios.values()))
     beyond = np.count_nonzero(everything > 1.03)
-    print(
-        f"all: mean {everything.mean():.4f}, largest {everything.max():.4f}, {beyond} of {len(everything)} above 1.03"
-    )
-    print(f"clean: {clean['left out']} of {clean['readings']} readings left out")
-    print("time on clean data: {:.2f} times, with networks {:.2f} times".format(*slowdown()))
+    lines = [
+        f"{name:10} {kind!s:8} mean {np.mean(of_all):.4f}  largest {np.max(of_all):.4f}  n {len(of_all)}"
+        for (name, kind), of_all in ratios.items()
+    ]
+    lines += [
+        f"all: mean {everything.mean():.4f}, largest {everything.max():.4f}, {beyond} of {len(everything)} above 1.03",
+        f"clean: {clean['left out']} of {clean['readings']} readings left out",
+        "time on clean data: {:.2f} times, with networks {:.2f} times".format(*slowdown()),
+    ]
+    sys.stdout.write("\n".join([*lines, ""]))
 
 
 if __name__ == "__main__":
