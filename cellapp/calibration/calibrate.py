@@ -190,7 +190,8 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
     fitted = _fitted(profile, name, readings)
     for _ in range(ROUNDS):
         good = fitted.readings
-        wrong = gross_errors_of_geometry(fitted.identification.geometry, fitted.nominal, good.q, good.p_M)
+        learned = len(good.in_split("identify"))
+        wrong = gross_errors_of_geometry(fitted.identification.geometry, fitted.nominal, good.q, good.p_M, learned)
         if not wrong.any():
             break
         fitted = _fitted(profile, name, good.take(~wrong), robust=True)
