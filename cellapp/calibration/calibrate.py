@@ -5,13 +5,14 @@ from __future__ import annotations
 import platform
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
 import numpy as np
 
 from cellapp.calibration.arm_identification import identify_with_excess
 from cellapp.calibration.evaluation import evaluate, repeatability
+from cellapp.calibration.gross_errors import ROUNDS, gross_errors_of_geometry, left_out_words, without
 from cellapp.calibration.identification import Identification, TooFewReadings, start_from_nominal
 from cellapp.calibration.network_training import Shape, Training, train_network, training_steps
 from cellapp.calibration.pair_calibration import PairCalibration, calibrate_pair
@@ -28,7 +29,7 @@ from cellapp.model.nominal import (
     up_in_tracker,
 )
 from cellapp.plugins import program_of
-from cellapp.profile import Profile
+from cellapp.profile import Arm, Profile
 from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.results import ArmPriorResult, Provenance, Repeatability, Stage, StageErrors
 from cellapp.run import SPLITS, Readings, stated_uncertainty
@@ -36,6 +37,10 @@ from cellapp.run import SPLITS, Readings, stated_uncertainty
 _BASE_STEPS = training_steps()
 _TRAINING_STEPS = _BASE_STEPS + training_steps(1)
 """Steps of an arm's training: in the base frame, and of the best shape in the tracker frame."""
+_HARDLY_BETTER = 0.9
+"""Share of the nominal error from which an identified geometry is hardly better."""
+_OF_NOISE = 3.0
+"""Multiple of the tracker's noise below which an error is no reason to look for wrong readings."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,10 @@ class ArmCalibration:
         The same network trained in the tracker frame, the counter-example of Bai et al. (2023).
     prior : ArmPriorResult or None
         The earlier calibration that was taken as prior; identification and model are then with it, without a network.
+    left_out : tuple of int
+        Configurations of readings with gross errors. Nothing here rests on them: no parameter, no held-out error.
+    left_out_counts : mapping
+        Their number in each split.
     """
 
     model: ArmModel
@@ -73,6 +82,8 @@ class ArmCalibration:
     training: Training | None = None
     tracker_frame_network: ResidualNetwork | None = None
     prior: ArmPriorResult | None = None
+    left_out: tuple[int, ...] = ()
+    left_out_counts: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -123,7 +134,8 @@ def calibrate_readings(
                 arms[name] = task.result()
     listener(Progress("calibrate", total - 1, total, "pair"))
     cancel.check()
-    pair, pair_notes = calibrate_pair(profile, readings, arms)
+    good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
+    pair, pair_notes = calibrate_pair(profile, good, arms)
     notes += pair_notes
     names = tuple(profile.arms)
     provenance = provenance_of(profile)
@@ -171,22 +183,55 @@ def profile_splits(
 
 
 def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmCalibration, list[str]]:
-    """Identify one arm on its identify split, evaluate it on its validate split; and notes."""
-    arm = profile.arms[name]
+    """Identify one arm on its identify split, evaluate it on its validate split; and notes.
+
+    Readings with gross errors are found among all of them and left out of everything, also of the held-out errors.
+    """
+    fitted = _fitted(profile, name, readings)
+    for _ in range(ROUNDS):
+        good = fitted.readings
+        learned = len(good.in_split("identify"))
+        wrong = gross_errors_of_geometry(fitted.identification.geometry, fitted.nominal, good.q, good.p_M, learned)
+        if not wrong.any():
+            break
+        fitted = _fitted(profile, name, good.take(~wrong), robust=True)
+    calibration = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
+    return calibration, _arm_notes(name, calibration, fitted)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """An arm identified from those of its readings that are not left out, where it began, and its excess scatter."""
+
+    readings: Readings
+    nominal: Geometry
+    identification: Identification
+    excess_m: float
+
+
+def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = False) -> _Fitted:
+    """Identify one arm on its identify split; ``robust`` even where the profile does not ask for it."""
     identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
     if len(identify_rows) < 4 or len(validate_rows) < 1:
         raise InputError(
             f"arm '{name}': {len(readings)} readings leave {len(identify_rows)} to identify and {len(validate_rows)} to"
             f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
         )
-    learn, held_out = readings.take(identify_rows), readings.take(validate_rows)
+    arm, learn = profile.arms[name], readings.take(identify_rows)
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
-    identification, excess = _identify(profile, name, nominal, learn)
+    identification, excess = _identify(profile, name, nominal, learn, robust=robust)
+    return _Fitted(readings, nominal, identification, excess)
+
+
+def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> ArmCalibration:
+    """The calibration of one arm with its held-out errors; ``readings`` are all, with those that were left out."""
+    good, nominal, identification = fitted.readings, fitted.nominal, fitted.identification
+    held_out = good.take(good.in_split("validate"))
     model = ArmModel(
         geometry=identification.geometry,
         nominal=nominal,
         bodies=bodies_of(arm),
-        up_M=up_in_tracker(profile),
+        up_M=up_M,
         smr_normal=np.array(arm.smr.normal, dtype=np.float64),
         identified=identification.estimated.names,
         covariance=identification.estimated_covariance,
@@ -195,27 +240,61 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         "nominal": evaluate(held_out.p_M, smr_positions(nominal, held_out.q)),
         "geometry": evaluate(held_out.p_M, smr_positions(identification.geometry, held_out.q)),
     }
-    notes = [] if identification.converged else [f"arm '{name}': {identification.message}; do not use this calibration"]
-    moved = station_change(smr_positions(nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
+    left_out = readings.take(~np.isin(readings.configuration, good.configuration))
+    stated = stated_uncertainty(held_out)
+    return ArmCalibration(
+        model=model,
+        identification=identification,
+        excess_m=fitted.excess_m,
+        validate=stages,
+        counts={word: len(good.in_split(word)) for word in SPLITS},
+        repeatability=repeatability(good.q, good.p_M),
+        tracker_mm=None if stated is None else rms_length_mm(stated),
+        left_out=tuple(left_out.configuration.tolist()),
+        left_out_counts={word: len(left_out.in_split(word)) for word in SPLITS} if len(left_out) else {},
+    )
+
+
+def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
+    """What the operator must know of the calibration of one arm."""
+    found, readings = arm.identification, fitted.readings
+    notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
+    if arm.left_out:
+        notes.append(left_out_note(name, arm))
+    notes += _hardly_better(name, arm)
+    moved = station_change(smr_positions(fitted.nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
         notes.append(
             f"arm '{name}': the tracker or the base seems to have been moved before configuration"
             f" {readings.configuration[moved]}; import the two parts as runs of their own"
         )
-    stated = stated_uncertainty(held_out)
-    calibration = ArmCalibration(
-        model=model,
-        identification=identification,
-        excess_m=excess,
-        validate=stages,
-        counts={word: len(readings.in_split(word)) for word in SPLITS},
-        repeatability=repeatability(readings.q, readings.p_M),
-        tracker_mm=None if stated is None else rms_length_mm(stated),
+    return notes
+
+
+def left_out_note(name: str, arm: ArmCalibration) -> str:
+    """Which readings were left out, and how many of those that are held out."""
+    held_out, left_out = arm.counts["validate"], arm.left_out_counts.get("validate", 0)
+    return (
+        f"arm '{name}': {left_out_words(arm.left_out)}; held-out errors are those of {held_out} readings, without"
+        f" {left_out} of these: look at the rows, and measure these configurations again"
     )
-    return calibration, notes
 
 
-def _identify(profile: Profile, name: str, nominal: Geometry, learn: Readings) -> tuple[Identification, float]:
+def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
+    """A note where the identified geometry predicts hardly better than the nominal one, though the noise is smaller."""
+    nominal, found = arm.validate["nominal"].position_mm, arm.validate["geometry"].position_mm
+    if found.mean < _HARDLY_BETTER * nominal.mean or found.mean < _OF_NOISE * (arm.tracker_mm or 0.0):
+        return []
+    return [
+        f"arm '{name}': the identified geometry is hardly better than the nominal one (mean held-out error"
+        f" {found.mean:.3f} mm, nominal {nominal.mean:.3f} mm): look for readings in other units, swapped rows, another"
+        " arm type or SMR offset, and too few readings, before you use this calibration"
+    ]
+
+
+def _identify(
+    profile: Profile, name: str, nominal: Geometry, learn: Readings, *, robust: bool
+) -> tuple[Identification, float]:
     """Identify one arm as the profile says; also its excess scatter [m]."""
     settings = profile.calibration
     try:
@@ -226,7 +305,7 @@ def _identify(profile: Profile, name: str, nominal: Geometry, learn: Readings) -
             sigma=stated_uncertainty(learn),
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(nominal, settings.priors),
-            robust=settings.robust,
+            robust="tukey" if robust and settings.robust == "none" else settings.robust,
             tolerance=settings.tolerance,
             max_iterations=settings.max_iterations,
         )
@@ -247,6 +326,7 @@ def train_arm(
 
     The training data are the train split, or the identify split where there is no train split.
     """
+    readings = without(readings, arm.left_out)
     rows = readings.in_split("train")
     learn = readings.take(rows if len(rows) else readings.in_split("identify"))
     held_out = readings.take(readings.in_split("validate"))

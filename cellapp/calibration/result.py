@@ -60,6 +60,8 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         repeatability_mm=arm.repeatability,
         network=None if arm.training is None else _network(arm.training),
         prior=arm.prior,
+        left_out_configurations=arm.left_out,
+        left_out_splits=arm.left_out_counts,
         validate_=arm.validate,
     )
 

@@ -10,8 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.calibration.calibrate import rms_length_mm
+from cellapp.calibration.gross_errors import ROUNDS, gross_errors, gross_errors_of_geometry, left_out_words, without
 from cellapp.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.calibration.network_training import training_steps
 from cellapp.calibration.pair_calibration import calibrate_pair
@@ -19,7 +21,6 @@ from cellapp.discovery.all_readings import fit_to_all
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.describe import describe
 from cellapp.discovery.detectability import detectability
-from cellapp.discovery.gross_errors import ROUNDS, gross_errors, gross_errors_of_geometry
 from cellapp.discovery.held_out import HeldOut
 from cellapp.discovery.joint_fit import JointFit, fit_terms, with_posterior
 from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
@@ -43,8 +44,6 @@ from cellapp.run import Readings
 _MOST_SEARCHED = 400
 """Largest number of readings to search: the cost grows with it, and some hundred readings show effects of the size of
 the noise. The accepted terms are then fitted to all readings."""
-_MOST_LISTED = 8
-"""Configurations with gross errors that a sentence lists; more are counted."""
 _SUBSET_SEED = 0x5EA
 """Beside the profile's seed: the draw of these readings is then independent of all other draws."""
 
@@ -93,7 +92,8 @@ def discover_cell(
     arms = _discover_arms(profile, model, readings, listener, cancel or CancelToken(), search_arm or discover_arm)
     pair = None
     if any(discovery.accepted for discovery in arms.values()):
-        pair, _ = calibrate_pair(profile, readings, {name: _PairArm(found.model) for name, found in arms.items()})
+        good = {name: without(readings[name], found.left_out) for name, found in arms.items()}
+        pair, _ = calibrate_pair(profile, good, {name: _PairArm(found.model) for name, found in arms.items()})
     T_R_L = model.T_R_L if pair is None else pair.T_R_L
     model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
     total = _total_steps(profile, len(arms))
@@ -140,8 +140,10 @@ def _discover_arms(
                 report(training_steps(), "no network is needed")
                 continue
             report(0, "residual network beside the effects")
+            good = ~np.isin(readings[name].configuration, discovery.left_out)
+            its, its_conditions = readings[name].take(good), conditions[name].take(good)
             tasks[name] = pool.submit(
-                with_network, profile, model.arms[name], discovery, readings[name], conditions[name], cancel, report
+                with_network, profile, model.arms[name], discovery, its, its_conditions, cancel, report
             )
         return {**found, **{name: task.result() for name, task in tasks.items()}}
 
@@ -159,6 +161,8 @@ def discover_arm(
 ) -> Discovery:
     """Search the identify and train splits for effects, and evaluate the models on the validate split.
 
+    Readings of any split that are gross errors for the geometry are left out, as ``calibrate`` leaves them out.
+
     ``conditions`` are those of ``readings``; the default is derived from the readings of this arm alone.
     ``report`` takes the steps done, of ``SEARCH_STEPS``. ``prior_sigma`` are standard deviations [m, rad] of geometric
     parameters about ``model.nominal``; those of the profile if not given.
@@ -166,9 +170,10 @@ def discover_arm(
     started = time.perf_counter()
     cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
-    held_out = HeldOut.of(readings, conditions)
+    wrong = gross_errors_of_geometry(model.geometry, model.nominal, readings.q, readings.p_M)
+    held_out = HeldOut.of(readings.take(~wrong), conditions.take(~wrong))
     result = _without_harm(
-        _search_and_refit(profile, model, readings, conditions, cancel, report, prior_sigma), held_out
+        _search_and_refit(profile, model, readings, conditions, wrong, cancel, report, prior_sigma), held_out
     )
     return _evaluated(name, model, result, held_out, started)
 
@@ -212,6 +217,7 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
         noise_mm=_noise(found.data),
         candidates=probable.effects,
         structure=structure,
+        left_out=result.left_out,
     )
 
 
@@ -251,23 +257,27 @@ def _search_and_refit(
     model: ArmModel,
     readings: Readings,
     conditions: MeasurementConditions,
+    gross: NDArray[np.bool_],
     cancel: CancelToken,
     report: Report,
     prior_sigma: Mapping[str, float] | None,
 ) -> _Searched:
-    """Search at most ``_MOST_SEARCHED`` readings to learn from, without gross errors, then fit to all of them."""
+    """Search at most ``_MOST_SEARCHED`` readings to learn from, without gross errors, then fit to all of them.
+
+    ``gross`` (n,) are those of the geometry; others show beside the effects that are found.
+    """
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
-    all_rows = rows
-    rows = rows[~gross_errors_of_geometry(model, readings.q[rows], readings.p_M[rows])]
+    rows = rows[~gross[rows]]
+    gross = gross.copy()
     for _ in range(ROUNDS):
         result = _search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
         computed = result.model.predict(readings.q[rows], conditions=conditions.take(rows))
         wrong = gross_errors(readings.p_M[rows] - computed)
         if not wrong.any():
             break
+        gross[rows[wrong]] = True
         rows = rows[~wrong]
-    left_out = readings.configuration[np.setdiff1d(all_rows, rows)]
-    return replace(result, left_out=tuple(left_out.tolist()))
+    return replace(result, left_out=tuple(readings.configuration[gross].tolist()))
 
 
 def _search_rows(
@@ -325,11 +335,7 @@ def _with_what_was_left_out(sentence: str, result: _Searched) -> str:
         sentence = (
             f"{sentence}; {_titles(result.harmful)} made held-out errors larger and was left out: measure more stops"
         )
-    left_out = result.left_out
-    if not left_out:
-        return sentence
-    named = ", ".join(map(str, left_out[:_MOST_LISTED])) + (", ..." if len(left_out) > _MOST_LISTED else "")
-    return f"{sentence}; {len(left_out)} readings with gross errors were left out (configurations {named})"
+    return f"{sentence}; {left_out_words(result.left_out)}" if result.left_out else sentence
 
 
 def _titles(slugs: Sequence[str]) -> str:

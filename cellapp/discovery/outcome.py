@@ -122,6 +122,8 @@ class Discovery:
         Posterior probability of every effect that was tested, by its slug.
     structure : RemainingStructure, optional
         Tests for structure in what is left.
+    left_out : tuple of int
+        Configurations of readings with gross errors, on which nothing here rests.
     """
 
     accepted: tuple[AcceptedEffect, ...]
@@ -146,6 +148,7 @@ class Discovery:
     noise_mm: Noise | None = None
     candidates: Mapping[str, float] = field(default_factory=dict)
     structure: RemainingStructure | None = None
+    left_out: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,7 @@ def arm_result(found: Discovery) -> ArmDiscoveryResult:
         uncertainty_mm=found.uncertainty_mm,
         pictures=found.pictures,
         validate_={"effects": found.stage} if found.accepted else {},
+        left_out_configurations=found.left_out,
         verdict=found.verdict,
         sentence=found.sentence,
     )

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from cellapp.calibration.evaluation import position_errors
 from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.effects import MeasurementConditions
@@ -98,13 +100,15 @@ class ReportData:
 
     @cached_property
     def held_out(self) -> Mapping[str, HeldOutArm]:
-        """The held-out readings of each arm with the predictions of every stage."""
+        """The held-out readings of each arm, without gross errors, with the predictions of every stage."""
         return {name: self._held_out_arm(name, self.conditions[name]) for name in self.calibrated.arms}
 
     def _held_out_arm(self, name: str, conditions: MeasurementConditions) -> HeldOutArm:
-        rows = self.readings[name].in_split("validate")
+        readings = self.readings[name]
+        rows = readings.in_split("validate")
+        rows = rows[~np.isin(readings.configuration[rows], self.calibrate.arms[name].left_out_configurations)]
         return HeldOutArm(
-            readings=self.readings[name].take(rows),
+            readings=readings.take(rows),
             conditions=conditions.take(rows),
             calibrated=self.calibrated.arms[name],
             discovered=None if self.discovered is None else self.discovered.arms[name],

@@ -122,7 +122,9 @@ class ArmCalibrationResult(Record):
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
     those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
     uncertainty, ``tracker_mm`` the rms length of the stated noise. Where an earlier calibration was taken as ``prior``,
-    the stage ``effects`` is the model with it, and the others are those without.
+    the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
+    of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
+    ``splits`` counts the others.
     """
 
     identified: Mapping[str, Estimate]
@@ -142,6 +144,8 @@ class ArmCalibrationResult(Record):
     repeatability_mm: Repeatability | None = None
     network: NetworkResult | None = None
     prior: ArmPriorResult | None = None
+    left_out_configurations: tuple[int, ...] = ()
+    left_out_splits: Mapping[str, int] = {}
     validate_: Mapping[Stage, StageErrors]
     omitted_when_none = frozenset({"prior"})
 

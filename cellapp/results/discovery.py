@@ -252,6 +252,7 @@ class ArmDiscoveryResult(Record):
     ``network_mm`` is the rms correction of a residual network trained before and after the effects were added.
     ``scatter`` is the root of chi-square per degree of freedom of what is left, ``omnibus_p`` its p-value.
     ``candidates`` has the posterior probability of every effect that was tested, by its slug.
+    ``left_out_configurations`` are those of readings with gross errors, on which nothing here rests.
     """
 
     noise_floor_mm: float | None
@@ -273,6 +274,7 @@ class ArmDiscoveryResult(Record):
     uncertainty_mm: PredictedUncertainty | None = None
     pictures: tuple[Picture, ...] = ()
     validate_: Mapping[Stage, StageErrors] = {}
+    left_out_configurations: tuple[int, ...] = ()
     verdict: Verdict
     sentence: str
 

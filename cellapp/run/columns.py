@@ -25,8 +25,15 @@ Values: TypeAlias = NDArray[Any] | tuple[str | None, ...]
 SPLITS = ("identify", "train", "validate")
 
 _UPPER = np.triu_indices(3)
+_VARIANCES = [0, 3, 5]
+"""Places of the variances among the six numbers of an upper triangle."""
 _FURTHEST_M = 100.0
 """No laser tracker measures beyond 80 m (Leica AT960); a larger coordinate is not in metres."""
+_LEAST_SIGMA_M, _LARGEST_SIGMA_M = 1e-10, 1.0
+"""Standard uncertainties of points that instruments state [m]; beyond these their squares lose all meaning."""
+_REVOLUTION = 2.0 * math.pi
+_LONGEST_S = 1e11
+"""Seconds; clocks that count from 1970 are below 1e10."""
 _SINGULAR = 1e-14
 """Least eigenvalue of a correlation matrix that counts as positive: some ten times the rounding of its entries."""
 
@@ -151,6 +158,47 @@ def _in_reach(points: NDArray[Any]) -> Fault | None:
     return Fault(row, axis, f"expected metres, got {points[row, axis]:g}; no tracker reaches {_FURTHEST_M:g} m")
 
 
+def _within(low: float, high: float, unit: str) -> Callable[[NDArray[Any]], Fault | None]:
+    """A check that finds values that no measurement of this kind has; missing ones pass."""
+
+    def check(values: NDArray[Any]) -> Fault | None:
+        wrong = np.argwhere((values < low) | (values > high))
+        if not len(wrong):
+            return None
+        row, place = wrong[0].tolist()
+        return Fault(row, place, f"expected {low:g} to {high:g} {unit}, got {values[row, place]:g}")
+
+    return check
+
+
+def beyond_limits(q: NDArray[Any], limits: NDArray[Any]) -> list[Fault]:
+    """The first joint position of each joint that is beyond its limits by more than a revolution.
+
+    Parameters
+    ----------
+    q : array, shape (n, N) [rad]
+    limits : array, shape (N, 2) [rad]
+        Lower and upper one. A controller may count a revolution that the limits of the cell do not have.
+    """
+    faults = []
+    for joint, (low, high) in enumerate(limits.tolist()):
+        values = q[:, joint]
+        wrong = np.flatnonzero((values < low - _REVOLUTION) | (values > high + _REVOLUTION))
+        if not len(wrong):
+            continue
+        value = float(values[wrong[0]])
+        guess = "; degrees?" if low <= math.radians(value) <= high else ""
+        faults.append(
+            Fault(
+                int(wrong[0]),
+                joint,
+                f"expected {low:.4g} to {high:.4g} rad (limits of the joint) or one revolution more,"
+                f" got {value:g}{guess}",
+            )
+        )
+    return faults
+
+
 def _in_radians(q: NDArray[Any]) -> Fault | None:
     place = first_in_degrees(q)
     if place is None:
@@ -161,7 +209,7 @@ def _in_radians(q: NDArray[Any]) -> Fault | None:
 def _positive(sigma: NDArray[Any]) -> Fault | None:
     wrong = np.flatnonzero(sigma[:, 0] <= 0.0)
     if not len(wrong):
-        return None
+        return _within(_LEAST_SIGMA_M, _LARGEST_SIGMA_M, "m")(sigma)
     return Fault(int(wrong[0]), 0, f"expected an uncertainty above 0 m, got {sigma[wrong[0], 0]:g}")
 
 
@@ -173,6 +221,13 @@ def _positive_definite(triangles: NDArray[Any]) -> Fault | None:
         row = int(incomplete[0])
         place = int(np.argmax(missing[row]))
         return Fault(row, place, "the value is missing; give all six of the covariance or none")
+    least, largest = _LEAST_SIGMA_M**2, _LARGEST_SIGMA_M**2
+    variances = triangles[:, _VARIANCES]
+    absurd = np.argwhere((variances > largest) | ((variances > 0.0) & (variances < least)))
+    if len(absurd):
+        row, place = absurd[0].tolist()
+        text = f"expected a variance of {least:g} to {largest:g} m^2, got {variances[row, place]:g}"
+        return Fault(row, _VARIANCES[place], text)
     given = np.flatnonzero(~missing.any(axis=1))
     if not len(given):
         return None
@@ -192,6 +247,9 @@ def _positive_definite(triangles: NDArray[Any]) -> Fault | None:
 
 
 def _places(sequence: NDArray[Any]) -> Fault | None:
+    absurd = _within(-1e15, 1e15, "as its place")(sequence)
+    if absurd is not None:
+        return absurd
     missing = np.isnan(sequence[:, 0])
     if missing.all():
         return None
@@ -204,12 +262,14 @@ def _places(sequence: NDArray[Any]) -> Fault | None:
     return Fault(int(again[0]), 0, f"{sequence[again[0], 0]:g} is the place of another row of the arm already")
 
 
+_DEGREES_C = _within(-273.15, 1e3, "degC")
+
 CONFIGURATION = Column("configuration", "", ("configuration",), dtype=np.int64, required=True)
 """The number of the stop, with the arm the key of a reading."""
 
 COLUMNS: tuple[Column, ...] = (
     CONFIGURATION,
-    Column("time_s", "s", ("time_s",), fill=math.nan),
+    Column("time_s", "s", ("time_s",), fill=math.nan, check=_within(-_LONGEST_S, _LONGEST_S, "s")),
     Column("sequence", "", ("sequence",), check=_places, since=5),
     Column("q", "rad", ("q",), "joints", required=True, check=_in_radians),
     Column(
@@ -222,11 +282,11 @@ COLUMNS: tuple[Column, ...] = (
         allowed=(-1, 0, 1),
         expected="-1, 0 (unknown) or 1",
     ),
-    Column("payload_kg", "kg", ("payload_kg",)),
-    Column("temperature_c", "degC", ("temperature_c",)),
-    Column("joint_temperature_c", "degC", ("joint_temperature",), "joints"),
-    Column("step", "rad", ("step",), "joints", since=2),
-    Column("dwell_s", "s", ("dwell_s",), since=2),
+    Column("payload_kg", "kg", ("payload_kg",), check=_within(0.0, 1e4, "kg")),
+    Column("temperature_c", "degC", ("temperature_c",), check=_DEGREES_C),
+    Column("joint_temperature_c", "degC", ("joint_temperature",), "joints", check=_DEGREES_C),
+    Column("step", "rad", ("step",), "joints", check=_within(-1e3, 1e3, "rad"), since=2),
+    Column("dwell_s", "s", ("dwell_s",), check=_within(0.0, _LONGEST_S, "s"), since=2),
     Column("p_M", "m", ("x_m", "y_m", "z_m"), "point", sql="p_m", required=True, check=_in_reach),
     Column("sigma_m", "m", ("sigma_m",), check=_positive),
     Column(

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from cellapp.errors import InputError
 from cellapp.profile import Profile
 from cellapp.results import ArmOrder
-from cellapp.run.columns import COLUMNS, CONFIGURATION, Column, Values
+from cellapp.run.columns import COLUMNS, CONFIGURATION, Column, Values, beyond_limits
 from cellapp.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, check_names, read_csv_table, short
 from cellapp.run.file import RunFile
 from cellapp.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
@@ -32,7 +32,11 @@ _NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
 
 
 def read_readings_csv(
-    path: Path, joint_counts: Mapping[str, int], *, in_order: bool = False
+    path: Path,
+    joint_counts: Mapping[str, int],
+    *,
+    in_order: bool = False,
+    limits: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> tuple[dict[str, Readings], list[str]]:
     """Read and check a file of readings.
 
@@ -45,6 +49,8 @@ def read_readings_csv(
     in_order : bool
         The rows of an arm stand in the order in which they were measured (with ``time_s``, the order is by time):
         approach and step that the file does not give follow from the row before, see ``in_measured_order``.
+    limits : mapping, optional
+        Joint limits (N, 2) [rad] of each arm. Joint positions further beyond them than a revolution are refused.
 
     Returns
     -------
@@ -58,7 +64,7 @@ def read_readings_csv(
     InputError
         Names file, line and column of values that are missing, not numbers, repeated or implausible.
     """
-    readings, _, notes = _read(read_csv_table(Path(path)), joint_counts, in_order)
+    readings, _, notes = _read(read_csv_table(Path(path)), joint_counts, in_order, limits or {})
     return readings, notes
 
 
@@ -76,7 +82,7 @@ def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = Fa
     """
     table = read_csv_table(Path(csv))
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-    readings, orders, notes = _read(table, joint_counts, in_order)
+    readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
     missing = [name for name in profile.arms if name not in readings]
     if missing:
         raise InputError(
@@ -98,6 +104,11 @@ def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = Fa
     return RunFile.create(folder, profile, fill)
 
 
+def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
+    """Limits (N, 2) [rad] of each arm's joints: of its type, which no cell widens."""
+    return {name: np.array([joint.limit for joint in arm.type.joints]) for name, arm in profile.arms.items()}
+
+
 def is_known(name: str) -> bool:
     """Whether a CSV column is one of ``COLUMNS`` or the arm."""
     return name == "arm" or _per_joint(name) is not None or any(name in column.csv for column in _not_per_joint())
@@ -116,7 +127,10 @@ def _per_joint(name: str) -> tuple[str, int] | None:
 
 
 def _read(
-    table: CsvTable, joint_counts: Mapping[str, int], in_order: bool
+    table: CsvTable,
+    joint_counts: Mapping[str, int],
+    in_order: bool,
+    limits: Mapping[str, NDArray[np.float64]],
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
     """Readings, what their order of measurement gave, and notes."""
     problems = Problems(table.path)
@@ -133,7 +147,7 @@ def _read(
     for arm in joint_counts:
         rows = [index for index, name in enumerate(names) if name == arm]
         cells = _ArmCells(table, rows, problems)
-        result = _read_arm(cells, arm, joint_counts[arm]) if rows else None
+        result = _read_arm(cells, arm, joint_counts[arm], limits.get(arm)) if rows else None
         if result is None:
             continue
         fault = order_fault(result) if in_order else None
@@ -246,16 +260,19 @@ class _ArmCells:
                 self.refuse(row, names[place], f"expected {column.expected}, got {matrix[row, place]:g}")
         return None if np.all(np.isnan(matrix)) else matrix
 
-    def check(self, column: Column, matrix: NDArray[Any], joints: int) -> None:
-        """Note the first implausible value."""
+    def check(self, column: Column, matrix: NDArray[Any], joints: int, limits: NDArray[np.float64] | None) -> None:
+        """Note the first implausible value; of joint positions the first of each joint."""
         fault = None if column.check is None else column.check(matrix)
-        if fault is not None:
+        faults = [] if fault is None else [fault]
+        if column.name == "q" and limits is not None and fault is None:
+            faults = beyond_limits(matrix, limits)
+        for fault in faults:
             names = column.csv_names(joints)
             name = f"{names[0]}..{names[-1]}" if fault.place is None else names[fault.place]
             self.refuse(fault.row, name, fault.text)
 
 
-def _read_arm(cells: _ArmCells, arm: str, joints: int) -> Readings | None:
+def _read_arm(cells: _ArmCells, arm: str, joints: int, limits: NDArray[np.float64] | None) -> Readings | None:
     """The readings of one arm in the order of the rows; None if a problem was found."""
     problems, before = cells.problems, cells.problems.count
     _check_joint_columns(cells, arm, joints)
@@ -268,7 +285,7 @@ def _read_arm(cells: _ArmCells, arm: str, joints: int) -> Readings | None:
     values: dict[str, Values | None] = {**words}
     for name, (column, matrix) in matrices.items():
         if matrix is not None:
-            cells.check(column, matrix, joints)
+            cells.check(column, matrix, joints, limits)
         values[name] = column.missing(len(cells.rows), joints) if matrix is None else column.from_matrix(matrix)
     configuration = cells.whole_numbers(CONFIGURATION.name)
     _check_once(cells, configuration, arm)

@@ -10,11 +10,11 @@ import numpy as np
 
 from cellapp.calibration.calibrate import ArmCalibration, Calibration
 from cellapp.calibration.evaluation import evaluate
+from cellapp.calibration.gross_errors import gross_errors, without
 from cellapp.calibration.identification import Identification
 from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.calibration.pair_calibration import calibrate_pair
 from cellapp.calibration.parameters import ParameterSet, determined_set
-from cellapp.discovery.gross_errors import gross_errors
 from cellapp.discovery.joint_fit import mean_variance
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
@@ -60,7 +60,8 @@ def with_prior(
         if name not in earlier
     ]
     pair = calibration.pair
-    with_effects, _ = calibrate_pair(profile, readings, {name: _PairArm(arm.model) for name, arm in arms.items()})
+    good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
+    with_effects, _ = calibrate_pair(profile, good, {name: _PairArm(arm.model) for name, arm in arms.items()})
     if pair is not None and with_effects is not None:
         pair = replace(pair, methods={**pair.methods, **with_effects.methods})
     model = replace(
@@ -103,6 +104,7 @@ def _calibrated(
         return replace(alone, prior=prior_result(name, earlier, outcome))
     model = stated_model(outcome.found, profile.seed)
     rows = readings.in_split("validate")
+    rows = rows[~np.isin(readings.configuration[rows], alone.left_out)]
     held_out, its = readings.take(rows), conditions.take(rows)
     return replace(
         alone,

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
+from cellapp.calibration.gross_errors import gross_errors
 from cellapp.calibration.measurement_conditions import conditions_of_arms
 from cellapp.calibration.parameters import candidate_columns
-from cellapp.discovery.gross_errors import gross_errors
 from cellapp.effects import EffectTerm
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel

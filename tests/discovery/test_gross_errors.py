@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.calibration.calibrate import calibrate_arm
+from cellapp.calibration.gross_errors import gross_errors
 from cellapp.discovery.discover import discover_arm
-from cellapp.discovery.gross_errors import gross_errors
 from cellapp.trials.league.series import load_entrant
 
 ROOT = Path(__file__).parents[2]

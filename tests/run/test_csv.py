@@ -328,8 +328,8 @@ def test_export_of_nothing_and_to_nowhere(path: Path, tmp_path: Path) -> None:
 
 
 NEAR = st.floats(-100.0, 100.0)
-POSITIVE = st.floats(0.0, exclude_min=True, allow_infinity=False)
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
+SIGMA = st.floats(1e-10, 1.0)
+SECONDS = st.floats(-1e11, 1e11)
 
 
 @st.composite
@@ -348,7 +348,7 @@ def some_readings(draw: st.DrawFn, joints: int, extras: tuple[str, ...]) -> Read
         covariance[draw(hnp.arrays(np.bool_, n))] = np.nan
         covariance = None if np.all(np.isnan(covariance)) else covariance
     split = draw(st.lists(st.sampled_from([None, "identify", "train", "validate"]), min_size=n, max_size=n))
-    times = column(FINITE, n)
+    times = column(SECONDS, n)
     # any text that CSV can carry: all but the characters that cannot be encoded
     texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=6)
     numbers = draw(st.lists(st.integers(-(10**17), 10**17), min_size=n, max_size=n, unique=True))
@@ -360,13 +360,13 @@ def some_readings(draw: st.DrawFn, joints: int, extras: tuple[str, ...]) -> Read
         q=draw(hnp.arrays(np.float64, (n, joints), elements=st.floats(-12.5, 12.5))),
         approach=draw(hnp.arrays(np.int8, (n, joints), elements=st.integers(-1, 1))),
         p_M=draw(hnp.arrays(np.float64, (n, 3), elements=NEAR)),
-        payload_kg=column(FINITE, n),
-        temperature_c=column(FINITE, n),
-        joint_temperature_c=column(FINITE, (n, joints)),
-        step=column(FINITE, (n, joints)),
-        dwell_s=column(FINITE, n),
+        payload_kg=column(st.floats(0.0, 1e4), n),
+        temperature_c=column(NEAR, n),
+        joint_temperature_c=column(NEAR, (n, joints)),
+        step=column(NEAR, (n, joints)),
+        dwell_s=column(st.floats(0.0, 1e11), n),
         covariance_M=covariance,
-        sigma_m=column(POSITIVE, n),
+        sigma_m=column(SIGMA, n),
         split=tuple(split) if any(split) else None,
         extras={name: tuple(draw(st.lists(texts, min_size=n, max_size=n))) for name in extras},
     )
@@ -430,3 +430,70 @@ def test_the_real_arm(tmp_path: Path) -> None:
     assert_same(again["left"], readings)
     with (tmp_path / "out.csv").open(newline="", encoding="utf-8") as file:
         assert next(csv.reader(file)) == list(given_rows[0])
+
+
+@pytest.mark.fast
+def test_joints_beyond_their_limits_are_refused_by_row_with_a_guess(tmp_path: Path, path: Path) -> None:
+    """One row in degrees among rows in radians once ruined a calibration without a word."""
+    rows = [f"{k},left,0.1,0.2,1,2,3" for k in range(5)]
+    rows[2], rows[4] = "2,left,0.1,-55,1,2,3", "4,left,4000,0.2,1,2,3"
+    rows += [f"{k},right,0.1,0.2,1,2,3" for k in range(5)]
+    write(path, *rows, header="configuration,arm,q1,q2,x_m,y_m,z_m")
+    limits = {"left": np.array([[-2.0 * np.pi, 2.0 * np.pi]] * 2)}
+    with pytest.raises(InputError) as refused:
+        read_readings_csv(path, {"left": 2, "right": 2}, limits=limits)
+    first, second = str(refused.value).splitlines()
+    expected = "expected -6.283 to 6.283 rad (limits of the joint) or one revolution more"
+    assert first == f"{path}:4: q2: {expected}, got -55; degrees?"
+    assert second == f"{path}:6: q1: {expected}, got 4000"
+    far = [row.replace("-55", "12.5").replace("4000", "-12.5") for row in rows]
+    write(path, *far, header="configuration,arm,q1,q2,x_m,y_m,z_m")
+    readings, _ = read_readings_csv(path, {"left": 2, "right": 2}, limits=limits)
+    assert readings["left"].q[2, 1] == 12.5
+
+
+@pytest.mark.fast
+def test_a_run_is_not_made_of_a_joint_position_in_degrees(tmp_path: Path) -> None:
+    text = REAL.read_text(encoding="utf-8").splitlines()
+    cells = text[7].split(",")
+    cells[3] = "-55.0"
+    text[7] = ",".join(cells)
+    path = tmp_path / "in.csv"
+    path.write_text("\n".join(text), encoding="utf-8")
+    with pytest.raises(InputError, match=r"in\.csv:8: q2: expected .* got -55; degrees\?"):
+        import_csv(load_profile(ROOT / "profiles" / "ur10-real.yaml"), path, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("q1", "1e300"),
+        ("x_m", "-1e300"),
+        ("sigma_m", "1e300"),
+        ("sigma_m", "1e-300"),
+        ("payload_kg", "1e300"),
+        ("temperature_c", "-1e300"),
+        ("time_s", "1e300"),
+        ("dwell_s", "-1"),
+        ("step1", "1e300"),
+        ("joint_temperature2", "1e300"),
+        ("sequence", "1e300"),
+        ("q2", "nan"),
+        ("q2", "1e999"),
+        ("z_m", "inf"),
+        ("sigma_m", "nan"),
+    ],
+)
+def test_absurd_and_non_finite_values_are_refused_by_row(path: Path, column: str, value: str) -> None:
+    names = ["configuration", "arm", "q1", "q2", "x_m", "y_m", "z_m", "sigma_m", "payload_kg", "temperature_c"]
+    names += ["time_s", "dwell_s", "step1", "step2", "joint_temperature1", "joint_temperature2", "sequence"]
+    good = ["left", "1", "2", "3", "4", "5", "1e-5", "2", "20", "7", "1", "0.1", "0.2", "30", "30"]
+    rows = [[str(k), *good, str(k)] for k in range(4)]
+    rows[2][names.index(column)] = value
+    write(path, *(",".join(row) for row in rows), header=",".join(names))
+    limits = {"left": np.array([[-2.0 * np.pi, 2.0 * np.pi]] * 2)}
+    with pytest.raises(InputError) as refused:
+        read_readings_csv(path, JOINTS, limits=limits)
+    assert str(refused.value).startswith(f"{path}:4: {column}: expected ")

@@ -15,6 +15,7 @@ from cellapp.errors import InputError
 from cellapp.profile import Profile, load_profile
 from cellapp.results import Record
 from cellapp.run import Readings, read_readings_csv
+from cellapp.run.csv_import import joint_limits
 
 Group = Literal["all", "others", "published"]
 """Held-out rows: all of them; those that the authors of the data held out; and the others."""
@@ -148,7 +149,10 @@ def _files(name: str, data: Path, profiles: Path) -> tuple[Profile, Path]:
 
 def _entrant(name: str, profile: Profile, csv: Path) -> Entrant:
     readings, _ = read_readings_csv(
-        csv, {arm: len(one.type.joints) for arm, one in profile.arms.items()}, in_order=True
+        csv,
+        {arm: len(one.type.joints) for arm, one in profile.arms.items()},
+        in_order=True,
+        limits=joint_limits(profile),
     )
     ((arm, rows),) = readings.items()
     return Entrant(name, profile, arm, rows)
