@@ -15,6 +15,7 @@ import typer
 
 from cellapp.cli.job import HANGUP, INTERRUPTS
 from cellapp.errors import CellappError
+from cellapp.outputs import RENEWED
 from cellapp.progress import Cancelled
 
 EXIT_UNEXPECTED = 1
@@ -56,8 +57,8 @@ def _ended(app: Callable[[], object]) -> None:
         sys.stderr.close()
         sys.exit(0)
     except Exception as error:  # noqa: BLE001 - the last door: a user gets a sentence, the trace goes to a file
-        with contextlib.suppress(OSError):
-            Path(_ERROR_LOG).write_text(traceback.format_exc(), encoding="utf-8")
+        with contextlib.suppress(CellappError):
+            RENEWED.write_text(Path(_ERROR_LOG), traceback.format_exc())
         _complain(error_text(error))
         sys.exit(EXIT_UNEXPECTED)
 
