@@ -74,6 +74,11 @@ class Outputs:
         """As ``check``, where folders that are not there are made."""
         self._place(path, label)
 
+    def check_added_to(self, path: Path, label: str = "") -> None:
+        """Find a store of results that a person named by the name of a journal. Raises ``InputError``."""
+        if _beside_database(Path(os.path.realpath(path))):
+            raise InputError(_never(f"{label}: {path}", "belongs to the database beside it"))
+
     def write_text(self, path: Path, text: str, label: str = "") -> None:
         """Write UTF-8 text as ``write`` does."""
         self.write(path, text.encode("utf-8"), label)

@@ -37,17 +37,20 @@ class Written(Enum):
 class CommandOutputs:
     """What one command was called with: ``outputs`` writes its files, ``files`` are those it names, by option.
 
-    ``later`` are paths that files are named after, which are looked at when they are written.
+    ``later`` are paths that files are named after, which are looked at when they are written; ``stores`` are added to.
     """
 
     outputs: Outputs = NEW_ONLY
     files: dict[str, Path] = field(default_factory=dict)
     later: dict[str, Path] = field(default_factory=dict)
+    stores: dict[str, Path] = field(default_factory=dict)
 
     def check(self) -> None:
         """Look at all files before anything is done. Raises ``InputError`` for one that may not be written."""
+        for option, path in self.stores.items():
+            self.outputs.check_added_to(path, option)
         named: dict[str, str] = {}
-        for option, path in {**self.files, **self.later}.items():
+        for option, path in {**self.files, **self.later, **self.stores}.items():
             if option in self.files:
                 self.outputs.check(path, option)
             place = os.path.realpath(path)
@@ -117,7 +120,9 @@ def _outputs_of(
         if values[name] is not None and str(values[name]) != "-":
             named[how][options[name]] = Path(values[name])
     inputs = [path for name, value in values.items() if name not in written for path in _paths(value)]
-    return CommandOutputs(Outputs(force, tuple(inputs), REMEDY), named[Written.FILE], named[Written.FILES])
+    return CommandOutputs(
+        Outputs(force, tuple(inputs), REMEDY), named[Written.FILE], named[Written.FILES], named[Written.STORE]
+    )
 
 
 def _paths(value: object) -> Iterator[Path]:

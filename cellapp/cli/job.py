@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellapp.cli.command_outputs import current_outputs
 from cellapp.control import Aborted, JobControl
-from cellapp.errors import CheckFailed
+from cellapp.errors import CheckFailed, InputError
 from cellapp.progress import Progress, StateChange, Suspicion, eta_words
 from cellapp.signals import available, watch_signals
 
@@ -128,8 +128,13 @@ class Job:
         if self._json_file is None:
             return
         if self._json_file == "-":
-            sys.stdout.write(text + "\n")
-            sys.stdout.flush()
+            try:
+                sys.stdout.write(text + "\n")
+                sys.stdout.flush()
+            except BrokenPipeError:
+                raise
+            except OSError as error:
+                raise InputError(f"--json: standard output cannot be written ({error.strerror})") from None
             return
         self.outputs.write_text(Path(self._json_file), text + "\n", "--json")
 
