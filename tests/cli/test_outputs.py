@@ -303,6 +303,7 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         "cellapp/run/file.py",
         "cellapp/verbs/sign_key.py",
         "cellapp/trials/sealed.py",
+        "cellapp/trials/campaigns/disk.py",
         "cellapp/trials/storm.py",
         "cellapp/trials/league/series.py",
         "cellapp/docs/__main__.py",
