@@ -30,6 +30,7 @@ from cellapp.discovery.propose import propose_stops
 from cellapp.discovery.result import discover_result, proposal_result
 from cellapp.errors import InputError
 from cellapp.model import CellModel
+from cellapp.outputs import RENEWED, Outputs
 from cellapp.planning.method import plan_run
 from cellapp.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.profile import Profile, load_profile
@@ -400,8 +401,10 @@ def _push(
     return push_commands(job, with_eta(listener), control, confirmation(run.profile, ask))
 
 
-def report_run(run: RunFile, pdf: Path | None = None) -> ReportResult:
+def report_run(run: RunFile, pdf: Path | None = None, outputs: Outputs = RENEWED) -> ReportResult:
     """Write ``report.html`` into the run's folder and, with ``pdf``, print it to that file.
+
+    ``outputs`` says what the PDF may replace: left out, an earlier print.
 
     Raises
     ------
@@ -410,7 +413,7 @@ def report_run(run: RunFile, pdf: Path | None = None) -> ReportResult:
     """
     page = write_page(run)
     if pdf is not None:
-        print_pdf(page, pdf)
+        print_pdf(page, pdf, outputs=outputs)
     return _shown(ReportResult, read_results(run), page=str(page), pdf=None if pdf is None else str(pdf))
 
 

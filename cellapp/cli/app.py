@@ -13,6 +13,7 @@ from cellapp import __version__
 from cellapp.cli.at_rest import at_rest
 from cellapp.cli.certificate import certificate, check_certificate, sign_key
 from cellapp.cli.check import check
+from cellapp.cli.command_outputs import Commands
 from cellapp.cli.correct import correct
 from cellapp.cli.docs import docs
 from cellapp.cli.export import export
@@ -41,7 +42,7 @@ from cellapp.cli.trials import trials_app
 from cellapp.cli.whole_run import demo, run
 from cellapp.errors import CheckFailed, InputError
 
-app = typer.Typer(
+app = Commands(
     help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
     no_args_is_help=False,
     pretty_exceptions_enable=False,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cellapp.cli.command_outputs import Written
 from cellapp.cli.job import Job, open_run, require_none
 from cellapp.cli.options import JsonOption, RunFolder
 from cellapp.errors import InputError
@@ -24,7 +25,9 @@ PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
 def certificate(
     folder: RunFolder,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FOLDER", help="Folder of the files; DIR if not given.")
+        Path | None,
+        typer.Option("--out", metavar="FOLDER", help="Folder of the files; DIR if not given."),
+        Written.FOLDER,
     ] = None,
     number: Annotated[
         str | None, typer.Option("--number", metavar="N", help="Number of the certificate; else a new one.")
@@ -47,7 +50,7 @@ def certificate(
 
     private = None if key is None else _private_key(key)
     with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = certificate_run(opened, out=out, number=number, data=data, key=private)
+        result = certificate_run(opened, out=out, number=number, data=data, key=private, outputs=job.outputs)
         job.show(certificate_tables(result))
         job.say(*certificate_sentences(result), f"written: {out or folder}")
         job.result(result)

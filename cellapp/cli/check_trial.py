@@ -23,7 +23,7 @@ from cellapp.cli.options import (
     Store,
     resources_of,
 )
-from cellapp.cli.trial_files import check_markdown, state_result
+from cellapp.cli.trial_files import state_result
 
 
 def check(
@@ -53,7 +53,6 @@ def check(
     from cellapp.trials.check_trial import CheckPlan, check_trials
 
     with Job(json_file) as job:
-        check_markdown(markdown)
         chosen, resources = range(first, first + seeds), resources_of(jobs, scheduler, store)
         if real:
             result = real_check_trials(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cellapp.cli.command_outputs import Written
 from cellapp.cli.job import Job, open_run
 from cellapp.cli.options import JsonOption, RunFolder
 from cellapp.errors import InputError
@@ -15,7 +16,9 @@ from cellapp.errors import InputError
 def correct(
     folder: RunFolder,
     program: Annotated[Path, typer.Argument(metavar="PROGRAM", help="Program of a UR controller: .script or .urp.")],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The corrected copy, of the same kind.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="The corrected copy, of the same kind."), Written.FILES
+    ],
     arm: Annotated[
         str | None, typer.Option("--arm", metavar="NAME", help="Whose program it is; needed with several arms.")
     ] = None,
@@ -43,7 +46,9 @@ def correct(
 
     with Job(json_file) as job, open_run(folder) as opened:
         pose = None if tcp is None else typed_tcp(tcp)
-        result = correct_run(opened, program, out, arm, tcp=pose, partly=partly, extrapolate=extrapolate)
+        result = correct_run(
+            opened, program, out, arm, tcp=pose, partly=partly, extrapolate=extrapolate, outputs=job.outputs
+        )
         job.show([correct_table(result)])
         job.say(*correct_lines(result))
         job.result(result)

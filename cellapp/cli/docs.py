@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cellapp.cli.command_outputs import Written
 from cellapp.cli.job import Job
 from cellapp.cli.options import JsonOption
 from cellapp.errors import InputError
@@ -27,7 +28,9 @@ def docs(
         Path, typer.Option("--profile", metavar="PROFILE", help="With figures or screens: the cell that is drawn.")
     ] = Path("profiles/twin.yaml"),
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="With figures, screens or pages: folder of the files.")
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="With figures, screens or pages: folder of the files."),
+        Written.FOLDER,
     ] = None,
     run: Annotated[
         Path | None, typer.Option("--run", metavar="DIR", help="With screens or pages: a run that they show.")
@@ -87,12 +90,12 @@ def _draw(job: Job, topic: str, profile: Path, run: Path | None, out: Path | Non
     if out is None:
         raise InputError(f"docs: '{topic}' needs --out DIR, the folder to draw them in")
     if topic == FIGURES:
-        paths = write_figures(load_profile(profile), out)
+        paths = write_figures(load_profile(profile), out, job.outputs)
     elif topic == SCREENS:
-        paths = write_screens(profile, run, out)
+        paths = write_screens(profile, run, out, outputs=job.outputs)
     elif run is None:
         raise InputError(f"docs: '{PAGES}' needs --run DIR, a run with a page, a certificate and tests by ISO 9283")
     else:
-        paths = write_pictures(run, out)
+        paths = write_pictures(run, out, outputs=job.outputs)
     job.say(f"{len(paths)} {topic} in {out}")
     job.result(DocsResult(topic=topic, files=tuple(str(path) for path in paths)))

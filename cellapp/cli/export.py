@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cellapp.cli.command_outputs import Written
 from cellapp.cli.job import Job, open_run
 from cellapp.cli.options import JsonOption, RunFolder
 from cellapp.errors import InputError
@@ -17,14 +18,19 @@ _FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe, parameters,
 
 def export(
     folder: RunFolder,
-    csv: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Where to write the readings.")] = None,
-    plan: Annotated[Path | None, typer.Option("--plan", metavar="FILE", help="Where to write the plan.")] = None,
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Where to write the readings."), Written.FILE
+    ] = None,
+    plan: Annotated[
+        Path | None, typer.Option("--plan", metavar="FILE", help="Where to write the plan."), Written.FILE
+    ] = None,
     form: Annotated[
         str | None, typer.Option("--as", metavar="FORMAT", help="Write calibrated arms or commands as " + _FORMATS)
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="FILE", help="With --as: the file; several arms get one each, FILE-ARM."),
+        Written.FILES,
     ] = None,
     arm: Annotated[str | None, typer.Option("--arm", metavar="NAME", help="With --as: this arm only.")] = None,
     stage: Annotated[
@@ -36,6 +42,7 @@ def export(
     geometry: Annotated[
         Path | None,
         typer.Option("--geometry", metavar="FILE", help="The arms as one JSON file, for programs that read it."),
+        Written.FILE,
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -49,10 +56,10 @@ def export(
 
     with Job(json_file) as job, open_run(folder) as opened:
         if form is None and out is None and arm is None and stage is None:
-            result = export_run(opened, csv, geometry, plan)
+            result = export_run(opened, csv, geometry, plan, job.outputs)
         elif form is None or out is None or any((csv, geometry, plan)):
             raise InputError("export: --as FORMAT and --out FILE belong together, without --csv, --plan and --geometry")
         else:
-            result = export_as_run(opened, form, out, arm, stage)
+            result = export_as_run(opened, form, out, arm, stage, job.outputs)
         job.say(*export_lines(result))
         job.result(result)

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from cellapp.cli.command_outputs import Written
 from cellapp.cli.job import Job
 from cellapp.cli.options import Jobs, JsonOption, Scheduler, resources_of
 from cellapp.errors import CheckFailed
@@ -20,7 +21,9 @@ Folders = Annotated[
 def fleet(
     folders: Folders,
     page: Annotated[
-        Path | None, typer.Option("--page", metavar="FILE", help="Write one self-contained HTML page to FILE.")
+        Path | None,
+        typer.Option("--page", metavar="FILE", help="Write one self-contained HTML page to FILE."),
+        Written.FILE,
     ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit code 1 if any arm is beyond its tolerance or has changed.")
@@ -38,7 +41,7 @@ def fleet(
         if page is not None:
             from cellapp.reporting.fleet_page import write_fleet_page
 
-            job.say(f"page: {write_fleet_page(result, page)}")
+            job.say(f"page: {write_fleet_page(result, page, job.outputs)}")
         job.result(result)
         if strict and (complaints := result.complaints()):
             raise CheckFailed(f"fleet: {len(complaints)} of {len(result.arms)} arms: {'; '.join(complaints)}")
@@ -46,7 +49,7 @@ def fleet(
 
 def recalibrate(
     folders: Folders,
-    force: Annotated[bool, typer.Option("--force", help="Compute again also what still holds.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Compute again also what still holds.")] = False,
     calibration_only: Annotated[bool, typer.Option("--calibration-only", help="Search no effects.")] = False,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
@@ -59,7 +62,7 @@ def recalibrate(
     with Job(json_file) as job:
         result = recalibrate_all(
             folders,
-            force=force,
+            force=again,
             search=not calibration_only,
             resources=resources_of(jobs, scheduler),
             listener=job.listen,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cellapp.cli.command_outputs import Written
 from cellapp.cli.job import Job, open_run, require_none
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, OutOfDate, RunFolder
@@ -24,7 +25,9 @@ def follow(
         bool, typer.Option("--rehearse", help="Drive each path once before, and correct it by how the joints lag.")
     ] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="CSV", help="Write the joint positions over time as CSV.")
+        Path | None,
+        typer.Option("--out", metavar="CSV", help="Write the joint positions over time as CSV."),
+        Written.FILE,
     ] = None,
     out_of_date: OutOfDate = False,
     allow_motion: AllowMotion = False,
@@ -47,6 +50,7 @@ def follow(
             rehearse=rehearse,
             out_of_date=out_of_date,
             csv=out,
+            outputs=job.outputs,
             ask=ask,
         )
         job.show(path_tables(result))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperGroup
 
+from cellapp.cli.command_outputs import Commands
 from cellapp.cli.job import Job, require_none
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, OutOfDate, ProfilePath
@@ -29,7 +30,7 @@ class _AllByDefault(TyperGroup):
         return super().parse_args(ctx, args)
 
 
-app = typer.Typer(
+app = Commands(
     cls=_AllByDefault,
     no_args_is_help=True,
     help="Test pose accuracy and more by ISO 9283: 'cellapp iso9283 PROFILE' makes all tests. THE ARMS MOVE.",

@@ -12,8 +12,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellapp.cli.command_outputs import current_outputs
 from cellapp.control import Aborted, JobControl
-from cellapp.errors import CellappError, CheckFailed, InputError
+from cellapp.errors import CheckFailed, InputError
 from cellapp.progress import Progress, StateChange, Suspicion, eta_words
 from cellapp.signals import available, ended_by, watch_signals
 
@@ -50,15 +51,13 @@ class Job:
     Raises
     ------
     InputError
-        If the JSON's folder does not exist or its path is a folder; nothing was done then.
+        If a file that the command names may not be written; nothing was done then.
     """
 
     def __init__(self, json_file: str | None) -> None:
-        if json_file is not None and json_file != "-":
-            if not Path(json_file).absolute().parent.is_dir():
-                raise InputError(f"--json: {json_file}: folder not found; nothing was done")
-            if Path(json_file).is_dir():
-                raise InputError(f"--json: {json_file} is a folder; give the path of a file. Nothing was done")
+        called = current_outputs()
+        called.check()
+        self.outputs = called.outputs
         self.control = JobControl()
         self._json_file = json_file
         self._bars: Any = None
@@ -131,13 +130,15 @@ class Job:
         if self._json_file is None:
             return
         if self._json_file == "-":
-            sys.stdout.write(text + "\n")
-            sys.stdout.flush()
+            try:
+                sys.stdout.write(text + "\n")
+                sys.stdout.flush()
+            except BrokenPipeError:
+                raise
+            except OSError as error:
+                raise InputError(f"--json: standard output cannot be written ({error.strerror})") from None
             return
-        try:
-            Path(self._json_file).write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise CellappError(f"--json: {self._json_file} cannot be written ({error.strerror})") from None
+        self.outputs.write_text(Path(self._json_file), text + "\n", "--json")
 
     def _react(self, number: int) -> None:
         """Do what a signal asks for, in the thread that watches the signals; the brakes come before any word."""

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cellapp.cli.command_outputs import Written
+
 if TYPE_CHECKING:
     from cellapp.scale.executor import Resources
 
@@ -19,7 +21,9 @@ PriorOption = Annotated[
     typer.Option("--prior", metavar="EARLIER", help="Folder of an earlier calibrated run of the same arms, as prior."),
 ]
 JsonOption = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output.")
+    str | None,
+    typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output."),
+    Written.FILE,
 ]
 AllowMotion = Annotated[
     bool,
@@ -50,6 +54,7 @@ Scheduler = Annotated[
 Store = Annotated[
     Path | None,
     typer.Option("--store", metavar="FILE", help="Keep results in FILE as they come; what it holds is not repeated."),
+    Written.STORE,
 ]
 SimulatedCell = Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")]
 DEFAULT_CELL = Path("profiles/twin.yaml")
@@ -59,7 +64,9 @@ Mix = Annotated[bool, typer.Option("--mix", help="Hide compliance, curves and ba
 SeriesFolder = Annotated[Path, typer.Option("--data", metavar="DIR", help="Folder of the series.")]
 SeriesProfiles = Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")]
 MarkdownFile = Annotated[
-    Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE.")
+    Path | None,
+    typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE."),
+    Written.FILE,
 ]
 
 

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import Any, NoReturn, TextIO, cast
 
 import typer
 
 from cellapp.cli.job import HANGUP, INTERRUPTS
 from cellapp.errors import CellappError
+from cellapp.outputs import RENEWED
 from cellapp.progress import Cancelled
 
 EXIT_UNEXPECTED = 1
@@ -52,14 +55,26 @@ def _ended(app: Callable[[], object]) -> None:
     except (CellappError, Cancelled) as error:
         _complain(error_text(error))
         sys.exit(EXIT_INTERRUPTED if isinstance(error, Cancelled) else error.exit_code)
-    except BrokenPipeError:  # the reader of our output went away
-        sys.stderr.close()
-        sys.exit(0)
+    except BrokenPipeError:
+        _reader_gone()
+    except SystemExit as ended:
+        if isinstance(ended.__context__, OSError) and ended.__context__.errno == errno.EPIPE:  # typer's own exit code
+            _reader_gone()
+        raise
     except Exception as error:  # noqa: BLE001 - the last door: a user gets a sentence, the trace goes to a file
-        with contextlib.suppress(OSError):
-            Path(_ERROR_LOG).write_text(traceback.format_exc(), encoding="utf-8")
+        with contextlib.suppress(CellappError):
+            RENEWED.write_text(Path(_ERROR_LOG), traceback.format_exc())
         _complain(error_text(error))
         sys.exit(EXIT_UNEXPECTED)
+
+
+def _reader_gone() -> NoReturn:
+    """End as any program does whose reader, as ``head``, has read enough. Nothing more is written to it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    with contextlib.suppress(OSError, ValueError):  # a stream of a test has no number
+        os.dup2(nowhere, sys.__stdout__.fileno() if sys.__stdout__ else 1)
+    os.close(nowhere)
+    sys.exit(0)
 
 
 def error_text(error: BaseException) -> str:

@@ -7,9 +7,11 @@ from typing import Annotated
 
 import typer
 
+from cellapp.cli.command_outputs import Written
 from cellapp.cli.job import Job, open_run
 from cellapp.cli.options import JsonOption, RunFolder, Strict
 from cellapp.errors import InputError
+from cellapp.outputs import RENEWED
 
 
 def report(
@@ -18,7 +20,9 @@ def report(
         bool, typer.Option("--pdf", help="Print the page to report.pdf, too, through an installed Chromium.")
     ] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="With --pdf: the PDF, instead of report.pdf in DIR.")
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="With --pdf: the PDF, instead of report.pdf in DIR."),
+        Written.FILE,
     ] = None,
     strict: Strict = False,
     json_file: JsonOption = None,
@@ -31,7 +35,8 @@ def report(
     if out is not None and not pdf:
         raise InputError("report: --out is the file of --pdf; add --pdf")
     with Job(json_file) as job, open_run(folder) as opened:
-        result = report_run(opened, (out or folder / "report.pdf") if pdf else None)
+        own = out is None
+        result = report_run(opened, (out or folder / "report.pdf") if pdf else None, RENEWED if own else job.outputs)
         job.show(all_tables(result))
         printed = [] if result.pdf is None else [f"printed: {result.pdf}"]
         job.say(*out_of_date_sentences(result), f"written: {result.page}", *printed)

@@ -9,18 +9,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 from cellapp.asking import VERBS, Verb, ask_running_job
-from cellapp.errors import CellappError
 
+_FORCE = "--force"
+REMEDY = f"add {_FORCE} to replace it"
 _EXPANDED = frozenset("*?[~$%")
 """Characters that the command line expands on Windows."""
 
 
 class JobRequest(NamedTuple):
-    """What is asked, of the job in which folder, and where the answer goes as JSON."""
+    """What is asked, of the job in which folder, and where the answer goes as JSON; ``force``: over what is there."""
 
     verb: Verb
     folder: Path
     json_file: str | None = None
+    force: bool = False
 
 
 def plain_request(arguments: Sequence[str]) -> JobRequest | None:
@@ -32,9 +34,12 @@ def plain_request(arguments: Sequence[str]) -> JobRequest | None:
         place = words.index("--json")
         json_file = words[place + 1]
         del words[place : place + 2]
+    force = _FORCE in words
+    if force:
+        words.remove(_FORCE)
     if len(words) != 1 or words[0].startswith("-") or ((json_file or "").startswith("-") and json_file != "-"):
         return None
-    return JobRequest(arguments[0], Path(words[0]), json_file)
+    return JobRequest(arguments[0], Path(words[0]), json_file, force)
 
 
 def ask_job(request: JobRequest) -> None:
@@ -58,7 +63,6 @@ def _write_json(request: JobRequest, json_file: str, answer: str) -> None:
     if json_file == "-":
         print(text, flush=True)
         return
-    try:
-        Path(json_file).write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise CellappError(f"--json: {json_file} cannot be written ({error.strerror})") from None
+    from cellapp.outputs import Outputs  # the request is sent by now: it may be a stop
+
+    Outputs(request.force, remedy=REMEDY).write_text(Path(json_file), text + "\n", "--json")

@@ -23,7 +23,7 @@ from cellapp.cli.options import (
     Store,
     resources_of,
 )
-from cellapp.cli.trial_files import check_markdown, state_result
+from cellapp.cli.trial_files import state_result
 
 
 def league(
@@ -48,7 +48,6 @@ def league(
     from cellapp.trials.league.trial import league_trials
 
     with Job(json_file) as job:
-        check_markdown(markdown)
         result = league_trials(
             [name.strip() for name in series.split(",")],
             parse_rows(rows),
@@ -93,7 +92,6 @@ def signature(
     from cellapp.trials.signature_tables import signature_sentences, signature_tables
 
     with Job(json_file) as job:
-        check_markdown(markdown)
         chosen, resources = range(first, first + seeds), resources_of(jobs, scheduler, store)
         if real:
             result = real_trials(

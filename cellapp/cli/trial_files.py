@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellapp.cli.job import Job
-from cellapp.errors import CellappError, CheckFailed, InputError
+from cellapp.errors import CheckFailed
 
 if TYPE_CHECKING:
     from cellapp.reporting.table import Table
@@ -18,12 +18,6 @@ _NAMED = 10
 """Failures that are named one by one."""
 
 
-def check_markdown(path: Path | None) -> None:
-    """Raise ``InputError`` if there is no folder for the file: it is written after hours of work."""
-    if path is not None and not path.absolute().parent.is_dir():
-        raise InputError(f"--markdown: {path}: folder not found; nothing was done")
-
-
 def state_result(
     job: Job, result: Result, tables: Sequence[Table], sentences: Sequence[str], markdown: Path | None
 ) -> None:
@@ -31,7 +25,7 @@ def state_result(
 
     Raises
     ------
-    CellappError
+    InputError
         If the Markdown file cannot be written.
     """
     from cellapp.reporting.table import markdown as as_markdown
@@ -39,12 +33,8 @@ def state_result(
     job.show(tables)
     job.say(*sentences)
     job.result(result)
-    if markdown is None:
-        return
-    try:
-        markdown.write_text(as_markdown(tables, sentences), encoding="utf-8")
-    except OSError as error:
-        raise CellappError(f"--markdown: {markdown} cannot be written ({error.strerror})") from None
+    if markdown is not None:
+        job.outputs.write_text(markdown, as_markdown(tables, sentences), "--markdown")
 
 
 def check_failed(failed: Sequence[str]) -> None:

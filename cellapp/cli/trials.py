@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from cellapp.cli.check_trial import check
+from cellapp.cli.command_outputs import Commands, Written
 from cellapp.cli.cost import cost
 from cellapp.cli.job import Job, require_none
 from cellapp.cli.options import (
@@ -20,10 +21,10 @@ from cellapp.cli.options import (
     resources_of,
 )
 from cellapp.cli.series_trials import league, signature
-from cellapp.cli.trial_files import check_bars, check_failed, check_markdown, state_result
+from cellapp.cli.trial_files import check_bars, check_failed, state_result
 from cellapp.errors import CheckFailed
 
-trials_app = typer.Typer(help="Trials on simulated cells, emulated devices and measured series.", no_args_is_help=True)
+trials_app = Commands(help="Trials on simulated cells, emulated devices and measured series.", no_args_is_help=True)
 
 
 @trials_app.command("coverage")
@@ -187,7 +188,9 @@ def storm(
         float, typer.Option("--pace", metavar="X", min=1.0, max=100.0, help="Simulated seconds for each real one.")
     ] = 50.0,
     keep: Annotated[
-        Path | None, typer.Option("--keep", metavar="DIR", help="New folder that keeps the runs and what was printed.")
+        Path | None,
+        typer.Option("--keep", metavar="DIR", help="New folder that keeps the runs and what was printed."),
+        Written.OWN_FOLDER,
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -249,7 +252,7 @@ def campaigns(
 @trials_app.command("seal")
 def seal(
     profile: ProfilePath,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder of the trials.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder of the trials."), Written.OWN_FOLDER],
     n: Annotated[int, typer.Option("--n", min=1, help="Runs.")] = 200,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Draws everything; left out, a secret one is drawn.")
@@ -309,7 +312,6 @@ def judge(
     from cellapp.trials.tables import judge_sentences, judge_tables
 
     with Job(json_file) as job:
-        check_markdown(markdown)
         result = judge_trials(
             folder, resources=resources_of(jobs, scheduler), again=again, listener=job.listen, cancel=job.control
         )
@@ -320,7 +322,11 @@ def judge(
 @trials_app.command("blind-matrix")
 def blind_matrix(
     profile: ProfilePath,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder with a folder of trials for each cell.")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="DIR", help="Folder with a folder of trials for each cell."),
+        Written.OWN_FOLDER,
+    ],
     n: Annotated[int, typer.Option("--n", min=1, help="Runs of each cell.")] = 40,
     only: Annotated[
         str, typer.Option("--only", metavar="PATTERN", help="Only cells of such names, as 'other.*' or '*.one'.")
@@ -340,7 +346,6 @@ def blind_matrix(
     from cellapp.trials.tables import matrix_sentences, matrix_tables
 
     with Job(json_file) as job:
-        check_markdown(markdown)
         cells = matrix_cells(only)
         result = run_matrix(
             load_profile(profile),
@@ -375,7 +380,6 @@ def plans(
     from cellapp.trials.plan_trial import plan_trials
 
     with Job(json_file) as job:
-        check_markdown(markdown)
         resources = resources_of(jobs, scheduler, store)
         result = plan_trials(
             load_profile(profile), range(seeds), stops, bounded, whole, resources, job.listen, job.control
@@ -403,7 +407,6 @@ def targets(
     from cellapp.trials.target_trial import target_trials
 
     with Job(json_file) as job:
-        check_markdown(markdown)
         chosen = range(seed, seed + seeds)
         result = target_trials(
             load_profile(profile), chosen, count, pairs, resources_of(jobs, scheduler, store), job.listen, job.control

@@ -7,11 +7,12 @@ from pathlib import Path
 from cellapp.docs import frame_figures, planning_figures
 from cellapp.docs.effect_figures import FIGURES, figure_svg
 from cellapp.docs.scene import Scene
-from cellapp.errors import InputError
+from cellapp.outputs import NEW_ONLY, Outputs
 from cellapp.profile import Profile
+from cellapp.profile.files import write_new
 
 
-def write_figures(profile: Profile, folder: Path) -> list[Path]:
+def write_figures(profile: Profile, folder: Path, outputs: Outputs = NEW_ONLY) -> list[Path]:
     """Draw the figures of effects for the first arm of a profile, of its obstacles and frames, as SVG; their paths.
 
     Raises
@@ -23,10 +24,4 @@ def write_figures(profile: Profile, folder: Path) -> list[Path]:
     texts = {slug: figure_svg(slug, scene) for slug in FIGURES}
     texts[planning_figures.FIGURE] = planning_figures.figure_svg(profile)
     texts |= {stem: frame_figures.figure_svg(stem, profile) for stem in frame_figures.FIGURES}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for stem, text in texts.items():
-            (folder / f"{stem}.svg").write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"docs: {folder}: {error.strerror or error}; give a folder that can be written") from None
-    return [folder / f"{stem}.svg" for stem in texts]
+    return list(write_new({folder / f"{stem}.svg": text for stem, text in texts.items()}, outputs))

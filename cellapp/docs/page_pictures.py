@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellapp.errors import InputError
+from cellapp.outputs import NEW_ONLY, Outputs
+from cellapp.profile.files import write_new_bytes
 from cellapp.reporting.chromium import find_chromium
 
 if TYPE_CHECKING:
@@ -57,7 +59,9 @@ PICTURES: tuple[PagePicture, ...] = (
 """Pictures of the handbook. The run needs all that they show: a certificate, and tests by ISO 9283."""
 
 
-def write_pictures(run: Path, out: Path, pictures: Sequence[PagePicture] = PICTURES) -> list[Path]:
+def write_pictures(
+    run: Path, out: Path, pictures: Sequence[PagePicture] = PICTURES, outputs: Outputs = NEW_ONLY
+) -> list[Path]:
     """Take pictures of pages in a run's folder, as they were written; their paths.
 
     Raises
@@ -73,9 +77,8 @@ def write_pictures(run: Path, out: Path, pictures: Sequence[PagePicture] = PICTU
     for path in {run / picture.file: None for picture in pictures}:
         if not path.is_file():
             raise InputError(f"docs: {path} is missing; write it first")
-    taken = []
+    taken = {}
     try:
-        out.mkdir(parents=True, exist_ok=True)
         with sync_playwright() as driver:
             browser = driver.chromium.launch(executable_path=str(browser_path), args=["--no-sandbox", "--disable-gpu"])
             for picture in pictures:
@@ -85,13 +88,12 @@ def write_pictures(run: Path, out: Path, pictures: Sequence[PagePicture] = PICTU
                 )
                 path = run / picture.file
                 page.goto(path.absolute().as_uri(), timeout=_LONGEST_MS)
-                taken.append(out / f"{picture.name}.png")
-                taken[-1].write_bytes(_small(_shot(page, picture, path)))
+                taken[out / f"{picture.name}.png"] = _small(_shot(page, picture, path))
                 page.close()
             browser.close()
     except OSError as error:
         raise InputError(f"docs: {out}: {error.strerror or error}; give a folder that can be written") from None
-    return taken
+    return list(write_new_bytes(taken, outputs))
 
 
 def _shot(page: Page, picture: PagePicture, path: Path) -> bytes:

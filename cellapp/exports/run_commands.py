@@ -11,6 +11,7 @@ from cellapp.exports.arm_commands import ArmCommands, exported_commands, final_c
 from cellapp.exports.export_format import CommandFormat
 from cellapp.exports.out_files import files_of_arms
 from cellapp.exports.words import form_line
+from cellapp.outputs import NEW_ONLY, Outputs
 from cellapp.profile import Arm
 from cellapp.profile.files import write_new
 from cellapp.results import COMPENSATE, VERIFY, CommandFile, CompensateResult, ExportResult, TargetCommand, VerifyResult
@@ -27,6 +28,7 @@ def export_commands(
     out: Path,
     arm: str | None = None,
     stage_name: str | None = None,
+    outputs: Outputs = NEW_ONLY,
 ) -> ExportResult:
     """Write the commands of every arm that has some, a file each; see ``export_as_run``.
 
@@ -45,7 +47,8 @@ def export_commands(
     chosen = [arm] if arm is not None else names
     files = files_of_arms(out, chosen)
     commands = {name: _of_arm(run, stages, stage, records, name) for name in chosen}
-    write_new({files[name]: form.text(of_arm, _sentences(form, of_arm)) for name, of_arm in commands.items()})
+    texts = {files[name]: form.text(of_arm, _sentences(form, of_arm)) for name, of_arm in commands.items()}
+    write_new(texts, outputs)
     return ExportResult(
         format=form.name,
         commands={

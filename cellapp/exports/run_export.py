@@ -16,6 +16,7 @@ from cellapp.exports.run_commands import export_commands
 from cellapp.exports.words import form_line, lost_sentences
 from cellapp.kinematics.transforms import Array, xyz_of
 from cellapp.model import CellModel
+from cellapp.outputs import NEW_ONLY, Outputs
 from cellapp.profile.files import write_new
 from cellapp.results import CALIBRATE, DISCOVER, ArmFile, ExportResult
 from cellapp.run import RunFile, write_readings_csv
@@ -29,9 +30,14 @@ _GEOMETRY_NOTE = (
 
 
 def export_as_run(
-    run: RunFile, format_name: str, out: Path, arm: str | None = None, stage_name: str | None = None
+    run: RunFile,
+    format_name: str,
+    out: Path,
+    arm: str | None = None,
+    stage_name: str | None = None,
+    outputs: Outputs = NEW_ONLY,
 ) -> ExportResult:
-    """Write the calibrated arms, the cell or the commands at targets in one format; nothing that exists is overwritten.
+    """Write the calibrated arms, the cell or the commands at targets in one format.
 
     Parameters
     ----------
@@ -46,6 +52,8 @@ def export_as_run(
     stage_name : str or None
         ``calibrate`` or ``discover``: whose geometry is written. None means that of the model in force. Of commands
         ``compensate`` or ``verify``; None means those of the last compensation.
+    outputs : Outputs
+        What may be replaced; left out, nothing.
 
     Raises
     ------
@@ -55,14 +63,20 @@ def export_as_run(
     """
     form, stages = format_named(format_name), read_stages(run)
     if isinstance(form, CommandFormat):
-        return export_commands(run, stages, form, out, arm, stage_name)
+        return export_commands(run, stages, form, out, arm, stage_name, outputs)
     if isinstance(form, CellFormat):
-        return _export_cell(run, stages, form, out, arm, stage_name)
-    return _export_arms(run, stages, form, out, arm, stage_name)
+        return _export_cell(run, stages, form, out, arm, stage_name, outputs)
+    return _export_arms(run, stages, form, out, arm, stage_name, outputs)
 
 
 def _export_arms(
-    run: RunFile, stages: RunStages, form: ExportFormat, out: Path, arm: str | None, stage_name: str | None
+    run: RunFile,
+    stages: RunStages,
+    form: ExportFormat,
+    out: Path,
+    arm: str | None,
+    stage_name: str | None,
+    outputs: Outputs,
 ) -> ExportResult:
     exports = calibrated_arms(run, stages, stage_name)
     if arm is not None and arm not in exports:
@@ -71,7 +85,7 @@ def _export_arms(
     files = files_of_arms(out, list(chosen))
     texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
     notes = (*_stale_notes(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
-    write_new(texts)
+    write_new(texts, outputs)
     return ExportResult(
         format=form.name,
         arms={
@@ -83,7 +97,13 @@ def _export_arms(
 
 
 def _export_cell(
-    run: RunFile, stages: RunStages, form: CellFormat, out: Path, arm: str | None, stage_name: str | None
+    run: RunFile,
+    stages: RunStages,
+    form: CellFormat,
+    out: Path,
+    arm: str | None,
+    stage_name: str | None,
+    outputs: Outputs,
 ) -> ExportResult:
     if arm is not None:
         raise InputError(f"export: --as {form.name} writes all arms in one file; leave --arm out, or take --as urdf")
@@ -91,7 +111,7 @@ def _export_cell(
     exports = calibrated_arms(run, stages, stage_name)
     lines = [form_line(form), *(line for export in exports.values() for line in _arm_sentences(export))]
     notes = (*_stale_notes(stages.stale_model()), *_rigid_notes(run, stages, exports))
-    write_new({out: form.text(exports, lines)})
+    write_new({out: form.text(exports, lines)}, outputs)
     return ExportResult(
         format=form.name,
         arms={name: _arm_file(export, out, export.geometry.tool, 0.0) for name, export in exports.items()},
@@ -186,13 +206,15 @@ def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFi
     )
 
 
-def export_run(run: RunFile, csv: Path | None, geometry: Path | None, plan: Path | None = None) -> ExportResult:
+def export_run(
+    run: RunFile, csv: Path | None, geometry: Path | None, plan: Path | None = None, outputs: Outputs = NEW_ONLY
+) -> ExportResult:
     """Write the readings or the plan as CSV, the identified arms as one JSON file, or several of these.
 
     Raises
     ------
     InputError
-        If none is given, there is nothing to write, or a file cannot be written.
+        If none is given, there is nothing to write, or a file cannot be written, or may not.
     """
     if csv is None and geometry is None and plan is None:
         raise InputError(
@@ -200,16 +222,13 @@ def export_run(run: RunFile, csv: Path | None, geometry: Path | None, plan: Path
             " for the arms; 'cellapp docs exports' lists the formats"
         )
     if plan is not None:
-        export_plan(run, plan)
+        export_plan(run, plan, outputs)
     if csv is not None:
-        write_readings_csv(run, csv)
+        write_readings_csv(run, csv, outputs)
     lost = None
     if geometry is not None:
         content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))))
-        try:
-            geometry.write_text(content.to_json(indent=1) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{geometry} cannot be written ({error.strerror}); choose another place") from None
+        outputs.write_text(geometry, content.to_json(indent=1) + "\n")
         lost = {name: arm.ur_deltas.lost.position_mm.rms for name, arm in content.arms.items()}
     return ExportResult(
         csv=None if csv is None else str(csv),

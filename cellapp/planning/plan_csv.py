@@ -30,6 +30,7 @@ import numpy as np
 
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
+from cellapp.outputs import NEW_ONLY, Outputs
 from cellapp.planning.planned_stops import Configuration, PlannedStops, straight_stops
 from cellapp.planning.stop_conditions import LONGEST_DWELL_S
 from cellapp.profile import Arm, Profile
@@ -65,11 +66,11 @@ class PlanFile:
     lines: tuple[int, ...]
 
 
-def write_plan_csv(stops: PlannedStops, path: Path) -> None:
-    """Write a plan, which must have stops. Raises ``InputError`` if the file cannot be written."""
+def write_plan_csv(stops: PlannedStops, path: Path, outputs: Outputs = NEW_ONLY) -> None:
+    """Write a plan, which must have stops. Raises ``InputError`` if the file cannot be written, or may not."""
     joints = max(q.shape[1] for q in stops.q.values())
     header = [*_KEYS, *(f"q{joint + 1}" for joint in range(joints)), *_OF_STOP]
-    write_csv(Path(path), header, _rows(stops, joints))
+    write_csv(Path(path), header, _rows(stops, joints), outputs)
 
 
 def read_plan_csv(path: Path, profile: Profile) -> PlanFile:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import shutil
 from pathlib import Path
 
 from cellapp.errors import InputError
+from cellapp.outputs import NEW_ONLY, Outputs, written_beside
 
 
 def write_text(path: Path, text: str) -> None:
@@ -24,45 +22,41 @@ def write_bytes(path: Path, data: bytes) -> None:
         If the file cannot be written.
     """
     path = path.resolve()  # a link stays a link
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as file:
+        with written_beside(path, replace=True) as file:
             file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        if path.exists():
-            shutil.copymode(path, part)
-        os.replace(part, path)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink()
         raise InputError(
             f"{path}: cannot be written ({error.strerror}); give a folder that you may write to and that has space"
         ) from None
 
 
-def write_new(files: dict[Path, str]) -> tuple[Path, ...]:
+def write_new(files: dict[Path, str], outputs: Outputs = NEW_ONLY) -> tuple[Path, ...]:
     """Write files of UTF-8 text as ``write_new_bytes`` does."""
-    return write_new_bytes({path: text.encode("utf-8") for path, text in files.items()})
+    return write_new_bytes({path: text.encode("utf-8") for path, text in files.items()}, outputs)
 
 
-def write_new_bytes(files: dict[Path, bytes]) -> tuple[Path, ...]:
-    """Write files that do not exist yet; return their paths. A file that has the same content is left as it is.
+def write_new_bytes(files: dict[Path, bytes], outputs: Outputs = NEW_ONLY) -> tuple[Path, ...]:
+    """Write files, and the folders that they lack; return their paths. One that has the same content is left as it is.
 
     Raises
     ------
     InputError
-        If a file with other content exists, or one cannot be written. In the first case nothing was written.
+        If a file may not be written, as one with other content that is there, or cannot. In the first case nothing was
+        written.
     """
-    for path, data in files.items():
-        if path_exists(path) and _content_of(path) != data:
+    changed = {path: data for path, data in files.items() if not path_exists(path) or _content_of(path) != data}
+    for path in changed:
+        outputs.check_file(path)
+    for path, data in changed.items():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
             raise InputError(
-                f"{path} exists already; nothing was written. Give another name or folder, or move it away"
-            )
-    for path, data in files.items():
-        if not path_exists(path):
-            write_bytes(path, data)
+                f"{path}: cannot be written ({error.strerror}); give a folder that you may write to"
+            ) from None
+        outputs.write(path, data)
     return tuple(files)
 
 
@@ -75,8 +69,10 @@ def path_exists(path: Path) -> bool:
 
 
 def _content_of(path: Path) -> bytes | None:
-    """The content of a file; None if it cannot be read."""
+    """The content of a file; None if it cannot be read, or is none on a disk."""
     try:
+        if not path.is_file():
+            return None
         return path.read_bytes()
     except OSError:
         return None

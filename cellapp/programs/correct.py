@@ -9,6 +9,7 @@ import numpy as np
 
 from cellapp.errors import InputError
 from cellapp.model import ArmModel
+from cellapp.outputs import NEW_ONLY, Outputs
 from cellapp.profile.files import write_new_bytes
 from cellapp.programs.gate_findings import gate_findings
 from cellapp.programs.rewriting import rewritten
@@ -36,8 +37,9 @@ def correct_run(
     tcp: Six | None = None,
     partly: bool = False,
     extrapolate: bool = False,
+    outputs: Outputs = NEW_ONLY,
 ) -> CorrectResult:
-    """Write a copy of a program whose targets a plain controller reaches truly; nothing that exists is overwritten.
+    """Write a copy of a program whose targets a plain controller reaches truly.
 
     Nothing is written while a target has no correction: the result lists them, and its ``out`` is None.
 
@@ -55,6 +57,8 @@ def correct_run(
         Write although some targets stay as they are.
     extrapolate : bool
         Correct targets outside the joint ranges of the readings too.
+    outputs : Outputs
+        What may be replaced; left out, nothing.
 
     Raises
     ------
@@ -92,7 +96,7 @@ def correct_run(
     )
     if result.refused and not partly:
         return result.model_copy(update={"out": None})
-    write_new_bytes({out: read.encode(rewritten(read.text, read.targets, corrected))})
+    write_new_bytes({out: read.encode(rewritten(read.text, read.targets, corrected))}, outputs)
     return result
 
 

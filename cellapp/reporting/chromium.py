@@ -11,6 +11,7 @@ import tempfile
 from pathlib import Path
 
 from cellapp.errors import InputError
+from cellapp.outputs import RENEWED, Outputs
 
 _NAMES = (
     "chromium",
@@ -53,8 +54,10 @@ def find_chromium() -> Path:
     )
 
 
-def print_pdf(page: Path, out: Path, timeout_s: float = _LONGEST_S) -> None:
+def print_pdf(page: Path, out: Path, timeout_s: float = _LONGEST_S, outputs: Outputs = RENEWED) -> None:
     """Print an HTML file to a PDF file, with the sizes and breaks of the page's own style sheet.
+
+    ``outputs`` says what may be replaced: left out, an earlier print.
 
     Raises
     ------
@@ -72,10 +75,8 @@ def print_pdf(page: Path, out: Path, timeout_s: float = _LONGEST_S) -> None:
             raise InputError(
                 f"{browser} printed nothing ({words or 'no message'}); open {page} in a browser, print there"
             )
-        try:
-            shutil.copyfile(printed, out)
-        except OSError as error:
-            raise InputError(f"{out}: cannot be written ({error.strerror}); check disk and folder rights") from None
+        with outputs.open(out) as file:
+            file.write(printed.read_bytes())
 
 
 def _run(command: list[str], timeout_s: float) -> str:

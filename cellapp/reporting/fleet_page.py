@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from cellapp.outputs import NEW_ONLY, Outputs
 from cellapp.reporting.captioned import CaptionedFigure
 from cellapp.reporting.chart_figure import chart_figure
 from cellapp.reporting.charts_fleet import condition_charts, effect_chart, pair_chart, parameter_charts, trend_charts
@@ -77,15 +78,15 @@ class PairSection:
     tables: tuple[Table, ...]
 
 
-def write_fleet_page(result: FleetResult, path: Path) -> Path:
+def write_fleet_page(result: FleetResult, path: Path, outputs: Outputs = NEW_ONLY) -> Path:
     """Write the page and return its path; it needs no other file and no network.
 
     Raises
     ------
     InputError
-        If it cannot be written.
+        If it cannot be written, or may not.
     """
-    return write_page_file(path, fleet_page_text(result, datetime.now(UTC)))
+    return write_page_file(path, fleet_page_text(result, datetime.now(UTC)), outputs)
 
 
 def fleet_page_text(result: FleetResult, written: datetime) -> str:

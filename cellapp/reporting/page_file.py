@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 
-from cellapp.errors import InputError
+from cellapp.outputs import RENEWED, Outputs
 
 
-def write_page_file(path: Path, text: str) -> Path:
+def write_page_file(path: Path, text: str, outputs: Outputs = RENEWED) -> Path:
     """Write a page and return its path; where that fails an earlier page stays whole.
+
+    ``outputs`` says what may be replaced: left out, an earlier page.
 
     Raises
     ------
     InputError
-        If it cannot be written.
+        If it cannot be written, or may not.
     """
-    partial = path.with_name(path.name + ".part")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written ({error.strerror}); check disk and folder rights") from None
+    outputs.write_text(path, text)
     return path

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cellapp.errors import InputError
+from cellapp.outputs import NEW_ONLY, Outputs
 from cellapp.run.columns import COLUMNS
 from cellapp.run.csv_import import is_known
 from cellapp.run.csv_text import write_csv
@@ -14,10 +15,10 @@ from cellapp.run.file import RunFile
 from cellapp.run.readings import Readings
 
 
-def write_readings_csv(run: RunFile, path: Path) -> None:
+def write_readings_csv(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) -> None:
     """Write all readings of a run, ordered by configuration, numbers in the shortest form that is exact.
 
-    The file is written completely or not at all; an existing one is replaced.
+    The file is written completely or not at all; ``outputs`` says whether an existing one is replaced.
 
     Raises
     ------
@@ -35,7 +36,7 @@ def write_readings_csv(run: RunFile, path: Path) -> None:
             for order, (arm, readings) in enumerate(arms.items())
         )
     )
-    write_csv(path, names, (row for _, _, row in rows))
+    write_csv(path, names, (row for _, _, row in rows), outputs)
 
 
 def _header(arms: Mapping[str, Readings], imported: Sequence[str]) -> list[str]:

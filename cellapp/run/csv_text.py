@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
-import os
+import io
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from cellapp.errors import InputError
+from cellapp.outputs import NEW_ONLY, Outputs
 
 WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 """A whole number; ``int`` would accept more (1_000, digits of other scripts)."""
@@ -57,29 +58,20 @@ def short(text: str) -> str:
     return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
 
 
-def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Write a file completely or not at all; an existing one is replaced.
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]], outputs: Outputs = NEW_ONLY) -> None:
+    """Write a file completely or not at all.
 
     Raises
     ------
     InputError
-        If it cannot be written.
+        If it cannot be written, or may not.
     """
-    if path.is_dir():
-        raise InputError(f"{path} cannot be written: it is a folder; give the path of a file")
-    unfinished = path.with_name(path.name + ".new")
-    try:
-        try:
-            with unfinished.open("w", encoding="utf-8", newline="") as file:
-                # The writer quotes a carriage return within a text only if the line terminator contains one.
-                writer = csv.writer(file, lineterminator="\r\n")
-                writer.writerow(header)
-                writer.writerows(rows)
-            os.replace(unfinished, path)
-        finally:
-            unfinished.unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}; check the folder and its permissions") from error
+    text = io.StringIO(newline="")
+    # The writer quotes a carriage return within a text only if the line terminator contains one.
+    writer = csv.writer(text, lineterminator="\r\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    outputs.write_text(path, text.getvalue())
 
 
 def read_csv_table(path: Path, what: str = "readings", row: str = "a row per arm per stop") -> CsvTable:

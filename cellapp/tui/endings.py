@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from cellapp.commissioning.attaching import Detached
 from cellapp.control import Aborted
 from cellapp.errors import CellappError, CheckFailed, HardwareError
+from cellapp.outputs import RENEWED
 from cellapp.progress import Cancelled, Progress
 from cellapp.tui.jobs import Job, JobEnded
 from cellapp.tui.messages import Severity
@@ -138,9 +139,9 @@ def _unexpected(error: BaseException, folder: Path | None) -> str:
     path = (folder or Path()) / ERROR_LOG
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")
-    except OSError as failure:
-        return f"{what}: {error}. Its traceback could not be written to {path}: {failure.strerror}."
+        RENEWED.write_text(path, "".join(traceback.format_exception(error)))
+    except (OSError, CellappError) as failure:
+        return f"{what}: {error}. Its traceback could not be written to {path}: {failure}."
     return f"{what}; its traceback is in {path}. Measured data are kept."
 
 

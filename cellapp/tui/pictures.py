@@ -10,7 +10,8 @@ from contextlib import chdir, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cellapp.errors import InputError
+from cellapp.outputs import NEW_ONLY, Outputs
+from cellapp.profile.files import write_new
 
 if TYPE_CHECKING:
     from textual.pilot import Pilot
@@ -40,7 +41,9 @@ def screen_file(step: str) -> str:
     return f"screen-{step}.svg"
 
 
-def write_screens(profile: Path, run: Path | None, folder: Path, size: tuple[int, int] = SIZE) -> list[Path]:
+def write_screens(
+    profile: Path, run: Path | None, folder: Path, size: tuple[int, int] = SIZE, outputs: Outputs = NEW_ONLY
+) -> list[Path]:
     """Draw every screen as an SVG file, with a run or without one; their paths. Nothing is changed in the run.
 
     The first picture is that of the first start, in a folder without profiles.
@@ -55,6 +58,8 @@ def write_screens(profile: Path, run: Path | None, folder: Path, size: tuple[int
         Folder of the pictures.
     size : tuple
         Columns and lines.
+    outputs : Outputs
+        What may be replaced; left out, nothing.
 
     Raises
     ------
@@ -69,13 +74,7 @@ def write_screens(profile: Path, run: Path | None, folder: Path, size: tuple[int
         with RunFile.open(run):
             pass
     pictures = asyncio.run(_pictures(profile, run, size))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, svg in pictures.items():
-            (folder / name).write_text(svg, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"docs: {folder}: {error.strerror or error}; give a folder that can be written") from None
-    return [folder / name for name in pictures]
+    return list(write_new({folder / name: svg for name, svg in pictures.items()}, outputs))
 
 
 async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> dict[str, str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellapp.control import JobControl
+from cellapp.outputs import RENEWED
 from cellapp.progress import Listener
 from cellapp.tui.jobs import Ask, Job
 
@@ -110,7 +111,7 @@ def write_plan(folder: Path, path: Path) -> Job:
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.exports.run_export import export_run
 
-        return export_run(run, None, None, path)
+        return export_run(run, None, None, path, RENEWED)
 
     return _of_run("export", folder, work)
 

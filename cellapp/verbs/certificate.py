@@ -18,9 +18,10 @@ from cellapp.acceptance.conditions import measured_conditions
 from cellapp.acceptance.minisign import FormatError, PublicKey, Signature, sign
 from cellapp.collection.controllers import recorded_controllers
 from cellapp.errors import InputError
+from cellapp.outputs import NEW_ONLY, RENEWED, Outputs
 from cellapp.plugins import program_of
 from cellapp.profile import Profile
-from cellapp.profile.files import path_exists, write_bytes
+from cellapp.profile.files import path_exists
 from cellapp.profile.loader import with_sections
 from cellapp.reporting.certificate_page import certificate_page
 from cellapp.results import (
@@ -69,6 +70,7 @@ def certificate_run(
     data: Path | None = None,
     key: Ed25519PrivateKey | None = None,
     now: datetime | None = None,
+    outputs: Outputs = NEW_ONLY,
 ) -> CertificateResult:
     """Write the certificate of a run, sign it if a key is given, and store it as a stage.
 
@@ -80,6 +82,8 @@ def certificate_run(
         Of the certificate; made of profile, day and data if not given.
     data : path, optional
         YAML with the profile's sections ``tolerances`` and ``traceability``; its keys come before the profile's.
+    outputs : Outputs
+        What may be replaced in a folder ``out``; left out, nothing. In the run's folder an unsigned one is.
 
     Raises
     ------
@@ -102,6 +106,9 @@ def certificate_run(
         files=(CERTIFICATE_FILE, PAGE_FILE, *([] if key is None else [SIGNATURE_FILE])),
         key_id="" if key is None else PublicKey.of(key).id_text,
     )
+    allowed = RENEWED if out is None else outputs
+    for name in asked.files:
+        allowed.check_file(folder / name)
     profile = run.profile if data is None else with_sections(run.profile, data, DATA_SECTIONS)
     stages = read_stages(run)
     basis = _basis(run, stages)
@@ -111,10 +118,18 @@ def certificate_run(
     if key is not None:
         comment = f"timestamp:{int(asked.written.timestamp())}\tfile:{CERTIFICATE_FILE}\tnumber:{result.number}"
         files[SIGNATURE_FILE] = sign(content, key, comment).text().encode()
+    _make(folder)
     for name, text in files.items():
-        write_bytes(folder / name, text)
+        allowed.write(folder / name, text)
     append_stage(run, CERTIFICATE, result, basis)
     return result
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); give another folder") from None
 
 
 def check_certificate(

@@ -17,6 +17,7 @@ from cellapp.compensation.path_result import path_csv, path_result
 from cellapp.control import JobControl
 from cellapp.errors import InputError
 from cellapp.model import CellModel
+from cellapp.outputs import NEW_ONLY, Outputs
 from cellapp.paths.plan_path import PathPlan, plan_path
 from cellapp.profile import Profile
 from cellapp.progress import Listener, Progress, ignore, with_eta
@@ -42,13 +43,14 @@ def follow_run(
     rehearse: bool = False,
     out_of_date: bool = False,
     csv: Path | None = None,
+    outputs: Outputs = NEW_ONLY,
     ask: Ask | None = None,
 ) -> PathResult:
     """Plan paths and store the result; with ``driving`` also drive them, and measure how well they are followed.
 
     ``rehearse`` drives each path once before and corrects it by how the joints lagged. ``out_of_date`` drives by the
-    model in force even where it, or a discovery, is out of date. ``csv`` is a file for the joint positions. ``ask`` is
-    asked before the first motion of real arms.
+    model in force even where it, or a discovery, is out of date. ``csv`` is a file for the joint positions, and
+    ``outputs`` says what it may replace. ``ask`` is asked before the first motion of real arms.
 
     Raises
     ------
@@ -72,7 +74,7 @@ def follow_run(
     notes = stale_notes(stages, used)
     plans = _planned(run, model, paths, listener, control)
     if csv is not None:
-        _write(csv, path_csv(plans))
+        outputs.write_text(csv, path_csv(plans))
     followed: list[tuple[PathPlan, DrivenPath | None]] = [(plan, None) for plan in plans]
     with ExitStack() as stack:
         if driving != "plan":
@@ -137,10 +139,3 @@ def _planned(
         plans.append(plan_path(run.profile, model, spec, _PERIOD_S))
     listener(Progress("plan paths", len(paths), len(paths), "done"))
     return plans
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None

@@ -16,6 +16,7 @@ import numpy as np
 from cellapp.commissioning.running import running_job
 from cellapp.control import JobControl
 from cellapp.errors import CheckFailed, InputError
+from cellapp.outputs import NEW_ONLY, Outputs
 from cellapp.planning.check import check_each_stop, check_stops, required_plan
 from cellapp.planning.duration import planned_time
 from cellapp.planning.method import make_stops
@@ -61,10 +62,10 @@ def stored_plan(run: RunFile) -> StopsResult:
 # -- plans as files ---------------------------------------------------------------------------------------------------
 
 
-def export_plan(run: RunFile, path: Path) -> None:
+def export_plan(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) -> None:
     """Write the plan of a run as CSV. Raises ``InputError`` without a plan, or if the file cannot be written."""
     required_plan(run)
-    write_plan_csv(read_planned_stops(run), path)
+    write_plan_csv(read_planned_stops(run), path, outputs)
 
 
 def check_plan_file(

@@ -79,7 +79,7 @@ def test_people_need_not_see_how_tests_run_an_example() -> None:
 @pytest.mark.parametrize("slug", FIGURES)
 def test_figures_are_drawn_again_alike_and_are_small(slug: str, scene: Scene) -> None:
     kept = (DOCS / "figures" / f"{slug}.svg").read_text("utf-8")
-    assert figure_svg(slug, scene) == kept, "draw them again: cellapp docs figures --out cellapp/docs/figures"
+    assert figure_svg(slug, scene) == kept, "draw them again: cellapp docs figures --out cellapp/docs/figures --force"
     assert len(kept.encode()) < MOST_BYTES
     drawing = ElementTree.fromstring(kept)
     assert drawing.findtext("{*}title")
@@ -98,7 +98,9 @@ def test_figures_show_an_effect(slug: str, scene: Scene) -> None:
 def test_the_figure_of_obstacles_is_drawn_from_the_example_of_its_chapter() -> None:
     kept = (DOCS / "figures" / f"{planning_figures.FIGURE}.svg").read_text("utf-8")
     twin = load_profile(TWIN)
-    assert planning_figures.figure_svg(twin) == kept, "draw it again: cellapp docs figures --out cellapp/docs/figures"
+    assert planning_figures.figure_svg(twin) == kept, (
+        "draw it again: cellapp docs figures --out cellapp/docs/figures --force"
+    )
     assert {one.shape for one in planning_figures.example_obstacles().values()} == set(SHAPES) - {"mesh"}
     outlines, shadows, stands = planning_figures.obstacles_chart(twin).series
     assert np.isnan(outlines.x).sum() == len(planning_figures.example_obstacles())

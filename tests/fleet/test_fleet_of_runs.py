@@ -203,4 +203,4 @@ def test_the_command_says_writes_and_judges(worn: Path, tmp_path: Path) -> None:
     two = CliRunner().invoke(app, ["compare", *three[:2], "--json", "-"])
     assert json.loads(two.stdout)["schema"] == "cellapp-comparison"
     unwritable = CliRunner().invoke(app, ["fleet", str(worn), "--page", str(tmp_path / "none" / "fleet.html")])
-    assert "cannot be written" in str(unwritable.exception)
+    assert "fleet.html: folder not found; nothing was done" in str(unwritable.exception)

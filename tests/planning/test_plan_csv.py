@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from cellapp.errors import InputError
+from cellapp.outputs import RENEWED
 from cellapp.planning.plan_csv import read_plan_csv, write_plan_csv
 from cellapp.planning.planned_stops import straight_stops
 from tests.planning.hand_made import same_stops, some_stops
@@ -25,17 +26,17 @@ PROFILE = with_arms(small_twin(4), limits=((-6.0, 6.0),) * 6)
 
 def written(path: Path) -> list[str]:
     """The lines of a file with four stops."""
-    write_plan_csv(some_stops(4), path)
+    write_plan_csv(some_stops(4), path, RENEWED)
     return path.read_text("utf-8").splitlines()
 
 
 def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
     for stops in (some_stops(9), straight_stops(some_stops(3).q)):
-        write_plan_csv(stops, tmp_path / "plan.csv")
+        write_plan_csv(stops, tmp_path / "plan.csv", RENEWED)
         back = read_plan_csv(tmp_path / "plan.csv", PROFILE)
         same_stops(back.stops, stops)
         assert back.configurations == tuple(range(len(stops)))
-        write_plan_csv(back.stops, tmp_path / "again.csv")
+        write_plan_csv(back.stops, tmp_path / "again.csv", RENEWED)
         assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "plan.csv").read_bytes()
 
 
@@ -44,7 +45,7 @@ def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
 def test_every_number_comes_back_bit_for_bit(q: np.ndarray, dwell_s: float, tmp_path: Path) -> None:
     stops = straight_stops({"left": q, "right": -q})
     stops.dwell_s["right"][:] = dwell_s
-    write_plan_csv(stops, tmp_path / "plan.csv")
+    write_plan_csv(stops, tmp_path / "plan.csv", RENEWED)
     back = read_plan_csv(tmp_path / "plan.csv", PROFILE).stops
     assert back.q["left"].tobytes() == q.tobytes()
     assert back.q["right"].tobytes() == (-q).tobytes()
@@ -161,7 +162,7 @@ def test_files_that_cannot_be_read_or_written_are_told(tmp_path: Path) -> None:
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not UTF-8"):
         read_plan_csv(tmp_path / "binary.csv", PROFILE)
-    with pytest.raises(InputError, match="it is a folder"):
+    with pytest.raises(InputError, match="is a folder"):
         write_plan_csv(some_stops(2), tmp_path)
     with pytest.raises(InputError, match="cannot be written"):
         write_plan_csv(some_stops(2), tmp_path / "missing" / "plan.csv")

@@ -355,7 +355,7 @@ def test_old_run_without_its_model_is_refused(single: RunFile, tmp_path: Path) -
 
 def test_page_that_cannot_be_written(single: RunFile) -> None:
     (single.folder / "report.html").mkdir()
-    with pytest.raises(InputError, match=r"report\.html: cannot be written"):
+    with pytest.raises(InputError, match=r"report\.html is a folder"):
         write_page(single)
     assert not list(single.folder.glob("*.part"))
 

@@ -322,7 +322,7 @@ def test_export_of_nothing_and_to_nowhere(path: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="cannot be written"):
             write_readings_csv(run, tmp_path / "none" / "out.csv")
         path.mkdir()
-        with pytest.raises(InputError, match="cannot be written"):
+        with pytest.raises(InputError, match="is a folder"):
             write_readings_csv(run, path)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["readings.csv", "run"]
 

@@ -11,6 +11,7 @@ from textual.binding import Binding, BindingType
 from textual.widgets import Static, TabbedContent, TabPane
 
 from cellapp.errors import CellappError
+from cellapp.outputs import RENEWED
 from cellapp.reporting.charts import Chart
 from cellapp.reporting.charts_fleet import effect_chart, pair_chart, parameter_charts, trend_charts
 from cellapp.reporting.fleet_text import arm_sentences, fleet_sentences, fleet_tables
@@ -93,7 +94,7 @@ class FleetHistory(Question[None]):
         from cellapp.reporting.fleet_page import write_fleet_page
 
         try:
-            said = f"page: {write_fleet_page(self._result, path)}"
+            said = f"page: {write_fleet_page(self._result, path, RENEWED)}"
         except CellappError as error:
             said = str(error)
         self.app.call_from_thread(self.notify, said)

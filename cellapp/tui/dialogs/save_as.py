@@ -10,6 +10,8 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.widgets import Button, Static
 
+from cellapp.errors import InputError
+from cellapp.outputs import RENEWED
 from cellapp.tui.dialogs.file_picker import PathField
 from cellapp.tui.dialogs.question import FieldsQuestion
 
@@ -53,16 +55,17 @@ class SaveAs(FieldsQuestion[Path]):
     def action_send(self) -> None:
         """Save where was typed; what exists is replaced the second time."""
         path = Path(self.typed("path")).expanduser()
-        if path.exists() and path != self._replace:
-            self._replace = path
-            self.explain(f"{path} exists. Enter again replaces it; or type another name.")
-            return
-        if self._text is not None:
-            try:
-                path.write_text(self._text, encoding="utf-8")
-            except OSError as error:
-                self.explain(f"{path} cannot be written ({error.strerror or error}); type another name.")
+        try:
+            RENEWED.check(path)
+            if path.exists() and path != self._replace:
+                self._replace = path
+                self.explain(f"{path} exists. Enter again replaces it; or type another name.")
                 return
+            if self._text is not None:
+                RENEWED.write_text(path, self._text)
+        except InputError as error:
+            self.explain(str(error))
+            return
         self.dismiss(path)
 
 
