@@ -310,6 +310,7 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         "cellapp/trials/sealed.py",
         "cellapp/trials/campaigns/disk.py",
         "cellapp/trials/storm.py",
+        "cellapp/trials/terminal_presses.py",
         "cellapp/trials/league/series.py",
         "cellapp/docs/__main__.py",
         "cellapp/commissioning/job_requests.py",

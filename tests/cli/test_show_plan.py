@@ -33,7 +33,7 @@ def test_a_plan_is_checked_and_foreseen_in_batch(tmp_path: Path, capsys: pytest.
     code, said, _ = called(capsys, "show", tmp_path / "run", "plan", "--check", "--json", out)
     assert (code, read_json(out)["schema"]) == (0, "cellapp-plan-check")
     assert "Safe: 12 stops and 13 ways" in said
-    code, said, _ = called(capsys, "show", tmp_path / "run", "plan", "--forecast", "--json", out)
+    code, said, _ = called(capsys, "show", tmp_path / "run", "plan", "--forecast", "--json", out, "--force")
     assert code == 0
     assert read_json(out)["schema"] == "cellapp-plan-forecast"
     assert set(read_json(out)["arms"]) == {"left", "right"}
@@ -88,7 +88,7 @@ def test_a_plan_is_edited_in_batch(tmp_path: Path, capsys: pytest.CaptureFixture
     assert (code, read_json(out)["stops"]) == (0, {"left": 6, "right": 6})
     assert "Collecting takes about" in said
     assert called(capsys, "export", run, "--plan", file)[:2] == (0, f"plan written to {file}\n")
-    assert called(capsys, "plan", profile, "--check", file, "--json", out)[0] == 0
+    assert called(capsys, "plan", profile, "--check", file, "--json", out, "--force")[0] == 0
     assert (read_json(out)["schema"], read_json(out)["file"]) == ("cellapp-plan-check", str(file))
     assert called(capsys, "plan", profile, "--from", file, "--run", tmp_path / "same")[0] == 0
     called(capsys, "export", tmp_path / "same", "--plan", tmp_path / "same.csv")

@@ -48,7 +48,7 @@ def test_the_commands_do_what_the_page_says(
     ends = []
     for line in "".join(blocks("check", "sh")).splitlines():
         program, *arguments = shlex.split(line.replace("changed.yaml", str(path)))
-        ended = CliRunner().invoke(app, [*arguments, "--json", "result.json"])
+        ended = CliRunner().invoke(app, [*arguments, "--json", "result.json", "--force"])
         found = json.loads(Path("result.json").read_text("utf-8"))
         ends.append((program, found["schema"], found["verdict"], ended.exit_code))
     valid = ("cellapp", "cellapp-check", "valid", 0)

@@ -158,7 +158,7 @@ def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
     ):
         assert words in str(CliRunner().invoke(app, arguments).exception)
     (tmp_path / "file").write_text("", encoding="utf-8")
-    with pytest.raises(InputError, match="give a folder that can be written"):
+    with pytest.raises(InputError, match=r"cannot be written .*; give a file in a folder that you may write to"):
         write_figures(load_profile(TWIN), tmp_path / "file")
     twin = load_profile(TWIN)
     unplaced = twin.model_copy(update={"tracker": twin.tracker.model_copy(update={"pose": None})})

@@ -23,4 +23,4 @@ def test_the_file_of_the_page_is_planned(finished_run: Path, tmp_path: Path, mon
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert len(Path("q.csv").read_text("utf-8").splitlines()) > 500
-    assert "rehearsal" in str(CliRunner().invoke(app, [*words, "--rehearse"]).exception)
+    assert "rehearsal" in str(CliRunner().invoke(app, [*words, "--force", "--rehearse"]).exception)

@@ -33,7 +33,7 @@ def test_the_commands_do_what_the_page_says(
     assert len(COMMANDS) == 4
     for command in COMMANDS:
         program, *arguments = shlex.split(command)
-        ended = CliRunner().invoke(app, [*arguments, "--json", "result.json"])
+        ended = CliRunner().invoke(app, [*arguments, "--json", "result.json", "--force"])
         assert (program, ended.exit_code) == ("cellapp", 0), f"{command}: {ended.exception}"
         result = json.loads(Path("result.json").read_text("utf-8"))
         assert result["schema"] == "cellapp-correct"
