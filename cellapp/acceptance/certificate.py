@@ -24,6 +24,7 @@ from cellapp.results import (
     CertifiedCharacteristic,
     CertifiedData,
     CertifiedErrors,
+    CertifiedTarget,
     CertifiedTests,
     Characteristic,
     CommandedTests,
@@ -32,6 +33,11 @@ from cellapp.results import (
     VerifyResult,
 )
 
+_METHOD = (
+    "Each target is driven with the command of the published geometry and with the compensated one. While the arm"
+    " rests, the laser tracker measures the position of the SMR on its flange; the error is the distance from the"
+    " target."
+)
 _MOST_NAMED = 5
 """Targets that a sentence names; further ones are counted."""
 
@@ -88,14 +94,20 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
         organisation=stated.organisation,
         location=stated.location,
         operator=stated.operator,
+        client=stated.client,
+        method=f"{_METHOD} Computed by {given.program}.",
+        procedure=stated.procedure,
+        air_pressure_hpa=stated.air_pressure,
+        relative_humidity_percent=stated.relative_humidity,
         arms=arms,
         pair=_pair(results),
         instruments=instruments,
         judgements=judge_run(profile, results, given.conditions),
         contributions=tuple(lines),
+        targets=_targets(held_verification(results)),
         iso9283=_tests(results),
         limits=tuple(_limits(results, held_verification(results))),
-        missing=missing_data(profile, instruments, arms, given.conditions, given.measured),
+        missing=missing_data(profile, instruments, arms, given.conditions, given.measured, lines),
         warnings=(
             *_simulated(profile),
             *_unverified(profile, results),
@@ -160,6 +172,19 @@ def _measured(verified: ArmVerification | None) -> CertifiedErrors:
     if verified is None:
         return CertifiedErrors()
     return CertifiedErrors(found=verified.nominal_mm, left=verified.corrected_mm or verified.compensated_mm)
+
+
+def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
+    return tuple(
+        CertifiedTarget(
+            name=one.name,
+            arm=one.arm,
+            wanted_M=None if one.wanted_M is None else (one.wanted_M[0], one.wanted_M[1], one.wanted_M[2]),
+            found_mm=one.nominal_mm,
+            left_mm=one.final_mm,
+        )
+        for one in (() if verify is None else verify.targets)
+    )
 
 
 def _tests(results: RunResults) -> CertifiedTests | None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import date
 
+from cellapp.acceptance.budget import not_given
 from cellapp.acceptance.conditions import MeasuredConditions
 from cellapp.profile import Profile
 from cellapp.profile.acceptance import Instrument
-from cellapp.results import CertifiedArm, CertifiedInstrument
+from cellapp.results import CertifiedArm, CertifiedInstrument, UncertaintyContribution
 from cellapp.times import day_of
 
 TRACKER_ROLE = "laser tracker"
@@ -20,7 +21,7 @@ _FIELDS = {
     "certificate": "calibration certificate",
 }
 """What a reader expects of the tracker."""
-_FIELDS_OF_OTHERS = ("serial", "calibrated")
+_FIELDS_OF_OTHERS = ("serial", "calibrated", "due")
 """What a reader expects of an SMR and of further instruments."""
 
 
@@ -56,14 +57,24 @@ def missing_data(
     arms: Mapping[str, CertifiedArm],
     conditions: Mapping[str, MeasuredConditions],
     measured: Sequence[str],
+    contributions: Sequence[UncertaintyContribution] = (),
 ) -> tuple[str, ...]:
-    """What a reader expects and nobody gave, one phrase each."""
+    """What a reader expects and nobody gave, one phrase each; ``contributions`` are those of the uncertainty."""
     stated = profile.traceability
-    whole = {"organisation": stated.organisation, "location": stated.location, "operator": stated.operator}
+    whole = {
+        "organisation": stated.organisation,
+        "client": stated.client,
+        "location": stated.location,
+        "operator": stated.operator,
+        "procedure": stated.procedure,
+        "air pressure": stated.air_pressure,
+        "relative humidity": stated.relative_humidity,
+    }
     named = [
-        *(name for name, text in whole.items() if not text),
+        *(name for name, given in whole.items() if not given),
         *([] if measured else ["time of measuring"]),
         *(phrase for one in instruments if (phrase := _of_instrument(one))),
+        *(f"uncertainty of {name}" for name in not_given(contributions)),
     ]
     for name, arm in arms.items():
         lacking = [

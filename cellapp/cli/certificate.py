@@ -39,6 +39,9 @@ def certificate(
     key: Annotated[
         Path | None, typer.Option("--key", metavar="KEYFILE", help="Sign with this private key (see sign-key).")
     ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Print it to certificate.pdf, too, through an installed Chromium.")
+    ] = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit code 1 unless all is verified, holds and conforms.")
     ] = False,
@@ -50,7 +53,7 @@ def certificate(
 
     private = None if key is None else _private_key(key)
     with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = certificate_run(opened, out=out, number=number, data=data, key=private, outputs=job.outputs)
+        result = certificate_run(opened, out=out, number=number, data=data, key=private, pdf=pdf, outputs=job.outputs)
         job.show(certificate_tables(result))
         job.say(*certificate_sentences(result), f"written: {out or folder}")
         job.result(result)
@@ -73,7 +76,7 @@ def sign_key(
 
 
 def check_certificate(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A certificate.json; its signature stands beside it.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A certificate.json, or its page or PDF beside it.")],
     public_key: Annotated[
         str | None, typer.Option("--public-key", metavar="PUB", help="The signer's public key: its file or its line.")
     ] = None,
@@ -82,7 +85,7 @@ def check_certificate(
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Verify the signature of a certificate, and with --run its data; exit code 1 if anything does not hold."""
+    """Verify signature and page of a certificate, with --run its data; exit code 1 if anything does not hold."""
     from cellapp.reporting.certificate_text import check_sentences
     from cellapp.verbs.certificate import check_certificate as check
     from cellapp.verbs.sign_key import load_public_key

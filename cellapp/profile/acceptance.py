@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from datetime import date
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from drivers.quantities import Length
 from drivers.settings import Section
@@ -16,6 +16,29 @@ Tolerance = Annotated[Length, Field(gt=0.0, le=0.1)]
 DecisionRule = Literal["guarded", "simple"]
 """``guarded``: ISO 14253-1; an error conforms if it is inside the tolerance by its expanded uncertainty, and does not
 conform if it is outside by it. ``simple``: the error alone is compared (ISO/IEC Guide 98-4, simple acceptance)."""
+
+
+def _span_of(value: object) -> object:
+    """One number stands for a quantity that did not change."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (value, value)
+    if isinstance(value, str | bool):
+        raise ValueError(f"expected a number, or the smallest and the largest in brackets, got {value!r}")
+    return value
+
+
+def _in_order(span: tuple[float, float]) -> tuple[float, float]:
+    if span[0] > span[1]:
+        raise ValueError(f"expected the smaller value first, got {span[0]:g} and {span[1]:g}")
+    return span
+
+
+Pressure = Annotated[float, Field(strict=True, ge=300.0, le=1200.0)]
+Humidity = Annotated[float, Field(strict=True, ge=0.0, le=100.0)]
+PressureSpan = Annotated[tuple[Pressure, Pressure], BeforeValidator(_span_of), AfterValidator(_in_order)]
+"""Smallest and largest absolute pressure [hPa]."""
+HumiditySpan = Annotated[tuple[Humidity, Humidity], BeforeValidator(_span_of), AfterValidator(_in_order)]
+"""Smallest and largest relative humidity [%]."""
 
 
 class Tolerances(Section):
@@ -72,19 +95,26 @@ class TraceableArm(Section):
 class Traceability(Section):
     """Who measured with what, for certificates. What is left out is reported as not given, never assumed.
 
-    ``smr_centering`` is the standard uncertainty of the SMR's optical centre in its sphere and nest,
-    ``air_temperature_uncertainty`` that of the air temperature along the beam.
+    ``client`` is for whom the certificate is made, with the address; ``procedure`` the written procedure of the
+    organisation by which one measured, with its revision. ``air_pressure`` [hPa] and ``relative_humidity`` [%] are
+    those while measuring: a number, or the smallest and the largest. ``smr_centering`` is the standard uncertainty of
+    the SMR's optical centre in its sphere and nest, ``air_temperature_uncertainty`` that of the air temperature along
+    the beam.
     """
 
     organisation: str = ""
     location: str = ""
     operator: str = ""
+    client: str = ""
+    procedure: str = ""
     tracker: Instrument = Instrument()
     smr: Mapping[str, Instrument] = {}
     """By arm."""
     instruments: Mapping[str, Instrument] = {}
     """Further ones by name, as a thermometer or a reference bar."""
     arms: Mapping[str, TraceableArm] = {}
+    air_pressure: PressureSpan | None = None
+    relative_humidity: HumiditySpan | None = None
     smr_centering: Annotated[Length, Field(gt=0.0, le=1e-3)] | None = None
     air_temperature_uncertainty: Annotated[float, Field(strict=True, gt=0.0, le=20.0)] | None = None
     """Kelvin."""

@@ -14,7 +14,8 @@ from cellapp.reporting.certificate_text import (
     instruments_table,
     iso_sentence,
     iso_table,
-    rule_sentence,
+    statements,
+    targets_table,
 )
 from cellapp.reporting.report_data import ReportData
 from cellapp.reporting.table import Table
@@ -34,6 +35,8 @@ class CertificateSection:
     ----------
     marks : tuple of str
         What a reader must see first; empty if all is in order.
+    statements : tuple of str
+        What a certificate says besides its figures.
     objects, facts, hashes : tuple of (title, text)
         The arms; who, when, where, under which conditions; SHA-256 of what it rests on.
     judgements : tuple of (words, judgement)
@@ -46,9 +49,10 @@ class CertificateSection:
     facts: tuple[tuple[str, str], ...]
     errors: Table
     judgements: tuple[tuple[str, Judgement], ...]
-    rule: str
     tests: Table | None
     tests_words: str
+    targets: Table | None
+    statements: tuple[str, ...]
     budget: Table
     instruments: Table
     hashes: tuple[tuple[str, str], ...]
@@ -79,9 +83,10 @@ def section_of(result: CertificateResult, outdated: str = "") -> CertificateSect
         facts=tuple(_facts(result)),
         errors=errors_table(result),
         judgements=tuple((judgement_words(one), one) for one in result.judgements),
-        rule=rule_sentence(result),
         tests=None if result.iso9283 is None else iso_table(result.iso9283),
         tests_words="" if result.iso9283 is None else iso_sentence(result.iso9283),
+        targets=targets_table(result) if result.targets else None,
+        statements=tuple(statements(result)),
         budget=budget_table(result),
         instruments=instruments_table(result),
         hashes=tuple(_hashes(result)),
@@ -95,13 +100,17 @@ def _facts(result: CertificateResult) -> list[tuple[str, str]]:
     """Who, when, where, under which conditions."""
     return [
         ("Organisation", result.organisation or NOT_GIVEN),
+        ("Client", result.client or NOT_GIVEN),
         ("Location", result.location or NOT_GIVEN),
         ("Operator", result.operator or NOT_GIVEN),
         ("Measured", _period(result.measured)),
         *_shared("Payload", "kg", {name: arm.payload_kg for name, arm in result.arms.items()}),
         *_shared("Air temperature", "degC", {name: arm.air_c for name, arm in result.arms.items()}),
         *_shared("Joint temperatures", "degC", {name: arm.joints_c for name, arm in result.arms.items()}),
+        ("Air pressure", _stated(result.air_pressure_hpa, "hPa")),
+        ("Relative humidity", _stated(result.relative_humidity_percent, "%")),
         *_shared("Distance from tracker", "m", {name: arm.distance_m for name, arm in result.arms.items()}),
+        ("Procedure", result.procedure or NOT_GIVEN),
         ("Software", result.program),
     ]
 
@@ -120,10 +129,14 @@ def _arm_words(arm: CertifiedArm) -> str:
 
 def _shared(title: str, unit: str, ranges: dict[str, Range | None]) -> list[tuple[str, str]]:
     """A range of every arm, said once where all are alike."""
-    words = {name: NOT_GIVEN if one is None else f"{_span(one)} {unit}" for name, one in ranges.items()}
+    words = {name: _stated(one, unit) for name, one in ranges.items()}
     if len(set(words.values())) == 1:
         return [(title, next(iter(words.values())))]
     return [(title, "; ".join(f"{name} {text}" for name, text in words.items()))]
+
+
+def _stated(limits: Range | None, unit: str) -> str:
+    return NOT_GIVEN if limits is None else f"{_span(limits)} {unit}"
 
 
 def _span(limits: Range) -> str:

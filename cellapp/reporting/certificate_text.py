@@ -20,6 +20,16 @@ from cellapp.results import (
 )
 
 NOT_GIVEN = "not given"
+_COMPLETE = "Every entry of this certificate that a person gives was given."
+_TRACEABLE = (
+    "Traceability is as the instruments' own calibration certificates state it; this program does not verify those."
+)
+_COPIES = (
+    "This certificate may be copied as a whole only; extracts need the written permission of the organisation that"
+    " issued it."
+)
+_NOWHERE = (None, None, None)
+"""Coordinates of a target whose position was not stored."""
 
 
 def certificate_tables(result: CertificateResult) -> list[Table]:
@@ -48,6 +58,7 @@ def check_sentences(result: CertificateCheckResult) -> list[str]:
     named = f"certificate {result.number}" if result.number else result.certificate
     key = f" (key {result.key_id})" if result.key_id else ""
     said = [f"{named}: signature {result.signature}{key}"]
+    said += [f"{name}: {state}" for name, state in result.documents.items() if state != "changed"]
     if result.comment:
         said.append(f"signed comment: {result.comment.replace(chr(9), ', ')}")
     if result.run and not result.problems:
@@ -78,6 +89,30 @@ def rule_sentence(result: CertificateResult) -> str:
         return ""
     words = RULE_WORDS[result.judgements[0].rule]
     return f"Decision rule: {words[0].lower()}{words[1:]}"
+
+
+def statements(result: CertificateResult) -> list[str]:
+    """What a certificate says besides its figures: method, rule, limits, what is not given, copies."""
+    rule = rule_sentence(result)
+    missing = f"Not given: {'; '.join(result.missing)}." if result.missing else _COMPLETE
+    return [
+        *([f"Method: {result.method}"] if result.method else []),
+        *([rule] if rule else []),
+        *result.limits,
+        missing,
+        _TRACEABLE,
+        _COPIES,
+    ]
+
+
+def targets_table(result: CertificateResult) -> Table:
+    """Every verified target: where it is in the tracker frame, its error as found and as left [mm]."""
+    rows = tuple(
+        (one.name, one.arm, *(one.wanted_M_mm or _NOWHERE), one.found_mm, one.left_mm) for one in result.targets
+    )
+    axes = (number_column(f"{axis} (tracker)", ".1f") for axis in "xyz")
+    errors = (number_column(title, ".3f") for title in ("as found", "as left"))
+    return Table("Verified targets [mm]", (Column("target"), Column("arm"), *axes, *errors), rows)
 
 
 def errors_table(result: CertificateResult) -> Table:

@@ -10,6 +10,7 @@ from cellapp.results.base import ErrorSummary, Record, Result, StageName
 from cellapp.results.iso9283 import IsoCommands
 
 Range = tuple[float, float]
+DocumentState = Literal["as certified", "changed", "not here"]
 
 
 class UncertaintyContribution(Record):
@@ -100,6 +101,24 @@ class CertifiedTests(Record):
     missing: tuple[str, ...] = ()
 
 
+class CertifiedTarget(Record):
+    """A verified target of one arm: position in the tracker frame [m]; its errors [mm], None where not measured.
+
+    ``found_mm`` is with the command of the published geometry, ``left_mm`` with the one that is kept.
+    """
+
+    name: str
+    arm: str
+    wanted_M: tuple[float, float, float] | None = None
+    found_mm: float | None = None
+    left_mm: float | None = None
+
+    @property
+    def wanted_M_mm(self) -> tuple[float, ...]:
+        """The position [mm]; empty where it is not known."""
+        return () if self.wanted_M is None else tuple(1e3 * value for value in self.wanted_M)
+
+
 class CertifiedData(Record):
     """SHA-256 of what the certificate rests on; empty or None where there is none.
 
@@ -131,8 +150,19 @@ class CertificateResult(Result):
         Results that no longer hold, with the reason.
     files : tuple
         Names of the files that were written.
+    documents : mapping
+        File name -> SHA-256 of each file that shows this certificate to people: the page, and its print. Whoever signs
+        this file signs them.
     key_id : str
         Of the key that signs them; empty if none does.
+    method : str
+        How positions were measured and errors computed, with the version of the program.
+    procedure : str
+        The written procedure of the organisation.
+    air_pressure_hpa, relative_humidity_percent : (float, float) or None
+        Smallest and largest while measuring, as stated.
+    targets : tuple
+        Those that were verified.
     """
 
     schema_: Literal["cellapp-certificate"] = "cellapp-certificate"
@@ -146,11 +176,17 @@ class CertificateResult(Result):
     organisation: str = ""
     location: str = ""
     operator: str = ""
+    client: str = ""
+    method: str = ""
+    procedure: str = ""
+    air_pressure_hpa: Range | None = None
+    relative_humidity_percent: Range | None = None
     arms: Mapping[str, CertifiedArm] = {}
     pair: CertifiedErrors = CertifiedErrors()
     instruments: tuple[CertifiedInstrument, ...] = ()
     judgements: tuple[Judgement, ...] = ()
     contributions: tuple[UncertaintyContribution, ...] = ()
+    targets: tuple[CertifiedTarget, ...] = ()
     iso9283: CertifiedTests | None = None
     limits: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
@@ -158,6 +194,7 @@ class CertificateResult(Result):
     out_of_date: tuple[str, ...] = ()
     data: CertifiedData | None = None
     files: tuple[str, ...] = ()
+    documents: Mapping[str, str] = {}
     key_id: str = ""
     omitted_when_none = frozenset({"iso9283"})
 
@@ -180,7 +217,8 @@ class CertificateCheckResult(Result):
     """``check-certificate``: whether signature and data are those that were signed; ``problems`` is empty if so.
 
     ``signature`` is "not checked" where no public key was given. ``comment`` is the signed comment of a valid
-    signature: time, file and number. ``run`` is the run whose data were compared; empty if none was.
+    signature: time, file and number. ``documents`` are the files that show the certificate to people, and whether each
+    is the one whose hash the certificate states. ``run`` is the run whose data were compared; empty if none was.
     """
 
     schema_: Literal["cellapp-certificate-check"] = "cellapp-certificate-check"
@@ -190,6 +228,7 @@ class CertificateCheckResult(Result):
     signature: Literal["valid", "wrong", "missing", "other key", "not checked"]
     key_id: str = ""
     comment: str = ""
+    documents: Mapping[str, DocumentState] = {}
     run: str = ""
     problems: tuple[str, ...] = ()
 

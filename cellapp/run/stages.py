@@ -368,6 +368,11 @@ _MEASURED: Mapping[StageName, str] = {
     ISO9283: "the cell was tested by ISO 9283",
 }
 """What was done by the verbs that measure the cell with a model, and that a certificate rests on."""
+STORED_OTHERWISE: Mapping[StageName, str] = {
+    VERIFY: "the stored verification was changed",
+    ISO9283: "the stored test by ISO 9283 was changed",
+}
+"""What is said where a stage that stood before its certificate is not the one that was certified."""
 
 
 def _stage(run: RunFile, row: StageRow) -> StoredStage:
@@ -453,7 +458,8 @@ def _why_outdated(
         if name in _MEASURED:
             newest = current.get(name)
             if newest is not None and newest.digest != digest:
-                reasons.append(f"{_MEASURED[name]} since")
+                later = newest.number > stage.number
+                reasons.append(f"{_MEASURED[name]} since" if later else STORED_OTHERWISE[name])
         elif used is not None and not used.has_outcome(name, digest):
             verb = _DONE[used.name]
             again = "again since, with another outcome" if used.name == name else "since, and another model is in force"

@@ -64,7 +64,7 @@ def certificate(folder: Path, request: CertificateRequest) -> Job:
         from cellapp.verbs.sign_key import load_sign_key
 
         key = None if request.key is None else load_sign_key(request.key, request.passphrase)
-        return certificate_run(run, out=request.out, number=request.number, data=request.data, key=key)
+        return certificate_run(run, out=request.out, number=request.number, data=request.data, key=key, pdf=request.pdf)
 
     return on_run("certificate", folder, work)
 

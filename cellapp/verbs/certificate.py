@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import hmac
 import re
+import tempfile
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -24,6 +26,7 @@ from cellapp.profile import Profile
 from cellapp.profile.files import path_exists
 from cellapp.profile.loader import with_sections
 from cellapp.reporting.certificate_page import certificate_page
+from cellapp.reporting.chromium import find_chromium, print_pdf
 from cellapp.results import (
     CERTIFICATE,
     ISO9283,
@@ -33,11 +36,22 @@ from cellapp.results import (
     CertifiedData,
     StageName,
 )
+from cellapp.results.certificate import DocumentState
 from cellapp.run import RunFile
 from cellapp.run.out_of_date import CERTIFICATE_FILE
-from cellapp.run.stages import Basis, RunStages, append_stage, basis_of, read_history, read_results, read_stages
+from cellapp.run.stages import (
+    STORED_OTHERWISE,
+    Basis,
+    RunStages,
+    append_stage,
+    basis_of,
+    read_history,
+    read_results,
+    read_stages,
+)
 
 PAGE_FILE = "certificate.html"
+PRINT_FILE = "certificate.pdf"
 SIGNATURE_SUFFIX = ".minisig"
 SIGNATURE_FILE = CERTIFICATE_FILE + SIGNATURE_SUFFIX
 DATA_SECTIONS = ("tolerances", "traceability")
@@ -49,17 +63,25 @@ _NUMBER = re.compile(rf"(?=.{{1,{_LONGEST_NUMBER}}}$)[\w./+-]+(?: [\w./+-]+)*", 
 """Words that fit into a file name, a signed comment and a heading."""
 _MOST_BYTES = 50_000_000
 """A certificate has some ten thousand bytes."""
+_SHOWN = (".html", ".htm", ".pdf")
+"""Files that show a certificate to people."""
+_OTHER_MODEL = "another model is in force since"
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """What was asked for: number (empty for a new one), time, hash of the file with data, files, key that signs."""
+    """What was asked for: number (empty for a new one), time, hash of the file with data, documents, key that signs."""
 
     number: str
     written: datetime
     data_sha256: str | None
-    files: tuple[str, ...]
+    documents: tuple[str, ...]
     key_id: str
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of all files that are written."""
+        return (CERTIFICATE_FILE, *self.documents, *([SIGNATURE_FILE] if self.key_id else []))
 
 
 def certificate_run(
@@ -69,6 +91,7 @@ def certificate_run(
     number: str | None = None,
     data: Path | None = None,
     key: Ed25519PrivateKey | None = None,
+    pdf: bool = False,
     now: datetime | None = None,
     outputs: Outputs = NEW_ONLY,
 ) -> CertificateResult:
@@ -82,6 +105,8 @@ def certificate_run(
         Of the certificate; made of profile, day and data if not given.
     data : path, optional
         YAML with the profile's sections ``tolerances`` and ``traceability``; its keys come before the profile's.
+    pdf : bool
+        Print the page to a PDF, too, through an installed Chromium.
     outputs : Outputs
         What may be replaced in a folder ``out``; left out, nothing. In the run's folder an unsigned one is.
 
@@ -89,7 +114,7 @@ def certificate_run(
     ------
     InputError
         If the run is open for reading only, ``number`` or ``data`` is not valid, a signed certificate stands in the
-        folder, or the files cannot be written. Nothing is stored then.
+        folder, nothing here prints, or the files cannot be written. Nothing is stored then.
     """
     if not run.writable:
         raise InputError(f"{run.path} is open for reading only; open it for writing")
@@ -103,18 +128,23 @@ def certificate_run(
         number=_checked_number(run, number),
         written=now or datetime.now(UTC),
         data_sha256=None if data is None else hashlib.sha256(_content(data)).hexdigest(),
-        files=(CERTIFICATE_FILE, PAGE_FILE, *([] if key is None else [SIGNATURE_FILE])),
+        documents=(PAGE_FILE, *([PRINT_FILE] if pdf else [])),
         key_id="" if key is None else PublicKey.of(key).id_text,
     )
+    if pdf:
+        find_chromium()
     allowed = RENEWED if out is None else outputs
     for name in asked.files:
         allowed.check_file(folder / name)
     profile = run.profile if data is None else with_sections(run.profile, data, DATA_SECTIONS)
     stages = read_stages(run)
     basis = _basis(run, stages)
-    result = certificate_of(_input(run, profile, basis, stages, asked))
+    shown = certificate_of(_input(run, profile, basis, stages, asked))
+    documents = _documents(shown, pdf=pdf)
+    hashes = {name: hashlib.sha256(text).hexdigest() for name, text in documents.items()}
+    result = shown.model_copy(update={"documents": hashes})
     content = (result.to_json(indent=1) + "\n").encode()
-    files = {CERTIFICATE_FILE: content, PAGE_FILE: certificate_page(result).encode()}
+    files = {CERTIFICATE_FILE: content, **documents}
     if key is not None:
         comment = f"timestamp:{int(asked.written.timestamp())}\tfile:{CERTIFICATE_FILE}\tnumber:{result.number}"
         files[SIGNATURE_FILE] = sign(content, key, comment).text().encode()
@@ -123,6 +153,18 @@ def certificate_run(
         allowed.write(folder / name, text)
     append_stage(run, CERTIFICATE, result, basis)
     return result
+
+
+def _documents(result: CertificateResult, *, pdf: bool) -> dict[str, bytes]:
+    """The files that show a certificate to people, name -> content."""
+    page = certificate_page(result).encode()
+    if not pdf:
+        return {PAGE_FILE: page}
+    with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as folder:
+        shown, printed = Path(folder) / PAGE_FILE, Path(folder) / PRINT_FILE
+        RENEWED.write(shown, page)
+        print_pdf(shown, printed)
+        return {PAGE_FILE: page, PRINT_FILE: printed.read_bytes()}
 
 
 def _make(folder: Path) -> None:
@@ -135,11 +177,14 @@ def _make(folder: Path) -> None:
 def check_certificate(
     path: Path, public_key: PublicKey | None = None, run: RunFile | None = None
 ) -> CertificateCheckResult:
-    """Verify the signature beside a certificate, and that a run is still the one that it was made from.
+    """Verify the signature of a certificate, the files that show it, and that a run is still the one it was made from.
 
-    ``problems`` of the result name whatever does not hold; without a public key the signature is one of them. Raises
-    ``InputError`` if ``path`` cannot be read.
+    ``path`` is the certificate, or a page or print of it; then the certificate stands beside. ``problems`` of the
+    result name whatever does not hold; without a public key the signature is one of them. Raises ``InputError`` if
+    ``path`` cannot be read.
     """
+    shown = path if path.suffix.lower() in _SHOWN else None
+    path = path if shown is None else path.with_name(CERTIFICATE_FILE)
     content = _content(path)
     checked = _checked_signature(path, content, public_key)
     problems = [checked.problem] if checked.problem else []
@@ -148,6 +193,10 @@ def check_certificate(
         certificate = CertificateResult.from_json(content.decode("utf-8"), str(path))
     except (InputError, UnicodeDecodeError):
         problems.append("it is no certificate that this cellapp can read")
+    documents = {} if certificate is None else _checked_documents(certificate, path.parent)
+    problems += [f"{name} was changed: it is not the file that was certified" for name in _changed(documents)]
+    if certificate is not None:
+        problems += _uncovered(certificate, path.parent, shown)
     if certificate is not None and run is not None:
         problems += _changes(certificate, run)
     return CertificateCheckResult(
@@ -156,6 +205,7 @@ def check_certificate(
         signature=checked.state,
         key_id=checked.key_id,
         comment=checked.comment,
+        documents=documents,
         run="" if run is None else str(run.folder),
         problems=tuple(problems),
     )
@@ -269,6 +319,29 @@ def _checked_signature(path: Path, content: bytes, public_key: PublicKey | None)
     return _Checked("valid", key_id, signature.trusted_comment)
 
 
+def _checked_documents(certificate: CertificateResult, folder: Path) -> dict[str, DocumentState]:
+    """Whether each file that shows the certificate is the one that was certified."""
+    return {Path(name).name: _document(folder / Path(name).name, sha) for name, sha in certificate.documents.items()}
+
+
+def _document(path: Path, sha256: str) -> DocumentState:
+    if not path_exists(path):
+        return "not here"
+    same = hmac.compare_digest(hashlib.sha256(_content(path)).hexdigest(), sha256)
+    return "as certified" if same else "changed"
+
+
+def _changed(documents: Mapping[str, DocumentState]) -> list[str]:
+    return [name for name, state in documents.items() if state == "changed"]
+
+
+def _uncovered(certificate: CertificateResult, folder: Path, shown: Path | None) -> list[str]:
+    """Files that show a certificate and of which it has no hash: anything may stand in them."""
+    usual = [folder / name for name in (PAGE_FILE, PRINT_FILE) if path_exists(folder / name)]
+    beside = {one.name for one in (*usual, *([] if shown is None else [shown]))} - set(certificate.documents)
+    return [f"{name} is not covered by the certificate, which states no hash of it" for name in sorted(beside)]
+
+
 def _changes(certificate: CertificateResult, run: RunFile) -> list[str]:
     """Where a run is not, or no longer, what a certificate was made from."""
     data, stages = certificate.data, read_stages(run)
@@ -282,27 +355,27 @@ def _changes(certificate: CertificateResult, run: RunFile) -> list[str]:
     return [
         *([] if data.profile == now.profile else ["the profile of the run was changed since"]),
         *(f"the readings of arm {name} were changed or added since" for name in changed),
-        *_changed_stages(data, now),
+        *_changed_stages(data, now, {one.digest for one in read_history(run) if one.name in CERTIFIED_STAGES}),
         *(f"'{name}' is out of date ({why})" for name, why in stages.out_of_date.items() if name != CERTIFICATE),
         *_stored_otherwise(certificate, run),
     ]
 
 
-def _changed_stages(data: CertifiedData, now: Basis) -> list[str]:
+def _changed_stages(data: CertifiedData, now: Basis, stored: Collection[str]) -> list[str]:
+    """``stored`` are digests of all measurements that the run keeps: without the certified one it was changed."""
     if set(data.stages) - set(CERTIFIED_STAGES) != set(now.stages) - set(CERTIFIED_STAGES):
-        return ["another model is in force since"]
+        return [_OTHER_MODEL]
     words = {VERIFY: "targets were verified since", ISO9283: "the cell was tested by ISO 9283 since"}
+    changed = [name for name, one in now.stages.items() if not hmac.compare_digest(data.stages.get(name, ""), one)]
+    since = {name for name in words if data.stages.get(name, "") in ("", *stored)}
     return [
-        words.get(name, "another model is in force since")
-        for name, digest in now.stages.items()
-        if not hmac.compare_digest(data.stages.get(name, ""), digest)
+        words.get(name, _OTHER_MODEL) if name in since else STORED_OTHERWISE.get(name, _OTHER_MODEL) for name in changed
     ]
 
 
 def _stored_otherwise(certificate: CertificateResult, run: RunFile) -> list[str]:
     """The run keeps every certificate: a file that was changed is found without its signature, too."""
-    stored = [stage.text for stage in read_history(run) if stage.name == CERTIFICATE]
-    if certificate.to_json() in stored:
+    if certificate in _issued(run):
         return []
     return ["the run does not store this certificate: it was made for another run, or it was changed"]
 

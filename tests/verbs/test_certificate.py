@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import sqlite3
+from contextlib import closing
 from datetime import UTC, date, datetime
 from pathlib import Path
 
@@ -18,7 +20,7 @@ from cellapp.results import CERTIFICATE, VERIFY, CertificateResult
 from cellapp.run import RunFile
 from cellapp.run.out_of_date import CERTIFICATE_FILE, complaints_of
 from cellapp.run.stages import append_stage, basis_of, read_results, read_stages
-from cellapp.verbs.certificate import PAGE_FILE, SIGNATURE_FILE, certificate_run, check_certificate
+from cellapp.verbs.certificate import PAGE_FILE, PRINT_FILE, SIGNATURE_FILE, certificate_run, check_certificate
 from tests.twin import small_twin
 
 NOON = datetime(2026, 1, 2, 12, tzinfo=UTC)
@@ -85,7 +87,7 @@ def test_what_is_not_given_is_named_and_a_simulation_is_marked(certified: Path) 
     assert found.warnings[0].startswith("simulated cell")
     assert "arm right: not verified" in found.warnings
     assert "location" in found.missing
-    assert "SMR of arm left: serial number, date of calibration" in found.missing
+    assert "SMR of arm left: serial number, date of calibration, date when its calibration is due" in found.missing
     page = (certified / PAGE_FILE).read_text("utf-8")
     assert "Simulated cell" in page
     assert "not given" in page
@@ -159,6 +161,111 @@ def test_a_verification_since_is_found(changeable: Path) -> None:
     assert problems(changeable) == ("targets were verified since",)
 
 
+def edit_stored(folder: Path, name: str, old: str, new: str) -> None:
+    """Edit the stored result of the newest stage of a name, as somebody with a database editor would."""
+    with closing(sqlite3.connect(folder / "run.sqlite")) as database, database:
+        found = "SELECT number, text FROM stage WHERE name = ? ORDER BY number DESC LIMIT 1"
+        row, text = database.execute(found, (name,)).fetchone()
+        assert old in text
+        database.execute("UPDATE stage SET text = ? WHERE number = ?", (text.replace(old, new, 1), row))
+
+
+def test_a_changed_verification_is_called_changed(changeable: Path) -> None:
+    edit_stored(changeable, VERIFY, '"stopped":""', '"stopped":"by hand"')
+    assert problems(changeable) == ("the stored verification was changed",)
+
+
+@pytest.mark.parametrize("kept", [True, False], ids=["signed", "without its signature"])
+def test_an_edited_page_is_found(changeable: Path, kept: bool) -> None:
+    page = changeable / PAGE_FILE
+    text = page.read_text("utf-8")
+    assert "simulated cell" in text.lower()
+    page.write_text(text.replace("Simulated cell", "Real cell"), "utf-8")
+    if not kept:
+        (changeable / SIGNATURE_FILE).unlink()
+    words = f"{PAGE_FILE} was changed: it is not the file that was certified"
+    found = check_certificate(changeable / CERTIFICATE_FILE, PUBLIC)
+    assert found.documents == {PAGE_FILE: "changed"}
+    assert words in found.problems
+    assert words in problems(changeable)
+    assert check_certificate(page, PUBLIC).problems == found.problems
+
+
+def test_a_page_is_checked_by_its_own_path_and_may_be_elsewhere(changeable: Path) -> None:
+    with RunFile.open(changeable) as run:
+        found = check_certificate(changeable / PAGE_FILE, PUBLIC, run)
+    assert (found.problems, found.documents) == ((), {PAGE_FILE: "as certified"})
+    (changeable / PAGE_FILE).rename(changeable / "page.html")
+    moved = check_certificate(changeable / CERTIFICATE_FILE, PUBLIC)
+    assert (moved.problems, moved.documents) == ((), {PAGE_FILE: "not here"})
+    (strange,) = check_certificate(changeable / "page.html", PUBLIC).problems
+    assert strange.startswith("page.html is not covered")
+
+
+def test_a_print_that_nobody_certified_is_named(changeable: Path) -> None:
+    (changeable / PRINT_FILE).write_bytes(b"%PDF-1.7 it conforms")
+    (problem,) = problems(changeable)
+    assert problem.startswith(f"{PRINT_FILE} is not covered by the certificate")
+
+
+def test_the_print_is_certified_with_the_page(
+    finished_copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    browser = tmp_path / "chromium"
+    browser.write_text(
+        '#!/bin/sh\nfor one in "$@"; do case $one in --print-to-pdf=*) echo \'%PDF\' > "${one#*=}";; esac; done\n'
+    )
+    browser.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    with RunFile.open(finished_copy, write=True) as run:
+        made = certificate_run(run, key=KEY, pdf=True)
+    assert set(made.documents) == {PAGE_FILE, PRINT_FILE}
+    assert PRINT_FILE in made.files
+    (finished_copy / PRINT_FILE).write_bytes(b"%PDF-1.7 it conforms")
+    assert check_certificate(finished_copy / PRINT_FILE, PUBLIC).documents[PRINT_FILE] == "changed"
+
+
+def test_a_certificate_names_who_how_and_where(finished_copy: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data.yaml"
+    data.write_text(
+        "traceability:\n  client: Client Ltd, Town\n  procedure: WI-17 rev. 3\n  air_pressure: 1005.5\n"
+        "  relative_humidity: [40, 45]\n"
+    )
+    with RunFile.open(finished_copy, write=True) as run:
+        made = certificate_run(run, data=data)
+        verify = read_results(run).verify
+    assert verify is not None
+    assert [(one.name, one.wanted_M) for one in made.targets] == [
+        (one.name, None if one.wanted_M is None else tuple(one.wanted_M)) for one in verify.targets
+    ]
+    page = (finished_copy / PAGE_FILE).read_text("utf-8")
+    for words in ("Client Ltd, Town", "WI-17 rev. 3", "1005.5 hPa", "40 to 45 %", "copied as a whole", "Method:"):
+        assert words in page, words
+    assert not {"client", "procedure", "air pressure", "relative humidity"} & set(made.missing)
+
+
+def test_nothing_is_said_to_be_complete_that_is_not(certified: Path) -> None:
+    found = stored(certified)
+    assert {"client", "procedure", "air pressure", "relative humidity"} <= set(found.missing)
+    assert "Every entry" not in (certified / PAGE_FILE).read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("[1010, 1000]", "the smaller value first"),
+        ("1", "at least 300"),
+        ("high", "expected a number"),
+        ("true", "expected a number"),
+    ],
+)
+def test_a_wrong_pressure_is_told(finished_copy: Path, tmp_path: Path, value: str, words: str) -> None:
+    data = tmp_path / "data.yaml"
+    data.write_text(f"traceability:\n  air_pressure: {value}\n")
+    with RunFile.open(finished_copy, write=True) as run, pytest.raises(InputError, match=words):
+        certificate_run(run, data=data)
+
+
 def test_changed_readings_are_found(changeable: Path) -> None:
     with RunFile.open(changeable, write=True) as run:
         words = list(run.readings("left").split or ())
@@ -209,7 +316,7 @@ def test_numbers_that_do_not_fit_a_comment_are_refused(finished_copy: Path, numb
 def test_a_file_completes_the_profile_and_its_errors_have_lines(finished_copy: Path, tmp_path: Path) -> None:
     data = tmp_path / "data.yaml"
     data.write_text(
-        'traceability:\n  location: Hall 3\n  smr: {left: {serial: "L1", calibrated: 2026-01-01}}\n'
+        'traceability:\n  location: Hall 3\n  smr: {left: {serial: "L1", calibrated: 2026-01-01, due: 2027-01-01}}\n'
         'tolerances: {position: "1 um", decision: simple}\n'
     )
     with RunFile.open(finished_copy, write=True) as run:

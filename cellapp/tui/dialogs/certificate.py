@@ -25,6 +25,7 @@ class CertificateRequest:
     out: Path | None
     key: Path | None
     passphrase: str = field(repr=False)
+    pdf: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,12 +100,18 @@ class WriteCertificate(_FilesQuestion[CertificateRequest]):
         yield Labelled("into folder", PathField("", _is_any, id="out", hint="empty: that of the run"))
         yield Labelled("private key", PathField(self._key, _is_any, id="key", hint="empty: not signed"))
         yield text_field("passphrase", "passphrase", hint="of the key; it is not kept", hidden=True)
+        yield Checkbox("print to certificate.pdf, too (needs Chromium)", id="pdf", compact=True)
 
     def send(self) -> None:
         """Close with the request; the verb judges it."""
         passphrase = self.query_one("#passphrase", Input).value
         request = CertificateRequest(
-            self.typed("number") or None, self.path("data"), self.path("out"), self.path("key"), passphrase
+            number=self.typed("number") or None,
+            data=self.path("data"),
+            out=self.path("out"),
+            key=self.path("key"),
+            passphrase=passphrase,
+            pdf=self.query_one("#pdf", Checkbox).value,
         )
         self.dismiss(request)
 
@@ -127,7 +134,9 @@ class CheckCertificate(_FilesQuestion[CheckFileRequest]):
 
     def fields(self) -> ComposeResult:
         """Certificate, public key, and whether a run is compared."""
-        yield Labelled("certificate", PathField(self._proposed, _is_json, id="certificate", hint="JSON"))
+        yield Labelled(
+            "certificate", PathField(self._proposed, _is_certificate, id="certificate", hint="JSON, or its page or PDF")
+        )
         yield Labelled("public key", PathField("", _is_any, id="key", hint="its file or its line; empty: not checked"))
         if self._run is not None:
             yield Checkbox(f"compare with the run {self._run}", True, id="compare", compact=True)
@@ -171,8 +180,8 @@ def _is_yaml(path: Path) -> bool:
     return path.suffix in (".yaml", ".yml")
 
 
-def _is_json(path: Path) -> bool:
-    return path.suffix == ".json"
+def _is_certificate(path: Path) -> bool:
+    return path.suffix in (".json", ".html", ".pdf")
 
 
 def _is_any(path: Path) -> bool:
