@@ -22,6 +22,7 @@ from cellapp.commissioning.running import running_job
 from cellapp.compensation.compensate import Command, compensate, compensate_result
 from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.targets import Target, load_targets
+from cellapp.compensation.unplaced_cell import UNPLACED, commanded_profile, is_unplaced
 from cellapp.control import JobControl
 from cellapp.discovery.discover import discover_cell
 from cellapp.discovery.outcome import CellDiscovery
@@ -475,8 +476,8 @@ def _compensate(
 ) -> tuple[tuple[Command, ...], CompensateResult]:
     used = stage_in_force(run, stages)
     ranges = {name: ConditionRanges.of(readings) for name, readings in _readings(run).items()}
-    commands = compensate(run.profile, model_of(run, used), targets, ranges=ranges)
-    notes = stale_notes(stages, used)
+    commands = compensate(commanded_profile(run), model_of(run, used), targets, ranges=ranges)
+    notes = [*stale_notes(stages, used), *([UNPLACED] if is_unplaced(run.profile) else [])]
     result = compensate_result(commands, notes)
     append_stage(run, COMPENSATE, result, basis_on_model(run, used, targets))
     for note in notes:

@@ -68,10 +68,14 @@ class CellFormat:
 
 @dataclass(frozen=True)
 class CommandFormat:
-    """A format of files for the commands of one arm at targets; ``held`` counts those that a file has."""
+    """A format of files for the commands of one arm at targets; ``held`` counts those that a file has.
+
+    ``drives`` says whether a controller runs the file as it is, so that its motions must have been checked.
+    """
 
     name: str
     what: str
     suffix: str
     text: Callable[[ArmCommands, Sequence[str]], str]
     held: Callable[[ArmCommands], int]
+    drives: bool = False

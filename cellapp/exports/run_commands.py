@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cellapp.compensation.unplaced_cell import commanded_profile, is_unplaced
 from cellapp.errors import InputError
 from cellapp.exports.arm_commands import ArmCommands, exported_commands, final_commands
 from cellapp.exports.export_format import CommandFormat
@@ -39,6 +40,11 @@ def export_commands(
         may hold.
     """
     stage = _stage(run, stages, stage_name or COMPENSATE)
+    if form.drives and is_unplaced(run.profile):
+        raise InputError(
+            f"export: '{form.name}' is a program that moves an arm, and the profile does not say where arms and tracker"
+            " stand, so that no motion can be checked; write the table 'commands'. Nothing was written"
+        )
     records = _records(run, stages, stage)
     names = [name for name in run.profile.arms if any(record.arm == name for record in records)]
     if arm is not None and arm not in names:
@@ -89,8 +95,8 @@ def _of_arm(
     run: RunFile, stages: RunStages, stage: StoredStage, records: tuple[TargetCommand, ...], name: str
 ) -> ArmCommands:
     in_force = stage_in_force(run, stages)
-    model, homes = model_of(run, in_force), home_positions(run.profile)
-    arm = run.profile.arms[name]
+    profile = commanded_profile(run)
+    model, homes, arm = model_of(run, in_force), home_positions(profile), profile.arms[name]
     speed, acceleration = _rates(run, arm)
     return ArmCommands(
         name=name,
@@ -100,7 +106,7 @@ def _of_arm(
         speed=speed,
         acceleration=acceleration,
         commands=exported_commands(
-            [record for record in records if record.arm == name], name, model, cell_bodies(run.profile, model), homes
+            [record for record in records if record.arm == name], name, model, cell_bodies(profile, model), homes
         ),
     )
 

@@ -61,4 +61,6 @@ def _vector(q: Array) -> str:
     return "[" + ", ".join(f"{value:.{_DIGITS}f}" for value in q.tolist()) + "]"
 
 
-URSCRIPT = CommandFormat("urscript", "compensated commands at targets as URScript", ".script", urscript, driven)
+URSCRIPT = CommandFormat(
+    "urscript", "compensated commands at targets as URScript", ".script", urscript, driven, drives=True
+)

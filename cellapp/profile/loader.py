@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from cellapp.errors import InputError
 from cellapp.profile.arm_types import ARM_TYPES
 from cellapp.profile.messages import Document, KeyPath, Place, PlacedError, described, plain, short, validation_message
-from cellapp.profile.schema import VERSION, Profile
+from cellapp.profile.schema import VERSION, ArmType, Profile
 
 _MOST_LEVELS = 50
 """A profile has about eight; more come from an alias that contains itself."""
@@ -118,6 +118,15 @@ def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
             arm_type = _read_arm_type(folders, arm["type"], document.places[at])
             arm["type"] = arm_type.data
             document.places |= {at + inside: place for inside, place in arm_type.places.items()}
+
+
+def arm_type_of_text(text: str, path: Path) -> ArmType:
+    """The arm type that a text says, whose file is ``path``. Raises ``InputError`` with file and line."""
+    document = _parse_yaml(text, path)
+    try:
+        return ArmType.model_validate(document.data)
+    except ValidationError as error:
+        raise InputError(validation_message(error, document)) from None
 
 
 def locate_meshes(document: Document, folders: Sequence[Path]) -> None:

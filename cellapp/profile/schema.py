@@ -66,7 +66,7 @@ class Joint(Section):
     a: ArmLength = 0.0
     alpha: Turn = 0.0
     limit: tuple[Turn, Turn] = (-2.0 * math.pi, 2.0 * math.pi)
-    speed: Annotated[AngularSpeed, Field(gt=0.0, le=10.0)] = math.pi / 2.0
+    speed: Annotated[AngularSpeed, Field(gt=0.0, le=30.0)] = math.pi / 2.0
     acceleration: Annotated[AngularAcceleration, Field(gt=0.0, le=100.0)] = math.pi / 2.0
     mass: Annotated[Mass, Field(ge=0.0, le=1000.0)] = 0.0
     center_of_mass: ArmPoint = (0.0, 0.0, 0.0)

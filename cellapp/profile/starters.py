@@ -17,6 +17,8 @@ TWIN_SMALL = "twin-small"
 """The same cell with fewer stops."""
 FOLDER = "profiles"
 """Folder of a person's profiles, below the folder where they work."""
+READINGS = "readings"
+"""Folder of readings that were recorded elsewhere, beside it."""
 _SENTENCE_END = re.compile(r"(?<=\.)\s+(?=[A-Z])")
 
 
@@ -63,7 +65,8 @@ def write_starter(name: str, folder: Path) -> Path:
 def copy_starter(name: str, profiles: Path) -> Path:
     """Copy a starter profile and the arm types that it names into a folder; return its path.
 
-    Where it names targets, all example lists of targets and paths are copied with it.
+    Where it names targets, all example lists of targets and paths are copied with it; a measured series brings its
+    readings and their licence, in ``readings`` beside the folder of profiles.
 
     Raises
     ------
@@ -77,8 +80,23 @@ def copy_starter(name: str, profiles: Path) -> Path:
     if path_exists(target):
         raise InputError(f"{target} exists already; nothing was written. Give another folder, or move it away")
     text = source.read_text("utf-8")
-    write_new({**copies(_named_files(text, source), profiles), target: text})
+    measured = {readings_of(name, profiles).parent / file.name: file.read_text("utf-8") for file in _series_files(name)}
+    write_new({**copies(_named_files(text, source), profiles), **measured, target: text})
     return target
+
+
+def readings_of(name: str, profiles: Path) -> Path:
+    """Where the readings of a measured series stand that was copied beside the folder ``profiles``."""
+    return profiles.parent / READINGS / name / "readings.csv"
+
+
+def _series_files(name: str) -> tuple[Path, ...]:
+    """The files of a measured series: readings, licence, description; empty for any other profile."""
+    package = Path(str(files("cellapp")))
+    for folder in (package / "starters" / READINGS, package.parent / "tests" / "fixtures"):
+        if (folder / name / "readings.csv").is_file():
+            return tuple(sorted(path for path in (folder / name).iterdir() if path.is_file()))
+    return ()
 
 
 def copies(names: list[str], folder: Path) -> dict[Path, str]:

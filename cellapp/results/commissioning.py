@@ -8,12 +8,14 @@ from cellapp.results.base import Record, Result
 
 
 class InitResult(Result):
-    """``init``: the profile that was written, and what is to be known about it."""
+    """``init``: the profile that was written, and what is to be known about it; ``readings`` are the converted ones."""
 
     schema_: Literal["cellapp-init"] = "cellapp-init"
     version: Literal[1] = 1
     profile: str
     notes: tuple[str, ...] = ()
+    readings: str | None = None
+    omitted_when_none = frozenset({"readings"})
 
 
 class DeviceReport(Record):

@@ -104,9 +104,9 @@ class StageState(Record):
     out_of_date: str | None = None
 
 
-NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "push", "report", ""]
-"""The verb that comes next in a run; ``push`` stands for compensated targets that are verified, ``plan`` for a new run
-of a cell that has changed, empty for none."""
+NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "compensate", "push", "report", ""]
+"""The verb that comes next in a run; ``push`` stands for compensated targets that are verified, ``compensate``
+stands in its place where nothing can be driven, ``plan`` for a new run of a cell that has changed, empty for none."""
 
 
 class UnseenArmState(Record):

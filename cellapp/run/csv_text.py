@@ -66,12 +66,17 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]], 
     InputError
         If it cannot be written, or may not.
     """
+    outputs.write_text(path, table_text(header, rows))
+
+
+def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table as CSV."""
     text = io.StringIO(newline="")
     # The writer quotes a carriage return within a text only if the line terminator contains one.
     writer = csv.writer(text, lineterminator="\r\n")
     writer.writerow(header)
     writer.writerows(rows)
-    outputs.write_text(path, text.getvalue())
+    return text.getvalue()
 
 
 def read_csv_table(path: Path, what: str = "readings", row: str = "a row per arm per stop") -> CsvTable:

@@ -14,6 +14,8 @@ def next_command(verb: NextVerb, folder: Path) -> str:
             return ""
         case "push":
             return f"cellapp push {folder} TARGETS --verify"
+        case "compensate":
+            return f"cellapp compensate {folder} TARGETS"
         case "plan":
             return "cellapp plan PROFILE --run NEW"
         case _:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from cellapp.results import (
+    COMPENSATE,
     ArmState,
     HistoryResult,
     LogLine,
@@ -141,7 +142,10 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
     done = ended in ("complete", "accurate enough")
     if not done and not stages.current and any(arm.measured < arm.planned for arm in arms.values()):
         return "collect"
-    return stages.next_verb() or ("" if (run.folder / REPORT_FILE).exists() else "report")
+    verb = stages.next_verb()
+    if verb == "push" and not any(arm.driver.has_device for arm in run.profile.arms.values()):
+        verb = "" if COMPENSATE in stages.current and COMPENSATE not in stages.out_of_date else "compensate"
+    return verb or ("" if (run.folder / REPORT_FILE).exists() else "report")
 
 
 def _has_new_stops(run: RunFile) -> bool:

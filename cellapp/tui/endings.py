@@ -81,6 +81,7 @@ def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
         CertificateResult,
         CheckResult,
         CollectResult,
+        ImportResult,
         Iso9283Result,
         LocateResult,
         PathResult,
@@ -89,7 +90,7 @@ def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
         WholeRunResult,
     )
 
-    if isinstance(result, PlanResult):
+    if isinstance(result, PlanResult | ImportResult):
         return [], "".join(f"; {note}" for note in result.notes)
     if isinstance(result, PathResult | Iso9283Result):
         return result.complaints(), ""

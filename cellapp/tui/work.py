@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cellapp.tui.dialogs.export_arms import ExportRequest
     from cellapp.tui.dialogs.follow_path import FollowRequest
     from cellapp.tui.dialogs.locate_tracker import LocateRequest
+    from cellapp.tui.dialogs.own_readings import OwnReadingsRequest
 
 
 PDF_FILE = "report.pdf"
@@ -57,6 +58,22 @@ def plan(profile: Path, folder: Path) -> Job:
         return plan_new_run(load_profile(profile), folder, listener, control)
 
     return Job("plan", work, folder)
+
+
+def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
+    """Make profile and run of readings that were recorded elsewhere; ``home`` has the folders of profiles and runs."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commissioning.own_data import OwnData, write_own_data
+        from cellapp.pipeline import import_new_run
+        from cellapp.profile import load_profile
+
+        own = OwnData(request.readings, request.arm, angles=request.angles, lengths=request.lengths)
+        written = write_own_data(own, home)
+        imported = import_new_run(load_profile(written.profile), written.readings, request.run)
+        return imported.model_copy(update={"notes": (*written.notes, *imported.notes)})
+
+    return Job("import", work, request.run)
 
 
 def at_rest(folder: Path, arm: str) -> Job:

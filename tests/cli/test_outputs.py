@@ -29,7 +29,19 @@ OLD = b"what a person wrote\n"
 REQUESTS = ("pause", "resume", "stop", "abort")
 """They look at the file after the request was sent, which may be a stop."""
 READ = {
-    *("--run", "--from", "--keep", "--check", "--prior", "--answers", "--data", "--key", "--public-key", "--person"),
+    *(
+        "--run",
+        "--from",
+        "--keep",
+        "--check",
+        "--prior",
+        "--answers",
+        "--readings",
+        "--data",
+        "--key",
+        "--public-key",
+        "--person",
+    ),
     *("--token-file", "--profile", "--profiles", "--simulated-plant"),
 }
 """Options that name files or folders which are read, or runs that are made, never over others."""

@@ -36,6 +36,7 @@ def offer_first_run(app: CellApp) -> bool:
     answers = (
         Answer("twin", "Try the simulated twin", "t", "success"),
         Answer("write", "Write a profile for my cell", "w"),
+        Answer("readings", "Calibrate readings of my own", "r"),
         Answer("open", "Open a profile elsewhere", "o"),
     )
     app.push_screen(Welcome("Welcome to cellapp", text, answers), lambda answer: begin_with(app, answer))
@@ -54,6 +55,8 @@ def begin_with(app: CellApp, answer: str | None) -> None:
         app.say(f"The simulated twin is in {path}. F5 runs the whole day; n goes to the next step alone.")
     elif answer == "write":
         write_profile(app)
+    elif answer == "readings":
+        take_own_readings(app)
     elif answer == "open":
         picker = FilePicker("Which profile?", app.profiles.parent, lambda path: path.suffix == ".yaml")
         app.push_screen(picker, lambda path: None if path is None else app.open_profile(path))
@@ -62,6 +65,20 @@ def begin_with(app: CellApp, answer: str | None) -> None:
 def write_profile(app: CellApp) -> None:
     """Open the form for a new profile; what is saved is opened."""
     _show_form(app, OpenProfile(app.profiles / NEW_PROFILE, None, blank_draft()))
+
+
+def take_own_readings(app: CellApp) -> None:
+    """Ask for readings that were recorded elsewhere; make their profile and run, and open it."""
+    from cellapp.tui import work
+    from cellapp.tui.dialogs.own_readings import OwnReadings, OwnReadingsRequest
+
+    home = app.profiles.parent
+
+    def begin(request: OwnReadingsRequest | None) -> None:
+        if request is not None:
+            app.start_job(work.own_readings(request, home))
+
+    app.push_screen(OwnReadings(home), begin)
 
 
 def edit_profile(app: CellApp, path: Path) -> None:

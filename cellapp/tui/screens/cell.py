@@ -75,6 +75,7 @@ class CellScreen(DayScreen):
         Binding("r", "refresh_devices", "Ask devices", tooltip="ask every device for its state; nothing moves"),
         Binding("o", "open", "Open profile", tooltip="open a profile by its path"),
         Binding("w", "edit", "Edit profile", tooltip="change the profile in a form"),
+        Binding("i", "own_readings", "Own readings", tooltip="calibrate readings that were recorded elsewhere"),
         Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
         Binding("plus", "write", "New profile", key_display="+", tooltip="write a profile in a form"),
     ]
@@ -187,6 +188,12 @@ class CellScreen(DayScreen):
         from cellapp.tui.dialogs.first_run import write_profile
 
         write_profile(self.cell_app)
+
+    def action_own_readings(self) -> None:
+        """Make a profile and a run of readings that were recorded elsewhere."""
+        from cellapp.tui.dialogs.first_run import take_own_readings
+
+        take_own_readings(self.cell_app)
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
