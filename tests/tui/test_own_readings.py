@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from textual.pilot import Pilot
-from textual.widgets import Input
+from textual.widgets import Input, Static
 
 from cellapp.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.run import RunFile
@@ -56,7 +56,7 @@ async def test_from_a_table_to_an_open_run(app: CellApp) -> None:
 async def test_wrong_words_are_refused_in_the_dialog(app: CellApp) -> None:
     async with app.run_test(size=SIZE) as pilot:
         await dialog(pilot, app, readings="mine.txt", angles="turns")
-        await until(pilot, lambda: "rad or deg" in str(app.screen.query_one("#why").content), "the sentence")
+        await until(pilot, lambda: "rad or deg" in str(app.screen.query_one("#why", Static).content), "the sentence")
         assert isinstance(app.screen, OwnReadings)
 
 
