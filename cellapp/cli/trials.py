@@ -143,7 +143,7 @@ def _person(job: Job, profile: Path, presses: int, repeats: int, busy: int) -> N
     job.show([person_table(result)])
     job.result(result)
     if result.missed():
-        raise CheckFailed(f"trials links: bars were missed: {'; '.join(result.missed())}")
+        raise CheckFailed(f"trials links: bars were missed, or not measured: {'; '.join(result.missed())}")
 
 
 @trials_app.command("bridge")

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from cellapp.errors import HardwareError
 from cellapp.progress import CancelToken, Listener, Progress, ignore
 from cellapp.trials.person_faults import (
     LEAVES,
@@ -81,12 +82,20 @@ def person_trial(
 ) -> PersonResult:
     """Press each key ``presses`` times over all places, and do everything else ``repeats`` times, while arms move.
 
-    ``beside`` processes compute meanwhile. Raises ``HardwareError`` if the arms do not move, rest or resume.
+    ``beside`` processes compute meanwhile. A part in which the arms do not move, rest or resume is not measured, and
+    the result says so.
     """
     trial = _Trial(profile_path, presses, repeats, beside > 0, listener, cancel or CancelToken())
+    rows: list[PersonRow] = []
+    not_measured = []
     with busy(beside):
-        rows = [*trial.pressed(), *trial.lost(), *trial.from_elsewhere(), *trial.left(), *trial.connecting()]
-    return PersonResult(busy=beside, rows=tuple(rows))
+        for part in (trial.pressed, trial.lost, trial.from_elsewhere, trial.left, trial.connecting):
+            try:
+                rows += part()
+            except HardwareError as error:
+                what = str(error).partition("\n")[0]  # the rest is what was drawn last
+                not_measured.append(f"{part.__name__.replace('_', ' ')}: {what}")
+    return PersonResult(busy=beside, rows=tuple(rows), not_measured=tuple(not_measured))
 
 
 class _Trial:

@@ -49,16 +49,17 @@ class PersonRow(Record):
 
 
 class PersonResult(Result):
-    """``trials links --person``: the rows, beside ``busy`` processes that compute."""
+    """``trials links --person``: the rows, beside ``busy`` processes that compute; which parts failed, and how."""
 
     schema_: Literal["cellapp-trials-person"] = "cellapp-trials-person"
     version: Literal[1] = 1
     busy: int
     rows: tuple[PersonRow, ...]
+    not_measured: tuple[str, ...] = ()
 
     def missed(self) -> tuple[str, ...]:
-        """What did not keep its bars."""
-        return tuple(row.what for row in self.rows if not row.kept)
+        """What did not keep its bars, and what was not measured."""
+        return (*(row.what for row in self.rows if not row.kept), *self.not_measured)
 
 
 def person_table(result: PersonResult) -> Table:

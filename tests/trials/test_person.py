@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cli.trials import trials_app
-from cellapp.errors import CheckFailed
+from cellapp.errors import CheckFailed, HardwareError
 from cellapp.trials import person
 from cellapp.trials.person_results import PersonResult, PersonRow, person_table
 
@@ -33,3 +33,16 @@ def test_a_missed_bar_is_shown_and_the_command_fails(
     ended = CliRunner().invoke(trials_app, ["links", "--person", str(Path("cell.yaml"))])
     assert isinstance(ended.exception, CheckFailed) != kept
     assert kept or getattr(ended.exception, "exit_code", 1) == 1
+
+
+def test_a_part_that_cannot_be_measured_keeps_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_: object) -> list[PersonRow]:
+        raise HardwareError("the arms do not move\nwhat was drawn")
+
+    for part in ("pressed", "lost", "from_elsewhere", "connecting"):
+        monkeypatch.setattr(person._Trial, part, lambda _: list(result(1.0).rows))
+    monkeypatch.setattr(person._Trial, "left", fails)
+    monkeypatch.setattr(fails, "__name__", "left")
+    found = person.person_trial(Path("cell.yaml"))
+    assert len(found.rows) == 4
+    assert found.missed() == ("left: the arms do not move",)
