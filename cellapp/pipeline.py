@@ -475,8 +475,9 @@ def _compensate(
     run: RunFile, stages: RunStages, targets: Sequence[Target]
 ) -> tuple[tuple[Command, ...], CompensateResult]:
     used = stage_in_force(run, stages)
-    ranges = {name: ConditionRanges.of(readings) for name, readings in _readings(run).items()}
-    commands = compensate(commanded_profile(run), model_of(run, used), targets, ranges=ranges)
+    model = model_of(run, used)
+    ranges = {name: ConditionRanges.of(readings, model.arms.get(name)) for name, readings in _readings(run).items()}
+    commands = compensate(commanded_profile(run), model, targets, ranges=ranges)
     notes = [*stale_notes(stages, used), *([UNPLACED] if is_unplaced(run.profile) else [])]
     result = compensate_result(commands, notes)
     append_stage(run, COMPENSATE, result, basis_on_model(run, used, targets))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cellapp.compensation.sides import holds_for
 from cellapp.compensation.targets import Target, target_record
+from cellapp.compensation.working_conditions import conditions_of
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.results import TargetCommand, ToleranceVerdict, UncertaintyParts, UnknownCondition
@@ -17,22 +19,19 @@ class Prediction:
     Attributes
     ----------
     uncertainty_mm : float
-        Standard uncertainty of a coordinate, without noise of measuring.
+        Standard uncertainty of a measured coordinate: all parts together.
     parts : UncertaintyParts
     within_mm : float
-        Distance from the target that a measurement keeps with 95 % probability.
+        Distance from the target that a measurement keeps with 95 % probability; of the same parts.
     unknown : tuple of UnknownCondition
-    offered_approach : signs or None
-        Side from which to approach where the side matters and the target states none.
     verdict : str
-        Of the true position against the tolerance, its repeatability included.
+        Against the tolerance.
     """
 
     uncertainty_mm: float
     parts: UncertaintyParts
     within_mm: float
     unknown: tuple[UnknownCondition, ...]
-    offered_approach: tuple[int, ...] | None
     verdict: ToleranceVerdict
 
 
@@ -46,7 +45,8 @@ class Command:
     arm : str
         The arm; a cooperative target has one command for each of its arms.
     q_nominal, q_compensated : array, shape (N,), or None
-        Joint positions [rad] by the published and by the calibrated model; None where the target was refused.
+        Joint positions [rad] by the published and by the calibrated model, the latter for joints that arrive from the
+        side ``side``; None where the target was refused.
     expected_M, nominal_M : array, shape (3,), or None
         Where the SMR should be measured [m]: the target relative to the calibrated and to the nominal base.
     refusal : str
@@ -60,7 +60,12 @@ class Command:
     note : str
         What to know about a command that is not refused.
     conditions : MeasurementConditions or None
-        Of one row: the working conditions that the command was made for.
+        Of one row: the working conditions that the command was made for, the side of approach among them.
+    side : signs or None
+        Sign of each joint's last motion that the command is for: as stated, else where it matters as on the way from
+        home; None where any side will do.
+    payload_kg : float or None
+        That the command was made for, stated or the profile's.
     prediction : Prediction or None
         None where the model states no uncertainty.
     """
@@ -78,11 +83,13 @@ class Command:
     residual_urad: float | None = None
     note: str = ""
     conditions: MeasurementConditions | None = None
+    side: tuple[int, ...] | None = None
+    payload_kg: float | None = None
     prediction: Prediction | None = None
 
     @property
     def uncertainty_mm(self) -> float | None:
-        """Standard uncertainty [mm] of a coordinate of the SMR there; None where the model states none."""
+        """Standard uncertainty [mm] of a measured coordinate there; None where the model states none."""
         return None if self.prediction is None else self.prediction.uncertainty_mm
 
     @property
@@ -92,7 +99,7 @@ class Command:
 
     @property
     def approach(self) -> tuple[int, ...] | None:
-        """Side of each joint from which the target is to be approached; None where the target states none."""
+        """Side of each joint that the target states; None where it states none."""
         return self.target.approach if self.arm == self.target.arm else None
 
 
@@ -105,7 +112,6 @@ def command_record(command: Command) -> TargetCommand:
     """A command as result."""
     target, found = command.target, command.prediction
     judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "cannot say"
-    stated = command.approach
     return TargetCommand(
         **dict(target_record(target, command.arm)),
         refusal=command.refusal,
@@ -120,6 +126,21 @@ def command_record(command: Command) -> TargetCommand:
         parts=None if found is None else found.parts,
         within_mm=None if found is None else found.within_mm,
         unknown=() if found is None else found.unknown,
-        approach=stated if stated is not None or found is None else found.offered_approach,
+        approach=command.side,
+        payload_kg=command.payload_kg,
+        holds_for="" if command.q_compensated is None else _holds_for(command),
         verdict=judged if found is None else found.verdict,
     )
+
+
+def _holds_for(command: Command) -> str:
+    """What the compensated command holds for: sides of approach, payload, and the conditions that its target states."""
+    stated = conditions_of(command.target, command.arm)
+    words = []
+    if stated.temperature is not None:
+        words.append(f"{stated.temperature:g} degC")
+    if stated.time is not None:
+        words.append(f"{stated.time:g} s after the run began")
+    if stated.dwell is not None:
+        words.append(f"{stated.dwell:g} s at rest")
+    return holds_for(command.side, payload_kg=command.payload_kg, stated=words)

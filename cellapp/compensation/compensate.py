@@ -1,8 +1,8 @@
 """Compensation: joint positions that bring the real arms to Cartesian targets, by inverting the calibrated model.
 
 Every target gets two commands: one from the published geometry, as an uncalibrated program would send it, and the
-compensated one in the same branch. Of all inverse solutions the nearest to home is taken that the gate admits, before
-those that the tracker does not see.
+compensated one in the same branch, for joints that arrive from the side that stands beside it. Of all inverse solutions
+the nearest to home is taken that the gate admits, before those that the tracker does not see.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from cellapp.compensation.invert import Inverted, invert, invert_model, with_app
 from cellapp.compensation.prediction import outside_notes, predictions
 from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.refusals import missed_poses, refusal
+from cellapp.compensation.sides import sided_commands
 from cellapp.compensation.targets import Target
-from cellapp.compensation.working_conditions import beside, stated_conditions
+from cellapp.compensation.working_conditions import beside, conditions_payload, stated_conditions
 from cellapp.effects import MeasurementConditions
 from cellapp.errors import InputError
 from cellapp.kinematics.branches import all_branches
@@ -175,36 +176,49 @@ def _commands(group: _Group) -> dict[str, list[Command]]:
     reasons = _refusals(group, chosen)
     rows = np.flatnonzero(chosen.accepted)
     at = {name: found.q[rows] for name, found in chosen.compensated.items()}
-    commands = {}
-    for name, found in chosen.compensated.items():
-        goal = group.goals[name]
-        seen = _seen(group, name, at)
-        conditions = group.conditions(name, rows, at)
-        count = np.count_nonzero(group.branches[name].within, axis=1).tolist()
-        tolerances = [group.targets[k].tolerance_mm for k in rows.tolist()]
-        ranges = group.ranges.get(name, ConditionRanges())
-        predicted = predictions(group.model.arms[name], at[name], conditions, tolerances, group.homes[name], ranges)
-        notes = outside_notes(at[name], ranges, predicted)
-        of_arm = [refused(target, name, reasons.get(k, ""), count[k]) for k, target in enumerate(group.targets)]
-        for place, k in enumerate(rows.tolist()):
-            turned = float(found.residual_rad[k])
-            of_arm[k] = Command(
-                target=group.targets[k],
-                arm=name,
-                q_nominal=chosen.nominal[name][k],
-                q_compensated=found.q[k],
-                expected_M=goal.position_M[k],
-                nominal_M=goal.nominal_position_M[k],
-                refusal="",
-                branches=count[k],
-                visible=bool(seen[place]),
-                residual_um=float(found.residual_m[k]) * 1e6,
-                residual_urad=None if np.isnan(turned) else turned * 1e6,
-                conditions=conditions.take(np.array([place])),
-                note=notes[place],
-                prediction=predicted[place],
-            )
-        commands[name] = of_arm
+    return {name: _of_arm(group, chosen, name, rows, at, reasons) for name in chosen.compensated}
+
+
+def _of_arm(
+    group: _Group, chosen: Chosen, name: str, rows: NDArray[np.intp], at: Positions, reasons: Mapping[int, str]
+) -> list[Command]:
+    """The commands of one arm; those of the targets ``rows`` are accepted, with the arms ``at`` them."""
+    goal, arm, home = group.goals[name], group.model.arms[name], group.homes[name]
+    count = np.count_nonzero(group.branches[name].within, axis=1).tolist()
+    commands = [refused(target, name, reasons.get(k, ""), count[k]) for k, target in enumerate(group.targets)]
+    ranges = group.ranges.get(name, ConditionRanges())
+    sided = sided_commands(
+        arm,
+        goal.position_M[rows],
+        goal.rotation_M[rows],
+        chosen.compensated[name].take(rows),
+        group.conditions(name, rows, at),
+        home,
+        ranges,
+    )
+    found, conditions = sided.found, sided.conditions
+    tolerances = [group.targets[k].tolerance_mm for k in rows.tolist()]
+    predicted = predictions(arm, found.q, conditions, tolerances, home, ranges, sided.others)
+    notes = outside_notes(found.q, conditions, ranges, predicted, arm.bodies.payload_mass)
+    seen, payloads = _seen(group, name, at), conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
+    for place, k in enumerate(rows.tolist()):
+        turned = float(found.residual_rad[place])
+        commands[k] = replace(
+            commands[k],
+            q_nominal=chosen.nominal[name][k],
+            q_compensated=found.q[place],
+            expected_M=goal.position_M[k],
+            nominal_M=goal.nominal_position_M[k],
+            refusal="",
+            visible=bool(seen[place]),
+            residual_um=float(found.residual_m[place]) * 1e6,
+            residual_urad=None if np.isnan(turned) else turned * 1e6,
+            conditions=conditions.take(np.array([place])),
+            side=sided.approach(place),
+            payload_kg=float(payloads[place]),
+            note=notes[place],
+            prediction=predicted[place],
+        )
     return commands
 
 

@@ -51,6 +51,10 @@ class Inverted:
         """Whether the target is met, (n,) bool."""
         return (self.residual_m < _REACHED) & ~(self.residual_rad >= _REACHED)
 
+    def take(self, rows: NDArray[np.intp]) -> Inverted:
+        """Some of the commands."""
+        return Inverted(self.q[rows], self.residual_m[rows], self.residual_rad[rows])
+
     def put(self, rows: NDArray[np.intp], of: Inverted, kept: NDArray[np.bool_]) -> None:
         """Set some rows to the ``kept`` ones of other commands."""
         self.q[rows], self.residual_m[rows], self.residual_rad[rows] = (

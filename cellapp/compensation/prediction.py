@@ -8,14 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.compensation.command import Prediction
+from cellapp.compensation.other_payload import payload_covariance
 from cellapp.compensation.ranges import ConditionRanges
 from cellapp.compensation.tolerance import length_bounds, predicted_verdict
 from cellapp.compensation.unknown_conditions import OneUnknown, unknown_conditions, unknown_records
+from cellapp.compensation.working_conditions import conditions_payload
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
 from cellapp.results import UncertaintyParts
 
+_SAME_PAYLOAD_KG = 0.05
+"""Payloads that agree so closely are the same, as they are to a push."""
 _AT_ONCE = 1000
 """Configurations at once: their draws take some tens of MB."""
 
@@ -52,11 +56,13 @@ def predictions(
     tolerances_mm: Sequence[float | None],
     home: Array,
     ranges: ConditionRanges,
+    others: OneUnknown | None = None,
 ) -> list[Prediction | None]:
     """Predictions for n commands ``q`` (n, N) [rad]; None for all where the model states no uncertainty.
 
-    Where a command's approach is not stated, the uncertainty is that for the way from ``home`` (N,): a parameter of
-    backlash has none at the middle of both sides.
+    ``conditions`` are those that the commands are for. Joints without a side of approach are taken as on the way from
+    ``home`` (N,): a parameter of backlash has no uncertainty at the middle of both sides. ``others`` is what other
+    sides do.
     """
     if arm.posterior is None:
         return [None] * len(q)
@@ -64,29 +70,47 @@ def predictions(
     for begin in range(0, len(q), _AT_ONCE):
         rows = np.arange(begin, min(begin + _AT_ONCE, len(q)))
         here, stated = q[rows], conditions.take(rows)
-        unknown = unknown_conditions(arm, here, stated, ranges)
+        unknown = [*([] if others is None else [others.take(rows)]), *unknown_conditions(arm, here, stated, ranges)]
         spread = spread_of(arm, here, _from_home(stated, here, home), ranges)
         covariance = sum((one.covariance for one in unknown), np.zeros_like(spread.network))
         spread = replace(spread, conditions=covariance)
-        sides = _offered(unknown, here, home)
         noise = _noise(arm, here, stated, ranges)
         excess = 0.0 if ranges.noise is None else ranges.noise.excess(arm.posterior.noise_m)
         judged = _judged(spread, noise, excess, tolerances_mm[begin : begin + _AT_ONCE])
-        found += [
-            replace(one, unknown=unknown_records(unknown, k), offered_approach=sides[k]) for k, one in enumerate(judged)
-        ]
+        found += [replace(one, unknown=unknown_records(unknown, k)) for k, one in enumerate(judged)]
     return found
 
 
-def outside_notes(q: Array, ranges: ConditionRanges, predicted: Sequence[Prediction | None]) -> list[str]:
-    """For each of n commands by how much it lies outside the joint ranges of the readings; empty within them."""
+def outside_notes(
+    q: Array,
+    conditions: MeasurementConditions,
+    ranges: ConditionRanges,
+    predicted: Sequence[Prediction | None],
+    nominal_kg: float,
+) -> list[str]:
+    """For each of n commands by how much it lies outside what the readings covered of joints and payloads; empty within
+    them. ``nominal_kg`` is the payload where none is stated."""
     off = np.degrees(np.abs(q - ranges.nearest_measured(q)))
+    payloads = conditions_payload(conditions, nominal_kg, len(q))
     notes = []
-    for row, one in zip(off, predicted, strict=True):
+    for row, payload_kg, one in zip(off, payloads.tolist(), predicted, strict=True):
         joints = ", ".join(f"joint {j + 1} by {row[j]:.0f} deg" for j in np.flatnonzero(row >= 0.5))
+        said = [f"outside the calibrated joint ranges: {joints}"] if joints else []
+        said += _never_measured(payload_kg, ranges)
         adds = "" if one is None else f"; this adds {one.parts.extrapolation:.3g} mm to the uncertainty of a coordinate"
-        notes.append(f"outside the calibrated joint ranges: {joints}{adds}" if joints else "")
+        notes.append(f"{'; '.join(said)}{adds}" if said else "")
     return notes
+
+
+def _never_measured(payload_kg: float, ranges: ConditionRanges) -> list[str]:
+    """Say so where no reading had a payload."""
+    if ranges.payload_kg is None:
+        return []
+    low, high = ranges.payload_kg
+    if low - _SAME_PAYLOAD_KG <= payload_kg <= high + _SAME_PAYLOAD_KG:
+        return []
+    had = f"{low:g} kg" if high - low <= _SAME_PAYLOAD_KG else f"{low:g} to {high:g} kg"
+    return [f"payload {payload_kg:g} kg was never measured (the readings had {had})"]
 
 
 def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Spread:
@@ -94,14 +118,18 @@ def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges
 
     Beyond the joint ranges of the readings, ``extrapolation`` is what the nearest configuration within them does not
     have: the further spread of geometry and effects, and the network's correction, which fades out there although what
-    it corrects does not.
+    it corrects does not. A payload that no reading had adds to it, too.
     """
     inside = ranges.nearest_measured(q)
     parameters, effects, network = _of_model(arm, q, conditions)
     nothing = np.zeros_like(parameters)
+    loaded = nothing
+    if ranges.compliance is not None:
+        measured_kg = ranges.payload_kg or (arm.bodies.payload_mass, arm.bodies.payload_mass)
+        loaded = payload_covariance(arm, q, conditions, measured_kg, ranges.compliance)
     beyond = np.flatnonzero(np.any(inside != q, axis=1))
     if not len(beyond):
-        return Spread(parameters, effects, network, nothing, nothing)
+        return Spread(parameters, effects, network, loaded, nothing)
     within = _of_model(arm, inside[beyond], conditions.take(beyond))
     extrapolation = nothing.copy()
     for here, there in zip((parameters, effects), within[:2], strict=True):
@@ -113,7 +141,7 @@ def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges
         lost = arm.network.correct(inside[beyond]) - arm.network.correct(q[beyond])
         lost = lost @ arm.geometry.T_M_B()[:3, :3].T
         extrapolation[beyond] += lost[:, :, None] * lost[:, None]
-    return Spread(parameters, effects, network, extrapolation, nothing)
+    return Spread(parameters, effects, network, extrapolation + loaded, nothing)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -146,15 +174,6 @@ def _from_home(conditions: MeasurementConditions, q: Array, home: Array) -> Meas
     return replace(conditions, approach=approach, step=np.abs(step) * approach)
 
 
-def _offered(unknown: Sequence[OneUnknown], q: Array, home: Array) -> list[tuple[int, ...] | None]:
-    """The side to approach each command from, that of the straight way from home; 0 for joints where none matters."""
-    for one in unknown:
-        if one.sides is not None:
-            signs = (np.sign(q - home) * one.sides).astype(int)
-            return [tuple(row) if any(row) else None for row in signs.tolist()]
-    return [None] * len(q)
-
-
 def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
     """Covariance (n, 3, 3) [m^2] of a measurement at ``q``."""
     assert arm.posterior is not None
@@ -164,19 +183,22 @@ def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: C
 
 
 def _judged(spread: Spread, noise: Array, excess: float, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
-    """Predictions in mm from covariances, that of a measurement's ``noise`` and its part by which the SMR moves."""
-    low, high = (bound * 1e3 for bound in length_bounds(spread.whole + excess * np.eye(3)))
-    _, within = length_bounds(spread.of_model + noise)
+    """Predictions in mm from covariances, that of a measurement's ``noise`` and its part by which the SMR moves.
+
+    What a measurement will find is stated and judged: uncertainty and bound are of one covariance. Only the distance
+    that the SMR surely exceeds is that of the SMR itself.
+    """
+    low, _ = length_bounds(spread.whole + excess * np.eye(3))
+    _, within = length_bounds(spread.whole + noise)
     parts = {name: _coordinate_mm(value) for name, value in vars(spread).items()}
-    parts["noise"], whole = _coordinate_mm(noise), _coordinate_mm(spread.whole)
+    parts["noise"], whole = _coordinate_mm(noise), _coordinate_mm(spread.whole + noise)
     return [
         Prediction(
             uncertainty_mm=float(whole[k]),
             parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}),
             within_mm=float(within[k]) * 1e3,
             unknown=(),
-            offered_approach=None,
-            verdict=predicted_verdict(float(low[k]), float(high[k]), tolerance),
+            verdict=predicted_verdict(float(low[k]) * 1e3, float(within[k]) * 1e3, tolerance),
         )
         for k, tolerance in enumerate(tolerances_mm)
     ]

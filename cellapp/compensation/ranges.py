@@ -8,8 +8,10 @@ import numpy as np
 
 from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.compensation.measuring_noise import MeasuringNoise
+from cellapp.compensation.other_payload import open_compliance
 from cellapp.effects import TemperatureRecord
 from cellapp.kinematics.transforms import Array
+from cellapp.model import ArmModel
 from cellapp.run import Readings
 
 _MARGIN = np.radians(2.0)
@@ -37,6 +39,8 @@ class ConditionRanges:
         Of the whole run, which effects with a lag follow.
     noise : MeasuringNoise or None
         What the tracker stated.
+    compliance : array, shape (N, N), or None
+        Covariance of the joints' compliances that the readings leave open [(rad/Nm)^2].
     """
 
     q: Array | None = None
@@ -49,10 +53,11 @@ class ConditionRanges:
     stops: int = 0
     record: TemperatureRecord | None = None
     noise: MeasuringNoise | None = None
+    compliance: Array | None = None
 
     @classmethod
-    def of(cls, readings: Readings) -> ConditionRanges:
-        """The ranges of an arm's readings."""
+    def of(cls, readings: Readings, arm: ArmModel | None = None) -> ConditionRanges:
+        """The ranges of an arm's readings; what they leave open of its compliances only with its model."""
         if not len(readings):
             return cls()
         known = measurement_conditions(readings)
@@ -70,6 +75,7 @@ class ConditionRanges:
             stops=len(readings),
             record=known.record,
             noise=MeasuringNoise.of(readings),
+            compliance=None if arm is None else open_compliance(arm, readings),
         )
 
     def nearest_measured(self, q: Array) -> Array:

@@ -71,6 +71,8 @@ class TargetVisit:
         From the nominal ones the joints would move by less than their play, so that it would be open where they stand.
         """
         states, sent = self._go("compensated", found)
+        mover = self.driver.mover
+        found.driven = {name: (q, mover.approach(name).astype(np.float64)) for name, q in sent.items()}
         if not self.verify:
             return
         found.rounds.append(self._measure("compensated", found, states, sent))

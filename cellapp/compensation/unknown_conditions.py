@@ -1,15 +1,15 @@
 """By how much the SMR may be elsewhere because nobody stated a condition that effects of the model depend on.
 
-A condition that is not stated is taken at a default: approach at the middle of both sides, payload as in the profile,
-temperatures at the mean of the run, time at its end, dwell as in the run. Plausible are
+A condition that is not stated is taken at a default: payload as in the profile, temperatures at the mean of the run,
+time at its end, dwell as in the run. A side of approach is chosen, and stands beside the command (``sides.py``): what
+another one does is said, and is no uncertainty. Plausible are
 
-- approach: either side of each joint, after a motion as large as the median of the run;
 - payload: that of the profile and what the run covered: it is no unknown where all readings had that of the profile;
 - temperature and time: what the run covered;
 - dwell: from nothing to the longest of the run, as production may not wait.
 
 The size stated is the largest distance of the SMR from where the default puts it; the covariance is the second moment
-about that, with both sides equally likely and the other conditions uniform over their ranges.
+about that, with conditions uniform over their ranges.
 """
 
 from __future__ import annotations
@@ -47,29 +47,78 @@ class OneUnknown:
         Largest distance of the SMR from where the default puts it [m]; zero where the condition is stated.
     covariance : array, shape (n, 3, 3)
         Second moment of that [m^2].
-    sides : array, shape (n, N), bool, or None
-        Joints whose side of approach matters.
     """
 
     condition: str
     effects: tuple[str, ...]
     largest_m: Array
     covariance: Array
-    sides: NDArray[np.bool_] | None = None
+
+    def take(self, rows: NDArray[np.intp]) -> OneUnknown:
+        """The same at some of the commands."""
+        return replace(self, largest_m=self.largest_m[rows], covariance=self.covariance[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """What the sides do from which joints come to n commands, where these do not state them.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Slugs of the effects that depend on them.
+    vectors : array, shape (n, N, 3)
+        By how much each joint's positive side moves the SMR from the middle of both [m].
+    """
+
+    effects: tuple[str, ...]
+    vectors: Array
+
+    @property
+    def matter(self) -> NDArray[np.bool_]:
+        """Joints (n, N) whose side matters."""
+        return np.asarray(np.linalg.norm(self.vectors, axis=2) >= _MATTERS_M)
+
+    def other_sides(self, signs: Array) -> OneUnknown:
+        """What may happen to commands for the sides ``signs`` (n, N) that are approached from others.
+
+        Nothing of it counts as uncertainty: a command says for which side it holds. Where it names none, it is at the
+        middle, and either side is as likely.
+        """
+        sided = np.any(signs != 0.0, axis=1)
+        taken = 2.0 * signs[:, :, None] * self.vectors  # from where a joint comes to where it would come from
+        away = np.einsum("sj,njc->nsc", _subsets(taken.shape[1]), taken)
+        largest = np.linalg.norm(away, axis=2).max(axis=1)
+        covariance = np.where(sided[:, None, None], 0.0, _second_moment(self.vectors))
+        return OneUnknown("approach", self.effects, np.where(sided, largest, _largest_sum(self.vectors)), covariance)
 
 
 def unknown_conditions(
     arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges
 ) -> list[OneUnknown]:
-    """The conditions that matter to some of n commands ``q`` (n, N) [rad] and that these do not state."""
+    """The conditions but the approach that matter to some of n commands ``q`` (n, N) [rad] and that these do not
+    state."""
     found = [
-        _approach(arm, q, conditions, ranges),
         _over_range("payload", arm, q, conditions, _payloads(arm, ranges)),
         _over_range("temperature", arm, q, conditions, _temperatures(ranges)),
         _over_range("time", arm, q, conditions, _times(ranges)),
         _dwell(arm, q, conditions, ranges),
     ]
     return [one for one in found if one is not None and one.largest_m.max(initial=0.0) >= _MATTERS_M]
+
+
+def approach_sides(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Sides | None:
+    """What the sides do that n commands ``q`` (n, N) [rad] do not state; None where no effect depends on them."""
+    terms = _dependent(arm, "approach")
+    if not terms:
+        return None
+    mover = _Mover.of(arm, terms, q)
+    stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
+    vectors = []
+    for joint in range(q.shape[1]):
+        plus, minus = (mover.shift(_driven(conditions, stated, joint, side, ranges)) for side in (1.0, -1.0))
+        vectors.append(np.where(stated[:, joint, None] == 0.0, 0.5 * (plus - minus), 0.0))
+    return Sides(_slugs(terms), np.stack(vectors, axis=1))
 
 
 def unknown_records(found: Sequence[OneUnknown], row: int) -> tuple[UnknownCondition, ...]:
@@ -132,21 +181,6 @@ class _Mover:
 
 def _slugs(terms: Sequence[EffectTerm]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(term.slug for term in terms))
-
-
-def _approach(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> OneUnknown | None:
-    terms = _dependent(arm, "approach")
-    if not terms:
-        return None
-    mover = _Mover.of(arm, terms, q)
-    stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
-    vectors = []
-    for joint in range(q.shape[1]):
-        plus, minus = (mover.shift(_driven(conditions, stated, joint, side, ranges)) for side in (1.0, -1.0))
-        vectors.append(np.where(stated[:, joint, None] == 0.0, 0.5 * (plus - minus), 0.0))
-    each = np.stack(vectors, axis=1)
-    sides = np.linalg.norm(each, axis=2) >= _MATTERS_M
-    return OneUnknown("approach", _slugs(terms), _largest_sum(each), _second_moment(each), sides)
 
 
 def _driven(
@@ -238,6 +272,11 @@ def _largest_sum(vectors: Array) -> Array:
     """Largest length (n,) of the sum of vectors (n, N, 3), each with either sign."""
     signs = np.array([(1.0, *rest) for rest in product((1.0, -1.0), repeat=vectors.shape[1] - 1)])
     return np.asarray(np.linalg.norm(np.einsum("sj,njc->nsc", signs, vectors), axis=2).max(axis=1))
+
+
+def _subsets(joints: int) -> Array:
+    """All choices of some of the joints (2^N, N), as zeros and ones."""
+    return np.array(list(product((0.0, 1.0), repeat=joints)))
 
 
 def _second_moment(vectors: Array) -> Array:

@@ -99,6 +99,8 @@ class Findings:
         Arm -> its command.
     corrected : bool
         Whether what remains was to be corrected.
+    driven : mapping
+        Arm -> joint positions (N,) [rad] that were sent for the model alone, and the signs (N,) of the last motions.
     nominal : mapping
         What was measured with the nominal commands.
     rounds : list
@@ -113,6 +115,7 @@ class Findings:
 
     commands: Mapping[str, Command]
     corrected: bool = False
+    driven: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     nominal: Rest = field(default_factory=dict)
     rounds: list[Rest] = field(default_factory=list)
     best: int = 0
@@ -177,6 +180,7 @@ class Findings:
         alone, kept = (rounds[0], rounds[self.best]) if rounds else (None, None)
         nominal = self.nominal.get(name)
         corrected = kept if self.best else None
+        sent, came = self.driven.get(name, (None, None))
         return MeasuredTarget(
             **dict(target_record(target, name)),
             nominal_mm=_error_mm(nominal),
@@ -191,7 +195,8 @@ class Findings:
             rounds_mm=tuple(one.error_m * 1e3 for one in rounds) if self.corrected else (),
             corrected_mm=_error_mm(corrected),
             q_corrected=None if corrected is None else tuple(corrected.sent.tolist()),
-            approach=None if alone is None else tuple(int(sign) for sign in alone.approach),
+            q_driven=None if sent is None else tuple(sent.tolist()),
+            approach=None if came is None else tuple(int(sign) for sign in came),
         )
 
 

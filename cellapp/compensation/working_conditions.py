@@ -41,6 +41,12 @@ def stated_conditions(targets: Sequence[Target], arm: str, joints: int) -> Measu
     )
 
 
+def conditions_payload(conditions: MeasurementConditions, nominal_kg: float, n: int) -> Array:
+    """Payload (n,) [kg] under conditions of n goals: as stated, else the profile's ``nominal_kg``."""
+    stated = conditions.payload_kg
+    return np.full(n, nominal_kg) if stated is None else np.where(np.isnan(stated), nominal_kg, stated)
+
+
 def beside(
     conditions: MeasurementConditions, other: ArmModel, q: Array, payload_kg: Array | None
 ) -> MeasurementConditions:

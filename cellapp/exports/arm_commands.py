@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.compensation.compensate import with_approach
+from cellapp.compensation.sides import signs_words
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
@@ -28,8 +29,8 @@ class ExportedCommand:
     record : TargetCommand
         As it was computed.
     way : sequence of array (N,)
-        Joint positions [rad] from home to the target, the target last, for the direction in which its joints arrive
-        on that way. Empty where it must not be driven so.
+        Joint positions [rad] from home to the target, the command last; its joints arrive on it from the side that the
+        command is for. Empty where it must not be driven so.
     refusal : str
         Why not; empty otherwise.
     """
@@ -68,7 +69,7 @@ def exported_commands(
 
 
 def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[TargetCommand]) -> tuple[TargetCommand, ...]:
-    """Commands as verification left them: corrected by measuring where that was better, else as they were computed.
+    """Commands as verification left them: what was sent last, corrected by measuring where that was better.
 
     Raises
     ------
@@ -84,36 +85,58 @@ def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[Target
                 f"export: target '{one.name}' of arm '{one.arm}' was verified, but other targets were compensated"
                 " since; nothing was written. Leave --stage out, or push these targets again"
             )
-        found.append(_corrected(record, one))
+        found.append(_last_driven(record, one))
     return tuple(found)
 
+
+_NO_COMMAND = {"q_nominal": None, "q_compensated": None, "approach": None, "holds_for": "", "verdict": "cannot say"}
+"""Of a target that was not driven."""
 
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _corrected(record: TargetCommand, one: MeasuredTarget) -> TargetCommand:
-    """The command with its correction, which holds for the side from which it was measured."""
-    if one.q_corrected is None:
+def _last_driven(record: TargetCommand, one: MeasuredTarget) -> TargetCommand:
+    """What was sent last and measured: it holds for the side from which each joint then came.
+
+    A target that was not driven has no such command. Results of earlier versions do not know what was sent.
+    """
+    if record.refusal:
+        return record
+    sent = one.q_corrected or one.q_driven
+    if sent is None and one.q is None:
+        return record.model_copy(update={"refusal": f"not driven: {one.note or 'no reason is stored'}", **_NO_COMMAND})
+    if sent is None:
         return record
     unknown = tuple(condition for condition in record.unknown if condition.condition != "approach")
-    kept = {"q_compensated": one.q_corrected, "approach": one.approach, "unknown": unknown}
+    words = ["as driven by 'cellapp push'", *record.holds_for.split("; ")[1:]]
+    if one.approach is not None:
+        words.insert(0, f"joints that arrive with the signs {signs_words(one.approach)}")
+    kept = {"q_compensated": sent, "approach": one.approach, "unknown": unknown, "holds_for": "; ".join(words)}
     return record.model_copy(update=kept)
 
 
 def _way(
     record: TargetCommand, name: str, model: CellModel, cell: CellBodies, homes: Mapping[str, Array]
 ) -> tuple[tuple[Array, ...], str]:
-    """Way from home to a target, and why it must not be driven (empty if it may)."""
+    """Way from home to a target, and why it must not be driven (empty if it may).
+
+    The joints arrive from the side that the command is for: straight from home where that is this side, else after a
+    step back.
+    """
     if record.refusal or record.q_compensated is None:
         return (), record.refusal or "it has no command"
     if record.partner:
         return (), f"cooperative: arm '{record.partner}' must be there too; 'cellapp push' drives both"
     q = np.array(record.q_compensated)
-    offered = any(one.condition == "approach" for one in record.unknown)
-    if record.approach is not None and any(record.approach) and not offered:
-        way: tuple[Array, ...] = (q - STEP_BACK_RAD * np.array(record.approach), q)
+    signs = np.zeros(len(q)) if record.approach is None else np.array(record.approach, dtype=np.float64)
+    chosen = any(one.condition == "approach" for one in record.unknown)
+    arrives = bool(np.all((signs == 0.0) | (signs == np.sign(q - homes[name]))))
+    if chosen and not record.holds_for:  # an earlier version's, at the middle of the play
+        way: tuple[Array, ...] = (with_approach(model.arms[name], q, homes[name]),)
+    elif not signs.any() or (chosen and arrives):
+        way = (q,)
     else:
-        way = (with_approach(model.arms[name], q, homes[name]),)
+        way = (q - STEP_BACK_RAD * signs, q)
     here = dict(homes)
     for there in (*way, homes[name]):
         refusal = refuse_motion(cell, here, {**here, name: there})

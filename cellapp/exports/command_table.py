@@ -6,13 +6,17 @@ import csv
 import io
 from collections.abc import Sequence
 
+from cellapp.compensation.sides import signs_words
 from cellapp.exports.arm_commands import ArmCommands
 from cellapp.exports.arm_export import hashed
 from cellapp.exports.export_format import CommandFormat
 
 _NOTES = (
-    "q1..qN are the compensated joint positions [rad], nominal_q1..N those of the published geometry;",
-    "uncertainty_mm is the standard uncertainty of a coordinate of the SMR there; a refused target has no positions.",
+    "q1..qN are the compensated joint positions [rad], nominal_q1..N those of the published geometry. q1..qN hold for",
+    "what holds_for says: let the last motion of each joint have the sign in approach (0: any side), play or friction",
+    "moves the SMR else. uncertainty_mm is the standard uncertainty of a measured coordinate of the SMR there,",
+    "within_mm what a measured error stays below with 95 % probability: both of geometry, effects, network,",
+    "extrapolation, noise, and conditions that nobody stated. A refused target has no positions.",
 )
 
 
@@ -28,6 +32,7 @@ def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
             *(f"q{k}" for k in joints),
             *(f"nominal_q{k}" for k in joints),
             "approach",
+            "holds_for",
             "uncertainty_mm",
             "within_mm",
             "tolerance_mm",
@@ -42,7 +47,8 @@ def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
                 one.arm,
                 *_numbers(one.q_compensated, len(joints)),
                 *_numbers(one.q_nominal, len(joints)),
-                "" if one.approach is None else " ".join(f"{sign:+d}" for sign in one.approach),
+                "" if one.approach is None else signs_words(one.approach),
+                one.holds_for,
                 *("" if value is None else repr(value) for value in (one.uncertainty_mm, one.within_mm)),
                 "" if one.tolerance_mm is None else repr(one.tolerance_mm),
                 one.verdict,

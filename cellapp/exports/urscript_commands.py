@@ -48,7 +48,9 @@ def urscript(commands: ArmCommands, sentences: Sequence[str]) -> str:
         *before, target = command.way
         lines += [f"  # side from which target {name} is approached" for _ in before[:1]]
         lines += [f"  movej({_vector(q)}, {rates})" for q in before]
-        lines += [f"  # target {name}", f"  movej({_vector(target)}, {rates})", "  # home", home]
+        held = " ".join(command.record.holds_for.splitlines())
+        lines += [f"  # target {name}", *([f"  # holds for {held}"] if held else [])]
+        lines += [f"  movej({_vector(target)}, {rates})", "  # home", home]
     return hashed([*sentences, *_NOTES]) + "\n".join([*lines, "end", ""])
 
 

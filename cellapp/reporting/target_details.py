@@ -117,9 +117,11 @@ def _command_lines(command: TargetCommand) -> Iterator[str]:
     if command.residual_um is not None and command.residual_urad is not None:
         residual = f"{command.residual_um:.3f} um and {command.residual_urad:.3f} urad"
         yield f"{arm}: the model meets the target within {residual}"
+    if command.holds_for:
+        yield f"{arm}: the command holds for {command.holds_for}"
     if command.approach is not None:
-        offered = any(one.condition == "approach" for one in command.unknown)
-        what = "made for the middle of both sides; offered approach" if offered else "made for the approach"
+        chosen = any(one.condition == "approach" for one in command.unknown)
+        what = "approach chosen, as on the way from home" if chosen else "made for the approach"
         yield f"{arm}: {what}: {side_words(command.approach)}"
     if command.note:
         yield f"{arm}: {command.note}"

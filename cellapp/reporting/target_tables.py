@@ -80,7 +80,7 @@ def uncertainty_tables(result: CompensateResult) -> list[Table]:
     columns = (
         *_TARGET,
         *(number_column(word, MM) for word in PART_WORDS.values()),
-        number_column("all but noise", MM),
+        number_column("together", MM),
         number_column("95 % bound", MM),
         number_column("branches", "d"),
         Column("tracker sees it"),

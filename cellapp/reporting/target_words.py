@@ -29,7 +29,7 @@ _ADVICE: Mapping[str, str] = {
     "payload": "state conditions: {payload: ...} of the target, or the payload of the arm in the profile",
     "time": "state conditions: {time: ...} of the target, or calibrate again shortly before the work",
     "dwell": "state conditions: {dwell: ...} of the target: how long the arm rests before it works",
-    "approach": "state a side: approach: [1, 0, ...] of the target, one sign for each joint",
+    "approach": "drive so, or state a side: approach: [1, 0, ...] of the target, one sign for each joint",
     "with any rotation": "move the target nearer to the arm",
     "out of reach": "move the target nearer to the arm, or leave its rotation free",
     "beyond limits": "turn the target about the tool's axis, or leave its rotation free",
@@ -123,8 +123,11 @@ def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
     for one in unknown_conditions(targets):
         where = "" if one.targets == 1 else f", the most of {one.targets} targets"
         what = advice(one.condition)
+        taken = ""
+        if one.condition == "approach":
+            taken = " commands are for the side that stands beside each (approach); with another side"
         lines.append(
-            f"{one.condition} is not stated: {', '.join(one.effects)} may move the SMR by {one.mm:.3f} mm"
+            f"{one.condition} is not stated:{taken} {', '.join(one.effects)} may move the SMR by {one.mm:.3f} mm"
             f" at {one.worst}{where}" + (f"; {what}" if what else "")
         )
     return lines
@@ -156,10 +159,8 @@ def _bound_words(result: CompensateResult) -> list[str]:
         return []
     largest, name = max(bounds)
     median = float(np.median([bound for bound, _ in bounds]))
-    left_out = (
-        "; conditions that nobody stated are left out" if any(target.unknown for target in result.targets) else ""
-    )
-    return [f"95 % bound of the measured error: median {median:.3f} mm, largest {largest:.3f} mm at {name}{left_out}"]
+    sided = "; for the side of approach that stands beside each" if any(one.approach for one in result.targets) else ""
+    return [f"95 % bound of the measured error: median {median:.3f} mm, largest {largest:.3f} mm at {name}{sided}"]
 
 
 def _unseen_words(result: CompensateResult) -> list[str]:

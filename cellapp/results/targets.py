@@ -32,10 +32,11 @@ class TargetRecord(Record):
 
 
 class UncertaintyParts(Record):
-    """Standard uncertainty of a coordinate of the SMR at a command by its sources [mm]; all but noise are independent.
+    """Standard uncertainty of a measured coordinate of the SMR at a command by its sources [mm]; squares add.
 
-    ``extrapolation`` is what the command's distance from the measured joint ranges adds; ``noise`` is the scatter of
-    the readings about the model: tracker and repeatability; ``conditions`` is what unknown working conditions add.
+    ``extrapolation`` is what the command's distance from the measured joint ranges and payloads adds; ``noise`` is the
+    scatter of the readings about the model: tracker and repeatability; ``conditions`` is what working conditions add
+    that nobody stated.
     """
 
     parameters: float
@@ -62,7 +63,7 @@ class TargetCommand(TargetRecord):
     refusal : str
         Why the target is not commanded; empty if it is.
     q_nominal, q_compensated : sequence or None
-        None where the target was refused.
+        None where the target was refused. The compensated one is for joints that arrive as ``approach`` says.
     branches : int or None
         Solutions of the inverse within the joint limits; one was chosen.
     visible : bool or None
@@ -72,19 +73,23 @@ class TargetCommand(TargetRecord):
     note : str
         What to know about a command that is not refused.
     uncertainty_mm : float or None
-        Standard uncertainty of a coordinate of the SMR under any plausible conditions, without noise; None where the
-        model states none.
+        Standard uncertainty of a measured coordinate of the SMR, the square root of the sum of the squares of all
+        ``parts``; None where the model states none.
     parts : UncertaintyParts or None
     within_mm : float or None
-        Distance from the target that a measurement keeps with 95 % probability under the conditions that the command
-        was made for, approached from the side that it is corrected for: as ``push --verify`` measures.
+        Distance from the target that a measurement keeps with 95 % probability. It is made of the same parts, and
+        holds for whatever the row holds for.
     unknown : sequence of UnknownCondition
+        Where it names the approach: by how much the SMR is elsewhere with another side than ``approach`` says.
     approach : signs or None
-        Sign of each joint's last motion, 0 where it does not matter: those that the target states, for which the
-        command was made; else, where ``unknown`` names the approach, those that are offered: the command itself is at
-        the middle of both sides.
+        Sign of each joint's last motion that ``q_compensated`` is for, 0 where it does not matter: as the target
+        states, else as on the way from home. None where any side will do.
+    payload_kg : float or None
+        That it is for, stated or the profile's.
+    holds_for : str
+        What the row holds for, in words: sides of approach, payload, and the conditions that the target states.
     verdict : str
-        Prediction for the true position under any plausible conditions, the arm's repeatability included.
+        By the one decision rule, of an error of zero with ``within_mm`` as its uncertainty.
     """
 
     refusal: str
@@ -100,6 +105,8 @@ class TargetCommand(TargetRecord):
     within_mm: float | None = None
     unknown: tuple[UnknownCondition, ...] = ()
     approach: tuple[int, ...] | None = None
+    payload_kg: float | None = None
+    holds_for: str = ""
     verdict: ToleranceVerdict = ""
 
 
@@ -135,6 +142,9 @@ class MeasuredTarget(TargetRecord):
         Distances after the model alone and after each correction by measuring; empty where none was asked for.
     corrected_mm, q_corrected : float and sequence, or None
         Distance and joint positions [rad] with the best correction; None where the model alone was the best.
+    q_driven : sequence or None
+        Joint positions [rad] that were sent for the model alone, for joints that came as ``approach`` says; None where
+        it was not driven, and in results of earlier versions.
     approach : signs or None
         Sign of each joint's last motion at ``compensated_mm`` and at every correction, 0 where unknown.
     verdict : str
@@ -153,6 +163,7 @@ class MeasuredTarget(TargetRecord):
     rounds_mm: tuple[float, ...] = ()
     corrected_mm: float | None = None
     q_corrected: tuple[float, ...] | None = None
+    q_driven: tuple[float, ...] | None = None
     approach: tuple[int, ...] | None = None
 
     @property

@@ -21,6 +21,7 @@ from cellapp.compensation.compensate import (
 from cellapp.compensation.targets import Target, load_targets
 from cellapp.effects import EFFECTS, EffectTerm
 from cellapp.errors import InputError
+from cellapp.kinematics.chain import flange_poses
 from cellapp.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.model import ArmModel, CellModel
 from cellapp.run import RunFile
@@ -64,9 +65,11 @@ def test_the_prediction_of_a_compensated_command_is_its_target(model: CellModel,
         T = arm.geometry.T_M_B()
         wanted = T[:3, :3] @ np.array(command.target.position) + T[:3, 3]
         np.testing.assert_allclose(command.expected_M, wanted, atol=1e-12)
-        np.testing.assert_allclose(arm.predict(command.q_compensated[None])[0], wanted, atol=1e-9)
+        predicted = arm.predict(command.q_compensated[None], conditions=command.conditions)[0]
+        np.testing.assert_allclose(predicted, wanted, atol=1e-9, err_msg="from the side that stands beside it")
         roll, pitch, yaw = command.target.rpy or (0.0, 0.0, 0.0)
-        rotation, _ = arm.flange(command.q_compensated[None])
+        true = arm.true_joints(command.q_compensated[None], conditions=command.conditions)
+        rotation, _ = flange_poses(arm.geometry, true)
         np.testing.assert_allclose(rotation[0], T[:3, :3] @ rotation_zyx(yaw, pitch, roll), atol=1e-9)
         differences.append(np.abs(command.q_compensated - command.q_nominal).max())
     assert 1e-4 < np.median(differences) < 0.05, "the same posture, made good"

@@ -99,7 +99,7 @@ def test_both_arms_of_a_cooperative_target_hold_it(run: RunFile, model: CellMode
         assert np.linalg.norm(one.expected_M - other.expected_M) == pytest.approx(wanted)
         assert one.conditions is not None
         assert one.conditions.other_q is not None
-        np.testing.assert_allclose(one.conditions.other_q[0], other.q_compensated, atol=1e-9)
+        np.testing.assert_allclose(one.conditions.other_q[0], other.q_compensated, atol=5e-4, err_msg="but for play")
     assert reached >= 4
     records = compensate_result(commands).targets
     assert {entry.partner for entry in records} == {"", "left", "right"}
@@ -248,7 +248,8 @@ def test_stated_conditions_are_used_and_kept_for_the_way(run: RunFile, model: Ce
         assert_reached(changed, command)
     q, q_loaded, q_sided = (np.asarray(command.q_compensated) for command in (first, loaded, sided))
     assert np.abs(q_loaded - q).max() > 1e-5
-    assert (q_sided - q)[1] == pytest.approx(2e-4, rel=0.01)
+    assert first.side == (0, int(np.sign(q[1] - home_positions(run.profile)["left"][1])), 0, 0, 0, 0)
+    assert (q_sided - q)[1] == pytest.approx(2e-4 * (1 - first.side[1]), rel=0.01, abs=1e-6), "from above"
     here = q - 0.3
     for command in (first, loaded, sided):
         sent = with_approach(arm, np.asarray(command.q_compensated), here, command.conditions)

@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cellapp.compensation.invert import Inverted
 from cellapp.compensation.measuring_noise import MeasuringNoise
 from cellapp.compensation.prediction import outside_notes, predictions, spread_of
 from cellapp.compensation.ranges import ConditionRanges
+from cellapp.compensation.sides import sided_commands
 from cellapp.compensation.tolerance import length_bounds, predicted_verdict
-from cellapp.compensation.unknown_conditions import unknown_conditions
+from cellapp.compensation.unknown_conditions import approach_sides, unknown_conditions
 from cellapp.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.model import ArmModel, CellModel
 from cellapp.model.posterior import PosteriorDraws
@@ -79,12 +81,11 @@ def test_parts_add_up_and_a_measurement_strays_further_than_the_smr(arm: ArmMode
         assert one is not None
         parts = one.parts
         own = (parts.parameters, parts.effects, parts.network, parts.extrapolation, parts.conditions)
-        assert one.uncertainty_mm == pytest.approx(np.linalg.norm(own))
-        assert one.uncertainty_mm == pytest.approx(size * 1e3)
+        assert np.linalg.norm(own) == pytest.approx(size * 1e3)
         assert parts.noise == pytest.approx(0.015)
-        assert one.within_mm > 1.95 * 0.015
+        assert one.uncertainty_mm == pytest.approx(np.hypot(size * 1e3, 0.015))
+        assert 1.959 * np.sqrt(3.0) <= one.within_mm / one.uncertainty_mm * np.sqrt(1.5) <= 1.96 * 3.0
         assert one.unknown == ()
-        assert one.offered_approach is None
     silent = replace(arm, posterior=None)
     assert predictions(silent, q, NOTHING, [None] * 50, HOME, ConditionRanges()) == [None] * 50
 
@@ -103,34 +104,50 @@ def test_stated_distances_hold_for_errors_drawn_from_the_model(arm: ArmModel) ->
 def test_an_unknown_side_counts_with_what_it_moves(arm: ArmModel) -> None:
     played = replace(arm, effects=(term("backlash", half_play1=1e-4, half_play2=2e-4),))
     q = configurations(10)
-    (unknown,) = unknown_conditions(played, q, NOTHING, ConditionRanges())
+    sides = approach_sides(played, q, NOTHING, ConditionRanges())
+    assert sides is not None
+    unknown = sides.other_sides(np.zeros(q.shape))
     assert (unknown.condition, unknown.effects) == ("approach", ("backlash",))
+    signs = np.tile([1.0, -1.0, 0.0, 0.0, 0.0, 0.0], (10, 1))
+    chosen = sides.other_sides(signs)
+    assert not chosen.covariance.any(), "a command says for which side it holds"
     for k, here in enumerate(q):
-        ends = []
+        ends, own = [], played.predict(here[None], signs[:1])[0]
         for first in (-1.0, 1.0):
             for second in (-1.0, 1.0):
-                sides = np.array([[first, second, 0.0, 0.0, 0.0, 0.0]])
-                ends.append(played.predict(here[None], sides)[0] - played.predict(here[None])[0])
+                side = np.array([[first, second, 0.0, 0.0, 0.0, 0.0]])
+                ends.append(played.predict(here[None], side)[0] - played.predict(here[None])[0])
         assert unknown.largest_m[k] == pytest.approx(np.linalg.norm(ends, axis=1).max(), rel=1e-3)
         np.testing.assert_allclose(unknown.covariance[k], np.cov(np.array(ends).T, bias=True), rtol=2e-3, atol=1e-13)
+        away = np.array(ends) + played.predict(here[None])[0] - own
+        assert chosen.largest_m[k] == pytest.approx(np.linalg.norm(away, axis=1).max(), rel=1e-3)
     stated = MeasurementConditions(approach=np.tile([1.0, -1.0, 0.0, 0.0, 0.0, 0.0], (10, 1)))
-    assert unknown_conditions(played, q, stated, ConditionRanges()) == []
+    whole = approach_sides(played, q, stated, ConditionRanges())
+    assert whole is not None
+    assert not whole.matter.any()
     half = MeasurementConditions(approach=np.tile([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], (10, 1)))
-    (less,) = unknown_conditions(played, q, half, ConditionRanges())
-    assert np.all(less.largest_m < unknown.largest_m)
+    less = approach_sides(played, q, half, ConditionRanges())
+    assert less is not None
+    assert np.all(less.other_sides(np.zeros(q.shape)).largest_m < unknown.largest_m)
 
 
-def test_a_side_is_offered_where_it_matters(arm: ArmModel) -> None:
+def test_a_side_is_chosen_where_it_matters_and_the_command_is_for_it(arm: ArmModel) -> None:
     posterior = replace(arm.posterior, terms=(np.zeros((64, 1)),)) if arm.posterior else None
     played = replace(arm, effects=(term("backlash", half_play2=2e-4),), posterior=posterior)
     q = HOME + np.array([[0.2, -0.3, 0.1, 0.2, 0.2, 0.2]])
-    (one,) = predictions(played, q, NOTHING, [0.02], HOME, ConditionRanges())
+    wanted_M, rotation_M = played.predict(q), played.flange(q)[0]
+    middle = Inverted(q, np.zeros(1), np.zeros(1))
+    sided = sided_commands(played, wanted_M, rotation_M, middle, NOTHING, HOME, ConditionRanges())
+    assert sided.approach(0) == (0, -1, 0, 0, 0, 0)
+    assert sided.found.q[0, 1] - q[0, 1] == pytest.approx(-2e-4, rel=0.01)
+    np.testing.assert_allclose(played.predict(sided.found.q, sided.signs), wanted_M, atol=1e-9)
+    (one,) = predictions(played, sided.found.q, sided.conditions, [0.06], HOME, ConditionRanges(), sided.others)
     assert one is not None
-    assert one.offered_approach == (0, -1, 0, 0, 0, 0)
     assert [entry.condition for entry in one.unknown] == ["approach"]
-    assert one.parts.conditions > 0.02
-    assert one.verdict == "cannot say"
-    assert one.within_mm < 0.06, "who measures knows where the joints come from"
+    assert one.unknown[0].mm > 0.05, "what the other side would do"
+    assert one.parts.conditions == 0.0
+    assert one.verdict == "in"
+    assert one.within_mm < 0.06
 
 
 @pytest.mark.parametrize(
@@ -190,11 +207,11 @@ def test_beyond_the_readings_extrapolation_is_a_part_of_its_own(arm: ArmModel) -
     np.testing.assert_allclose(lost, 2e-4**2, rtol=1e-9, err_msg="what the network no longer corrects, in full")
     np.testing.assert_allclose(np.trace(outside.network[0]), 3e-10)
     np.testing.assert_allclose(np.trace(bare.of_model[0]), 3.0 * arm.uncertainty(far)[0] ** 2)
-    notes = outside_notes(np.vstack([near, far]), ranges, [None, None])
+    notes = outside_notes(np.vstack([near, far]), NOTHING, ranges, [None, None], 0.3)
     assert notes == ["", "outside the calibrated joint ranges: joint 1 by 27 deg"]
 
 
-def test_repeatability_belongs_to_the_true_position_and_the_trackers_noise_does_not(arm: ArmModel) -> None:
+def test_what_a_measurement_finds_is_judged_with_all_of_its_scatter(arm: ArmModel) -> None:
     q = configurations(1)
     tolerance = [0.045]
     exact = MeasuringNoise(along=(1.5e-5, 0.0), across=(1.5e-5, 0.0), typical=1.5e-5**2)
@@ -205,7 +222,11 @@ def test_repeatability_belongs_to_the_true_position_and_the_trackers_noise_does_
     assert of_arm is not None
     assert of_tracker.within_mm == pytest.approx(of_arm.within_mm, rel=1e-6)
     assert of_tracker.uncertainty_mm == of_arm.uncertainty_mm
-    assert (of_tracker.verdict, of_arm.verdict) == ("in", "cannot say")
+    assert (of_tracker.verdict, of_arm.verdict) == ("cannot say", "cannot say")
+    bound = [of_tracker.within_mm]
+    (met,) = predictions(arm, q, NOTHING, bound, HOME, ConditionRanges(noise=exact))
+    assert met is not None
+    assert met.verdict == "in", "the bound that the row states decides"
 
 
 def test_ranges_of_a_run(run: RunFile) -> None:

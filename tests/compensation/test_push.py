@@ -78,7 +78,7 @@ def test_without_the_arriving_side_backlash_would_be_seen(
     good = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
     monkeypatch.setattr(target_visit, "with_approach", lambda arm, command, here, conditions: command)
     bad = push(run.profile, model, right, verify=True).arms["right"].compensated_mm.mean
-    assert bad > 2.0 * good
+    assert bad > 1.5 * good, "from the way home to the way of the push joints change sides"
 
 
 def test_a_target_that_cannot_be_commanded_is_left_out_with_its_reason(run: RunFile, model: CellModel) -> None:

@@ -1,4 +1,4 @@
-"""Commands for an arm of which only readings are known: they bring the true arm to its targets; nothing can be driven."""
+"""Commands for an arm of which only readings are known: they bring the true arm to its targets; nothing is driven."""
 
 from __future__ import annotations
 

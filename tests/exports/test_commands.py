@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cellapp.collection.cell import build_plant
 from cellapp.compensation.command import command_record
 from cellapp.compensation.compensate import compensate
 from cellapp.compensation.goals import goals_of_arm
@@ -26,7 +27,7 @@ from cellapp.exports.run_export import export_as_run
 from cellapp.exports.urscript_commands import urscript
 from cellapp.exports.words import export_lines
 from cellapp.model import CellModel
-from cellapp.pipeline import compensate_run
+from cellapp.pipeline import compensate_run, push_run
 from cellapp.profile import load_profile
 from cellapp.programs.script_targets import read_script
 from cellapp.results import CALIBRATE, ExportResult, TargetCommand
@@ -62,9 +63,12 @@ def positions(row: dict[str, str], prefix: str) -> Array:
     return np.array([float(row[f"{prefix}{joint}"]) for joint in range(1, 7)])
 
 
-def off_m(model: CellModel, targets: Sequence[Target], name: str, q: Array, home: Array | None = None) -> float:
-    """Largest distance [m] of the SMR from the targets of an arm by the model; ``home`` is where each way begins."""
-    approach = None if home is None else np.sign(q - home)
+def signs(row: dict[str, str]) -> list[float]:
+    return [float(sign) for sign in row["approach"].split()] or [0.0] * 6
+
+
+def off_m(model: CellModel, targets: Sequence[Target], name: str, q: Array, approach: Array) -> float:
+    """Largest distance [m] of the SMR from the targets of an arm by the model, from the sides ``approach``."""
     wanted = goals_of_arm(model, targets, name).position_M
     return float(np.linalg.norm(model.arms[name].predict(q, approach) - wanted, axis=1).max())
 
@@ -87,11 +91,42 @@ def test_the_table_brings_the_model_to_the_targets(
         assert file.refused == len(rows) - len(driven)
         assert all(bool(row["refusal"]) != bool(row["q1"]) for row in rows)
         there = [target for target in targets if target.name in {row["name"] for row in driven}]
-        assert off_m(model, there, name, np.array([positions(row, "q") for row in driven])) < BAR_M
+        sides = np.array([signs(row) for row in driven])
+        assert sides.any() == (name == "right"), "its play alone makes a side matter"
+        q = np.array([positions(row, "q") for row in driven])
+        assert off_m(model, there, name, q, sides) < BAR_M, "a row's command is for the side that the row says"
+        for row in driven:
+            said = "any side of approach" if name == "left" else f"joints that arrive with the signs {row['approach']}"
+            assert row["holds_for"] == f"{said}; payload 0.3 kg"
         nominal = np.array([positions(row, "nominal_q") for row in driven])
-        assert off_m(model, there, name, nominal) > 1e-4
+        assert off_m(model, there, name, nominal, sides) > 1e-4
     assert result.commands["left"].refused == 1
     assert any("1 left out" in line for line in export_lines(result))
+
+
+def test_driven_from_the_side_of_its_row_the_real_arm_meets_the_target(
+    compensated: tuple[Path, tuple[Target, ...]], tmp_path: Path
+) -> None:
+    """By the simulated cell itself, which shares no code with the model, at the side that the row says and at others.
+
+    As computed for the middle of the play the commands of the right arm missed by as much as half of it.
+    """
+    folder, targets = compensated
+    with RunFile.open(folder) as run:
+        export_as_run(run, "commands", tmp_path / "c.csv", "right")
+        plant = build_plant(run.profile)
+    rows = [row for row in rows_of(tmp_path / "c.csv") if row["q1"]]
+    model = CellModel.load(folder / CALIBRATION_FILE)
+    wanted = goals_of_arm(model, [one for one in targets if one.name in {row["name"] for row in rows}], "right")
+    q, sides = (np.array([read(row) for row in rows]) for read in (lambda row: positions(row, "q"), signs))
+    missed = {
+        way: np.linalg.norm(plant.smr_positions("right", q, approach=way * sides) - wanted.position_M, axis=1) * 1e3
+        for way in (1.0, 0.0, -1.0)
+    }
+    within = np.array([float(row["within_mm"]) for row in rows])
+    assert np.mean(missed[1.0] > within) <= 0.1
+    assert np.mean(missed[1.0]) < 0.4 * np.mean(missed[0.0]), "the middle of the play is not what a row is for"
+    assert np.mean(missed[0.0]) < 0.7 * np.mean(missed[-1.0])
 
 
 def test_the_program_brings_the_model_to_the_targets(
@@ -116,7 +151,7 @@ def test_the_program_brings_the_model_to_the_targets(
         assert names == [one for one in names if one in [target.name for target in there] or ": left out: " in one]
         assert len(q) == len(there) == file.commands >= 15
         assert file.refused == len(left_out) == len(own) - len(there)
-        assert off_m(model, there, name, q, homes[name]) < BAR_M
+        assert off_m(model, there, name, q, np.sign(q - homes[name])) < BAR_M
         assert "with all other arms at home" in text.decode()
     left = Path(result.commands["left"].file).read_text("utf-8")
     assert "# target far away: left out: out of reach" in left
@@ -125,6 +160,7 @@ def test_the_program_brings_the_model_to_the_targets(
 
 def test_what_verification_drove_last_is_written(finished_copy: Path, tmp_path: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
+        verified = push_run(run, load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[20:23], verify=True)
         result = export_as_run(run, "commands", tmp_path / "last.csv", None, "verify")
         before = export_as_run(run, "commands", tmp_path / "computed.csv")
         assert result.commands is not None
@@ -132,8 +168,16 @@ def test_what_verification_drove_last_is_written(finished_copy: Path, tmp_path: 
         for name, file in result.commands.items():
             last, computed = (rows_of(Path(one.file)) for one in (file, before.commands[name]))
             assert [row["name"] for row in last] == [row["name"] for row in computed]
-            off = [np.abs(positions(a, "q") - positions(b, "q")).max() for a, b in zip(last, computed, strict=True)]
-            assert max(off) == 0.0, "nothing was corrected"
+            driven = {one.name: one for one in verified.targets if one.arm == name}
+            for row, first in zip(last, computed, strict=True):
+                one = driven[row["name"]]
+                assert one.q_driven is not None
+                assert one.q is not None
+                np.testing.assert_array_equal(positions(row, "q"), one.q_driven)
+                np.testing.assert_allclose(one.q_driven, one.q, atol=1e-4, err_msg="what the joints then read")
+                assert signs(row) == [float(sign) for sign in one.approach or ()]
+                assert "as driven by 'cellapp push'" in row["holds_for"]
+                assert np.abs(positions(row, "q") - positions(first, "q")).max() < 1e-3
         targets = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[4:5]
         compensate_run(run, targets)
         with pytest.raises(InputError, match="other targets were compensated since; nothing was written"):
