@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from datetime import date
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from drivers.quantities import Length
 from drivers.settings import Section
+
+MpeRule = Literal["rectangular", "half"]
+"""The standard uncertainty that a maximum permissible error stands for: ``rectangular`` takes any error up to it as
+equally likely, MPE / sqrt 3 (JCGM 100, 4.3.7); ``half`` is MPE / 2, for who knows that errors are mostly smaller."""
+MPE_SHARE: Mapping[MpeRule, float] = {"rectangular": 1.0 / math.sqrt(3.0), "half": 0.5}
 
 Tolerance = Annotated[Length, Field(gt=0.0, le=0.1)]
 
@@ -23,7 +29,8 @@ class Tolerances(Section):
 
     ``position`` is the distance of an arm's SMR from where it was commanded, at any target; ``distance`` the error of
     the distance between two positions of one arm; ``cooperative`` the error of the distance between the SMRs of two
-    arms. The others are the characteristics of ISO 9283.
+    arms. The others are the characteristics of ISO 9283. ``decision`` and ``mpe`` say how all of them are judged, and
+    the tolerances of targets and paths.
     """
 
     position: Tolerance | None = None
@@ -38,11 +45,19 @@ class Tolerances(Section):
     path_accuracy: Tolerance | None = None
     path_repeatability: Tolerance | None = None
     decision: DecisionRule = "guarded"
+    mpe: MpeRule = "rectangular"
+
+    @model_serializer(mode="wrap")
+    def _without_usual_mpe(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Profiles that do not choose keep the JSON text, and so the hash, that earlier results rest on."""
+        content: dict[str, Any] = handler(self)
+        return {key: value for key, value in content.items() if key != "mpe" or value != "rectangular"}
 
     @property
     def any_given(self) -> bool:
         """Whether anything is judged."""
-        return any(getattr(self, name) is not None for name in type(self).model_fields if name != "decision")
+        rules = ("decision", "mpe")
+        return any(getattr(self, name) is not None for name in type(self).model_fields if name not in rules)
 
 
 class Instrument(Section):
