@@ -9,12 +9,13 @@ the expanded uncertainty is twice the combined one (GUM 6.2.1, k = 2).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from cellapp.acceptance.conditions import MeasuredConditions
 from cellapp.profile import Profile
+from cellapp.profile.acceptance import MPE_SHARE, MpeRule
 from cellapp.profile.schema import ArmType, PermissibleError
 from cellapp.results import (
     COMPENSATE,
@@ -25,6 +26,7 @@ from cellapp.results import (
     MeasuredTarget,
     RunResults,
     UncertaintyContribution,
+    UncertaintyParts,
 )
 
 COVERAGE = 2.0
@@ -34,6 +36,12 @@ AIR_PER_KELVIN = 1e-6
 20 degC, 1013 hPa (Ciddor, Applied Optics 35 (1996) 1566)."""
 ALUMINIUM = 23e-6
 """Thermal expansion [1/K] of the links of most arms; magnesium and steel are at 26e-6 and 12e-6."""
+
+MPE_WORDS: Mapping[MpeRule, str] = {
+    "rectangular": "divided by the square root of 3 (rectangular: any error up to it is as likely)",
+    "half": "divided by 2 (tolerances.mpe: half was chosen)",
+}
+"""How the standard uncertainty is taken from a maximum permissible error."""
 
 TRACKER, CENTERING, AIR = "tracker", "SMR centering", "air temperature"
 REPEATABILITY, MODEL, STATION, GROWTH = "arm repeatability", "calibrated model", "station", "thermal growth of the arm"
@@ -47,17 +55,22 @@ def position_budget(
     ``measured`` are the conditions of its readings: the thermal growth of the arm is only stated where they have
     temperatures, and distances are theirs where no target was verified.
     """
-    farthest = _farthest_m(results, arm, measured)
-    growth = _growth(profile.arms[arm].type, _discovered(results, arm), measured)
-    return (
-        _tracker(profile, farthest),
-        _centering(profile),
-        _air(profile, farthest),
-        _repeatability(results, arm),
-        _model(results, arm),
-        *_station(results),
-        *([] if growth is None else [growth]),
-    )
+    return _position(profile, results, arm, _farthest_m(results, arm, measured), _model(results, arm), measured)
+
+
+def target_budget(
+    profile: Profile,
+    results: RunResults,
+    arm: str,
+    distance_m: float,
+    parts: UncertaintyParts | None = None,
+    measured: MeasuredConditions | None = None,
+) -> tuple[UncertaintyContribution, ...]:
+    """The same contributions at one place, ``distance_m`` from the tracker; ``parts`` are those of the command."""
+    model = _model(results, arm)
+    if parts is not None:
+        model = _line(MODEL, _of_model_mm(parts), "A", "posterior of the model in force at the command")
+    return _position(profile, results, arm, distance_m, model, measured)
 
 
 def distance_budget(position: Sequence[UncertaintyContribution]) -> tuple[UncertaintyContribution, ...]:
@@ -104,11 +117,12 @@ def _tracker(profile: Profile, farthest_m: float | None) -> UncertaintyContribut
     if tracker is None or farthest_m is None:
         return _line(TRACKER, None, "B", "not given: the profile states no tracker, or no distance was measured")
     across, along = (permissible_mm(error, farthest_m) for error in (tracker.transverse, tracker.range))
+    rule = profile.tolerances.mpe
     basis = (
-        f"half of the stated maximum permissible error at {farthest_m:.2f} m: {across:.4f} mm across the beam,"
-        f" {along:.4f} mm along it; the larger counts"
+        f"stated maximum permissible error at {farthest_m:.2f} m: {across:.4f} mm across the beam, {along:.4f} mm along"
+        f" it; the larger counts, {MPE_WORDS[rule]}"
     )
-    return _line(TRACKER, max(across, along) / 2.0, "B", basis)
+    return _line(TRACKER, max(across, along) * MPE_SHARE[rule], "B", basis)
 
 
 def _centering(profile: Profile) -> UncertaintyContribution:
@@ -159,8 +173,12 @@ def _model(results: RunResults, arm: str) -> UncertaintyContribution:
     commands = [] if results.compensate is None or COMPENSATE in results.out_of_date else results.compensate.targets
     parts = [one.parts for one in commands if one.arm == arm and one.parts is not None]
     if parts:
-        stated = [math.hypot(one.parameters, one.effects, one.network, one.extrapolation) for one in parts]
-        return _line(MODEL, max(stated), "A", f"posterior of the model in force, largest of {len(parts)} commands")
+        return _line(
+            MODEL,
+            max(map(_of_model_mm, parts)),
+            "A",
+            f"posterior of the model in force, largest of {len(parts)} commands",
+        )
     found = _discovered(results, arm)
     if found is not None and found.uncertainty_mm is not None:
         return _line(MODEL, found.uncertainty_mm.largest, "A", "posterior of the model, largest at held-out stops")
@@ -201,6 +219,31 @@ def _growth(
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _position(
+    profile: Profile,
+    results: RunResults,
+    arm: str,
+    distance_m: float | None,
+    model: UncertaintyContribution,
+    measured: MeasuredConditions | None,
+) -> tuple[UncertaintyContribution, ...]:
+    growth = _growth(profile.arms[arm].type, _discovered(results, arm), measured)
+    return (
+        _tracker(profile, distance_m),
+        _centering(profile),
+        _air(profile, distance_m),
+        _repeatability(results, arm),
+        model,
+        *_station(results),
+        *([] if growth is None else [growth]),
+    )
+
+
+def _of_model_mm(parts: UncertaintyParts) -> float:
+    """Standard uncertainty [mm] of a coordinate by the model alone."""
+    return math.hypot(parts.parameters, parts.effects, parts.network, parts.extrapolation)
 
 
 def _line(source: str, standard_mm: float | None, evaluation: str, basis: str) -> UncertaintyContribution:

@@ -40,6 +40,7 @@ from cellapp.iso9283.reach import CubeSearch
 from cellapp.kinematics.transforms import Array
 from cellapp.model import CellModel
 from cellapp.profile import Profile
+from cellapp.profile.acceptance import MPE_SHARE
 from cellapp.progress import Listener, Progress, ignore
 from cellapp.results import IsoCommands, IsoTest
 from cellapp.safety.cell_bodies import cell_bodies, home_positions
@@ -327,13 +328,13 @@ class _Session:
             self._miss(visit, str(error))
             return
         self._missed = 0
-        first = points[names[0]]
+        first, share = points[names[0]], _mpe_factor(self.task.profile)
         self.findings.measured.visits.append(
             Measured(
                 place=visit.place,
                 cycle=visit.cycle,
                 p_M={name: point.p_M for name, point in points.items()},
-                covariance_M={name: point.covariance_M for name, point in points.items()},
+                covariance_M={name: share * point.covariance_M for name, point in points.items()},
                 time_s=first.time_s,
                 temperature_c=first.temperature_c,
                 group=group,
@@ -366,3 +367,8 @@ def _raise_if_not_ready(error: Exception) -> None:
     """A tracker that is not ready measures nothing at the next position either."""
     if isinstance(error, NotReady):
         raise HardwareError(str(error)) from error
+
+
+def _mpe_factor(profile: Profile) -> float:
+    """What the tracker's covariance is multiplied by: drivers state half of the maximum permissible error as sigma."""
+    return (MPE_SHARE[profile.tolerances.mpe] / MPE_SHARE["half"]) ** 2

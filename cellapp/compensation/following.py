@@ -12,8 +12,8 @@ from cellapp.collection.cell import Cell
 from cellapp.collection.motion import Confirm, MotionRefused, Mover
 from cellapp.collection.reaction import StopCause, StopReaction
 from cellapp.collection.supervision import attended_cell, hold_while_paused
+from cellapp.compensation.judging import Judge
 from cellapp.compensation.path_file import PathSpec
-from cellapp.compensation.tolerance import measured_verdict
 from cellapp.control import JobControl
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
@@ -45,6 +45,7 @@ def follow(
     *,
     verify: bool,
     rehearse: bool = False,
+    judge: Judge | None = None,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
 ) -> list[tuple[PathPlan, DrivenPath | None]]:
@@ -52,7 +53,8 @@ def follow(
 
     ``rehearse`` drives each path once before, and corrects it by how the joints were seen to follow.
     A path is planned again where the arm's controller has another rate. ``opened`` is called with the open cell before
-    anything moves; what it raises ends the job. ``confirm`` is asked before the first motion.
+    anything moves; what it raises ends the job. ``confirm`` is asked before the first motion. ``judge`` decides on
+    tolerances; left out, by what the profile alone says.
 
     Raises
     ------
@@ -80,7 +82,7 @@ def follow(
             hold_while_paused(cell, control, reaction)
             listener(Progress("follow", done, len(plans), plan.spec.name))
             plan = _at_rate_of_arm(profile, model, plan, cell)
-            driver = _Driver(profile, mover, cell, reaction, model, plan.spec)
+            driver = _Driver(profile, mover, cell, reaction, model, plan.spec, judge or Judge(profile))
             found.append((plan, None if plan.refusal else driver.drive(plan, verify=verify, rehearse=rehearse)))
             mover.go_home()
     listener(Progress("follow", len(plans), len(plans), "done"))
@@ -109,6 +111,7 @@ class _Driver:
     reaction: StopReaction
     model: CellModel
     spec: PathSpec
+    judge: Judge
 
     def drive(self, plan: PathPlan, *, verify: bool, rehearse: bool) -> DrivenPath:
         """Drive one path; with ``verify`` also at rest, and as the published geometry drives it."""
@@ -155,13 +158,19 @@ class _Driver:
             notes.append("this tracker's driver cannot measure a moving SMR yet; the path was verified at rest")
         moving = None if points is None else _summary(plan.path, points)
         judged = moving or at_rest
+        value = None if judged is None else judged.p95
+        places_M = plan.path.positions(np.linspace(0.0, float(plan.trajectory.s[-1]), _FEWEST_AT_REST))
+        farthest_M = places_M[np.argmax(np.linalg.norm(places_M, axis=1))]
+        expanded = self.judge.expanded_mm({self.spec.arm: farthest_M}, {})
         return driven.model_copy(
             update={
                 "moving": moving,
                 "at_rest": at_rest,
                 "nominal": nominal,
                 "judged": "" if judged is None else "moving" if moving is not None else "at rest",
-                "verdict": measured_verdict(None if judged is None else judged.p95, self.spec.tolerance * 1e3),
+                "expanded_mm": None if judged is None else expanded,
+                "rule": self.judge.rule,
+                "verdict": self.judge.verdict(value, expanded, self.spec.tolerance * 1e3),
                 "note": "; ".join(notes),
             }
         )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from cellapp.compensation.invert import invert_model
-from cellapp.compensation.verification import Rest, distance_error_m
+from cellapp.compensation.verification import Rest, distance_error_m, rms_error_m
 from cellapp.errors import InputError
 from cellapp.kinematics.transforms import Array
 from cellapp.model import ArmModel
@@ -18,10 +18,19 @@ _FARTHEST_RAD = 0.1
 """Largest change of a joint: beyond it the command would be on another branch, or the arm next to a singularity."""
 _POSE = 6
 """Coordinates of a pose: an arm of fewer joints cannot keep its rotation where the position changes."""
+REPEATS = 3
+"""Fresh measurements of a target before a correction and after one: the one that raised the doubt does not count, as it
+was looked at because it was large."""
 _NOISE_95 = 7.815
-"""95th percentile of the chi-squared distribution with three degrees of freedom."""
+"""95 % point of the chi-squared distribution with three degrees of freedom: what exceeds it is measured again."""
+_NOISE_99 = 11.345
+"""99 % point: beyond it the mean of fresh measurements is corrected."""
 _NORMAL_95 = 1.960
 """95 % of normal errors are within this many standard deviations."""
+_NORMAL_99 = 2.576
+"""The same for 99 %."""
+_ONE_SIDED_95 = 1.645
+"""95 % of normal errors are below this many standard deviations."""
 _FINEST_M = 1e-6
 """Standard deviation of a coordinate below which nobody positions an arm; it keeps a covariance of zero regular."""
 
@@ -75,22 +84,44 @@ def not_explained(rest: Rest, before_M: Mapping[str, Array]) -> list[str]:
     return [] if distance_explained_by_noise(off_m, line_M, sum(noise_M.values(), np.zeros((3, 3)))) else list(rest)
 
 
-def explained_by_noise(error_M: Array, covariance_M: Array) -> bool:
-    """Whether noise alone makes 5 % of errors as unlikely as ``error_M`` (3,) [m], or more.
+def significant(rest: Rest, names: Sequence[str]) -> list[str]:
+    """The arms among ``names`` whose error noise makes in less than 1 % of cases; both of a pair whose distance it is.
+
+    ``rest`` has the means of fresh measurements.
+    """
+    own = [name for name in names if not explained_by_noise(rest[name].error_M, rest[name].noise_M, _NOISE_99)]
+    if own or len(rest) != 2:
+        return own
+    first, second = rest.values()
+    line_M, noise_M = second.wanted_M - first.wanted_M, first.noise_M + second.noise_M
+    clear = not distance_explained_by_noise(distance_error_m(first, second), line_M, noise_M, _NORMAL_99)
+    return list(names) if clear else []
+
+
+def is_better(now: Rest, before: Rest) -> bool:
+    """Whether what is left after a correction is less than before, by more than noise makes of equal errors (95 %)."""
+    noise_M = [one.noise_M for rest in (now, before) for one in rest.values()]
+    sigma_m = float(np.sqrt(sum(np.linalg.eigvalsh(one)[-1] for one in noise_M) / len(now)))
+    return rms_error_m(before) - rms_error_m(now) > _ONE_SIDED_95 * sigma_m
+
+
+def explained_by_noise(error_M: Array, covariance_M: Array, limit: float = _NOISE_95) -> bool:
+    """Whether noise alone makes 5 % of errors as unlikely as ``error_M`` (3,) [m], or more; with another ``limit``
+    other shares.
 
     ``covariance_M`` (3, 3) [m^2] is that of the error: tracker and repeatability of this measurement and, after a
     correction, of the one that it was made from. The squared Mahalanobis length of a normal vector in three dimensions
     is chi-squared with three degrees of freedom.
     """
     covariance = covariance_M + _FINEST_M**2 * np.eye(3)
-    return bool(error_M @ np.linalg.solve(covariance, error_M) <= _NOISE_95)
+    return bool(error_M @ np.linalg.solve(covariance, error_M) <= limit)
 
 
-def distance_explained_by_noise(error_m: float, line_M: Array, covariance_M: Array) -> bool:
+def distance_explained_by_noise(error_m: float, line_M: Array, covariance_M: Array, limit: float = _NORMAL_95) -> bool:
     """The same for the distance of two SMRs: ``line_M`` (3,) leads from one to the other.
 
     ``covariance_M`` (3, 3) [m^2] is that of the vector between them.
     """
     along = line_M / np.linalg.norm(line_M)
     sigma_m = np.sqrt(along @ covariance_M @ along + _FINEST_M**2)
-    return bool(abs(error_m) <= _NORMAL_95 * sigma_m)
+    return bool(abs(error_m) <= limit * sigma_m)

@@ -5,9 +5,10 @@ carries little may give way by any amount that such arms do. Under another paylo
 
     sum_j J_j c_j (tau_j(q, m) - tau_j(q, m')),
 
-with the joint's compliance c_j [rad/Nm] beside what the model has, and m' the nearest payload that was measured. The
-readings leave c with the covariance of a linear estimate in which all geometry is free, its prior as wide as the
-compliance of such drives.
+with the joint's compliance c_j [rad/Nm] beside what the model has, and m' the nearest payload that was measured. What
+the readings say of c is a linear estimate from their residuals in which all geometry is free, its prior as wide as the
+compliance of such drives. The model leaves c at zero, as no search was sure of more, so that the second moment about
+zero counts: covariance of the estimate, and its square.
 """
 
 from __future__ import annotations
@@ -25,26 +26,31 @@ from cellapp.run import Readings
 
 _COMPLIANCE = 1e-4
 """Prior standard deviation [rad/Nm]: strain-wave drives of this class have 1e4 to 1e5 Nm/rad (Harmonic Drive, CSG)."""
+_DEPENDENT = 1e-9
+"""Relative singular value below which columns of the geometry are combinations of others."""
 
 
 def open_compliance(arm: ArmModel, readings: Readings) -> Array | None:
-    """Covariance (N, N) [(rad/Nm)^2] of the joints' compliances that readings leave open; None where unknown.
+    """Second moment (N, N) [(rad/Nm)^2] of the joints' compliances that readings leave open; None where unknown.
 
-    Unknown is it without a posterior, which has the scatter of the readings.
+    It is unknown without a posterior, which has the scatter of the readings, and without measured positions.
     """
+    readings = readings.take(np.flatnonzero(np.isfinite(readings.p_M).all(axis=1)))
     if arm.posterior is None or not len(readings):
         return None
-    angles = JointAngles.of(readings.q)
-    _, G = jacobian(arm.geometry, angles, arm.posterior.columns)
-    context = arm.context(readings.q, conditions=measurement_conditions(readings))
+    conditions, angles = measurement_conditions(readings), JointAngles.of(readings.q)
     _, J = joint_jacobian(arm.geometry, angles)
-    A = (J * context.torques.T[None]).transpose(0, 2, 1).reshape(-1, J.shape[1])
-    free = G.transpose(0, 2, 1).reshape(len(A), -1)
+    _, G = jacobian(arm.geometry, angles, arm.posterior.columns)
+    A = _rows(J * arm.context(readings.q, conditions=conditions).torques.T[None])
+    residual = (readings.p_M - arm.predict(readings.q, conditions=conditions)).T.ravel()
+    free = _rows(G)
     left, sizes, _ = np.linalg.svd(free / np.maximum(np.linalg.norm(free, axis=0), 1e-300), full_matrices=False)
-    basis = left[:, sizes > 1e-9 * sizes[0]]
-    A = A - basis @ (basis.T @ A)
-    information = A.T @ A / arm.posterior.noise_m**2 + np.eye(A.shape[1]) / _COMPLIANCE**2
-    return np.asarray(np.linalg.inv(information))
+    basis = left[:, sizes > _DEPENDENT * sizes[0]]
+    A, residual = A - basis @ (basis.T @ A), residual - basis @ (basis.T @ residual)
+    variance = arm.posterior.noise_m**2
+    covariance = np.linalg.inv(A.T @ A / variance + np.eye(A.shape[1]) / _COMPLIANCE**2)
+    found = covariance @ (A.T @ residual) / variance
+    return np.asarray(covariance + np.outer(found, found))
 
 
 def payload_covariance(
@@ -57,3 +63,8 @@ def payload_covariance(
     _, J = joint_jacobian(arm.geometry, JointAngles.of(q))
     moved = np.einsum("cjn,nj->ncj", J, torque)
     return np.asarray(moved @ compliance @ moved.transpose(0, 2, 1))
+
+
+def _rows(columns: Array) -> Array:
+    """Derivatives (3, k, n) as one column a parameter: (3 n, k)."""
+    return np.asarray(columns.transpose(0, 2, 1).reshape(-1, columns.shape[1]))

@@ -11,6 +11,7 @@ from cellapp.collection.supervision import Opened, attended_cell, hold_while_pau
 from cellapp.compensation.cell_checks import require_same_arms
 from cellapp.compensation.command import Command
 from cellapp.compensation.driving import Driver
+from cellapp.compensation.judging import Judge
 from cellapp.compensation.target_visit import TargetVisit
 from cellapp.compensation.verification import Agreement, Findings, by_arm, summary_of
 from cellapp.control import JobControl
@@ -29,10 +30,10 @@ class Visited:
     targets: list[MeasuredTarget] = field(default_factory=list)
     pairs: list[MeasuredPair] = field(default_factory=list)
 
-    def add(self, found: Findings, *, verify: bool) -> None:
+    def add(self, found: Findings, judge: Judge, *, verify: bool) -> None:
         """Take what was found at one target."""
-        self.targets += found.targets()
-        pair = found.pair() if verify else None
+        self.targets += found.targets(judge)
+        pair = found.pair(judge) if verify else None
         if pair is not None:
             self.pairs.append(pair)
 
@@ -57,6 +58,7 @@ def push(
     verify: bool,
     rounds: int = 0,
     repeatability_m: Mapping[str, float] | None = None,
+    judge: Judge | None = None,
     confirm: Confirm | None = None,
     opened: Callable[[Cell], object] = lambda cell: None,
     open_with: Opened | None = None,
@@ -68,8 +70,9 @@ def push(
     most the remaining error is measured and corrected. ``repeatability_m`` is the standard deviation of a coordinate
     of each arm's SMR as measured after repeated motions, below which nothing is corrected; zero where it is not known.
 
-    ``opened`` is called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked
-    before the first motion. ``open_with`` opens the cell. ``visited`` takes each target as soon as it is done.
+    ``judge`` decides on tolerances; left out, by what the profile alone says. ``opened`` is called with the open cell
+    before anything moves; what it raises ends the job. ``confirm`` is asked before the first motion. ``open_with``
+    opens the cell. ``visited`` takes each target as soon as it is done.
 
     Raises
     ------
@@ -101,7 +104,7 @@ def push(
             rounds=rounds,
             repeatability_m=repeatability_m or {},
         )
-        stopped = _visit_all(visit, profile, commands, visited, listener)
+        stopped = _visit_all(visit, judge or Judge(profile), commands, visited, listener)
         mover.go_home()
     total = len(dict.fromkeys(command.target.name for command in commands))
     listener(Progress("push", total, total, "done"))
@@ -109,7 +112,7 @@ def push(
 
 
 def _visit_all(
-    visit: TargetVisit, profile: Profile, commands: Sequence[Command], visited: Visited, listener: Listener
+    visit: TargetVisit, judge: Judge, commands: Sequence[Command], visited: Visited, listener: Listener
 ) -> str:
     """Visit all targets in their order; return why some are left out, because measurements contradict the model."""
     by_target: dict[str, list[Command]] = {}
@@ -118,10 +121,10 @@ def _visit_all(
     agreement, total = Agreement(), len(by_target)
     for done, (name, own) in enumerate(by_target.items()):
         visit.hold()
-        visit.driver.mover.speed = _speed(profile, done)
+        visit.driver.mover.speed = _speed(judge.profile, done)
         listener(Progress("push", done, total, name))
         found = visit.to(own)
-        visited.add(found, verify=visit.verify)
+        visited.add(found, judge, verify=visit.verify)
         agreement.add(found.contradictions())
         if stopped := agreement.broken(ended=done + 1 == total):
             return stopped

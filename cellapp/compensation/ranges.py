@@ -40,7 +40,7 @@ class ConditionRanges:
     noise : MeasuringNoise or None
         What the tracker stated.
     compliance : array, shape (N, N), or None
-        Covariance of the joints' compliances that the readings leave open [(rad/Nm)^2].
+        Second moment of the joints' compliances that the readings leave open [(rad/Nm)^2].
     """
 
     q: Array | None = None

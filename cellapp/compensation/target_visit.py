@@ -11,8 +11,15 @@ from cellapp.collection.motion import MotionRefused, Vector
 from cellapp.compensation.command import Command
 from cellapp.compensation.driving import Driver, arrival
 from cellapp.compensation.invert import with_approach
-from cellapp.compensation.iteration import CorrectionRefused, corrected_command, not_explained
-from cellapp.compensation.verification import CommandKind, Findings, Measured, Rest, predict_at_rest, rms_error_m
+from cellapp.compensation.iteration import (
+    REPEATS,
+    CorrectionRefused,
+    corrected_command,
+    is_better,
+    not_explained,
+    significant,
+)
+from cellapp.compensation.verification import CommandKind, Findings, Measured, Rest, mean_of, predict_at_rest
 from cellapp.compensation.working_conditions import conditions_of
 from cellapp.control import JobControl
 from cellapp.effects import EFFECTS, DriverVariable
@@ -143,7 +150,11 @@ class TargetVisit:
     # -- correcting ----------------------------------------------------------------------------------------------------
 
     def _correct(self, found: Findings, states: States) -> None:
-        """Correct what remains until noise explains it, it no longer shrinks, or the rounds are used up."""
+        """Correct what is significant until noise explains the rest, it no longer shrinks, or the rounds are used up.
+
+        An error that noise does not explain is measured again before anything is corrected: of many targets, some show
+        one by chance, and a correction by it would make them worse.
+        """
         first = found.rounds[0]
         before_M: dict[str, Array] = {}
         for _ in range(self.rounds):
@@ -153,27 +164,44 @@ class TargetVisit:
                 return
             self.hold()
             try:
-                sent = {
-                    name: corrected_command(
-                        self.model.arms[name], last[name].sent, last[name].error_M, first[name].sent
-                    )
-                    for name in names
-                }
-                moved = self.driver.back_to(sent, {name: first[name].approach for name in names})
+                if len(found.rounds) == 1:
+                    last = self._again(found, states, {name: one.sent for name, one in first.items()}, list(first))
+                    if len(last) < len(first):
+                        return
+                    found.rounds[0] = last
+                if not (names := significant(last, list(last) if len(last) == 2 else names)):
+                    return
+                corrected = {name: self._corrected(name, last, first) for name in names}
+                sent = {name: corrected.get(name, one.sent) for name, one in last.items()}
+                now = self._again(found, states, sent, names)
             except (CorrectionRefused, MotionRefused) as error:
                 found.note(names, str(error))
                 return
             before_M |= {name: last[name].noise_M for name in names}
-            states = {**states, **moved}
-            # all are measured again: those that were not corrected still rest, and both belong together
-            sent = {name: sent.get(name, one.sent) for name, one in last.items()}
-            now = self._measure("compensated", found, states, sent)
             if len(now) < len(first):
                 return
             found.rounds.append(now)
-            if not rms_error_m(now) < rms_error_m(found.rounds[found.best]):
+            if not is_better(now, found.rounds[found.best]):
                 return
             found.best = len(found.rounds) - 1
+
+    def _corrected(self, name: str, last: Rest, first: Rest) -> Vector:
+        """The next command of an arm."""
+        return corrected_command(self.model.arms[name], last[name].sent, last[name].error_M, first[name].sent)
+
+    def _again(self, found: Findings, states: States, sent: Mapping[str, Vector], names: Sequence[str]) -> Rest:
+        """Means of fresh measurements of all arms; ``names`` come to their commands anew each time.
+
+        Those that do not move still rest, and both arms of a pair belong together. Empty if one cannot be measured.
+        """
+        sides = {name: found.rounds[0][name].approach for name in names}
+        each: list[Rest] = []
+        for _ in range(REPEATS):
+            states = {**states, **self.driver.back_to({name: sent[name] for name in names}, sides)}
+            each.append(self._measure("compensated", found, states, sent))
+            if len(each[-1]) < len(sent):
+                return {}
+        return {name: mean_of([rest[name] for rest in each]) for name in sent}
 
 
 def last_motion_matters(arm: ArmModel) -> bool:

@@ -1,4 +1,4 @@
-"""Whether a target is met to its tolerance: predicted from the model's uncertainty, or measured.
+"""Whether a target will be met to its tolerance, predicted from the model's uncertainty.
 
 An error x is a normal vector about zero with covariance C. Its squared length is a weighted sum of squares with the
 eigenvalues of C as weights, so that all of its cumulants follow from traces:
@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import gammaincinv
 
+from cellapp.acceptance.decision import TARGET_WORDS, decided
 from cellapp.kinematics.transforms import Array
 from cellapp.results import ToleranceVerdict
 
@@ -41,22 +42,11 @@ def length_bounds(covariance: Array) -> tuple[Array, Array]:
 
 
 def predicted_verdict(low_mm: float, high_mm: float, tolerance_mm: float | None) -> ToleranceVerdict:
-    """Judge a compensated command before it is driven, by the true position of the SMR, without the tracker's noise.
+    """Judge a compensated command before it is driven, by the one decision rule, guarded.
 
-    The model expects the SMR at the target. ``low_mm`` and ``high_mm`` are the ``length_bounds`` of its error. "in":
-    with 95 % probability the error is within ``tolerance_mm``; "out": with 95 % probability it is beyond; "cannot say":
-    neither. Empty without a tolerance. What the model lacks is no part of its uncertainty: only a measurement settles
-    it.
+    The model expects the SMR at the target. ``low_mm`` and ``high_mm`` are the ``length_bounds`` of its error: that of
+    the SMR, and that which a measurement finds. "in": with 95 % probability the error is within ``tolerance_mm``;
+    "out": with 95 % probability it is beyond; "cannot say": neither. Empty without a tolerance. What the model lacks is
+    no part of its uncertainty: only a measurement settles it.
     """
-    if tolerance_mm is None:
-        return ""
-    if high_mm <= tolerance_mm:
-        return "in"
-    return "out" if low_mm > tolerance_mm else "cannot say"
-
-
-def measured_verdict(error_mm: float | None, tolerance_mm: float | None) -> ToleranceVerdict:
-    """Judge the distance [mm] of the measured SMR from its target. Empty without a tolerance or a measurement."""
-    if error_mm is None or tolerance_mm is None:
-        return ""
-    return "in" if error_mm <= tolerance_mm else "out"
+    return "" if tolerance_mm is None else TARGET_WORDS[decided(low_mm, high_mm, tolerance_mm)]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -12,8 +13,8 @@ import numpy as np
 from cellapp.calibration.evaluation import summarise
 from cellapp.collection.motion import Mover
 from cellapp.compensation.command import Command
+from cellapp.compensation.judging import Judge
 from cellapp.compensation.targets import target_record
-from cellapp.compensation.tolerance import measured_verdict
 from cellapp.effects import MeasurementConditions
 from cellapp.kinematics.statics import base_moment
 from cellapp.kinematics.transforms import Array, xyz_of
@@ -85,6 +86,27 @@ class Measured:
         return np.asarray(tracker + added * np.eye(3))
 
 
+def mean_of(measured: Sequence[Measured]) -> Measured:
+    """The mean of n measurements of one arm at the same command, with the covariance of a mean.
+
+    Where they scatter by more than is known of the arm, what they scatter by counts.
+    """
+    first, n = measured[0], len(measured)
+    scatter_m = float(np.sqrt(np.var([one.error_M for one in measured], axis=0, ddof=1).mean())) if n > 1 else 0.0
+    point = replace(
+        first.point,
+        p_M=np.mean([one.point.p_M for one in measured], axis=0),
+        covariance_M=np.mean([one.point.covariance_M for one in measured], axis=0) / n,
+    )
+    return replace(
+        first,
+        q=np.mean([one.q for one in measured], axis=0),
+        predicted_M=np.mean([one.predicted_M for one in measured], axis=0),
+        point=point,
+        repeatability_m=max(first.repeatability_m, scatter_m) / math.sqrt(n),
+    )
+
+
 Rest = Mapping[str, Measured]
 """Arm -> what was measured, with all arms of a target at rest; without those whose SMR could not be measured."""
 
@@ -141,11 +163,11 @@ class Findings:
                 found[name] = disagreement(measured, command.within_mm) if measured else self.lost[name]
         return found
 
-    def targets(self) -> list[MeasuredTarget]:
+    def targets(self, judge: Judge) -> list[MeasuredTarget]:
         """The result of each arm."""
-        return [self._target(command) for command in self.commands.values()]
+        return [self._target(command, judge) for command in self.commands.values()]
 
-    def pair(self) -> MeasuredPair | None:
+    def pair(self, judge: Judge) -> MeasuredPair | None:
         """The result of both arms together; None for a target of one arm."""
         if len(self.commands) != 2:
             return None
@@ -161,6 +183,8 @@ class Findings:
         notes = [note if note.startswith("arm") else f"arm {name}: {note}" for name, note in self.notes.items()]
         rounds_mm = [off_mm(rest) for rest in self.rounds]
         tolerance_mm = first.target.tolerance_mm
+        kept_mm = rounds_mm[self.best] if rounds_mm else None
+        expanded = None if kept_mm is None else self._expanded_mm(self.rounds[self.best], judge)
         return MeasuredPair(
             name=first.target.name,
             arms=(names[0], names[1]),
@@ -168,25 +192,33 @@ class Findings:
             nominal_mm=off_mm(self.nominal),
             compensated_mm=rounds_mm[0] if rounds_mm else None,
             tolerance_mm=tolerance_mm,
-            verdict=measured_verdict(rounds_mm[self.best] if rounds_mm else None, tolerance_mm),
+            expanded_mm=expanded,
+            verdict=judge.verdict(kept_mm, expanded, tolerance_mm),
             rounds_mm=tuple(off for off in rounds_mm if off is not None) if self.corrected else (),
             corrected_mm=rounds_mm[self.best] if self.best else None,
             note="; ".join(dict.fromkeys(notes)),
         )
 
-    def _target(self, command: Command) -> MeasuredTarget:
+    def _expanded_mm(self, rest: Rest, judge: Judge) -> float | None:
+        """Expanded uncertainty [mm] of the error at rest, of two arms of their distance."""
+        parts = {name: None if one.prediction is None else one.prediction.parts for name, one in self.commands.items()}
+        return judge.expanded_mm({name: one.point.p_M for name, one in rest.items()}, parts)
+
+    def _target(self, command: Command, judge: Judge) -> MeasuredTarget:
         target, name = command.target, command.arm
         rounds = [rest[name] for rest in self.rounds if name in rest]
         alone, kept = (rounds[0], rounds[self.best]) if rounds else (None, None)
         nominal = self.nominal.get(name)
         corrected = kept if self.best else None
+        expanded = None if kept is None else self._expanded_mm({name: kept}, judge)
         sent, came = self.driven.get(name, (None, None))
         return MeasuredTarget(
             **dict(target_record(target, name)),
             nominal_mm=_error_mm(nominal),
             compensated_mm=_error_mm(alone),
             note=self.notes.get(name, ""),
-            verdict=measured_verdict(_error_mm(kept), target.tolerance_mm),
+            expanded_mm=expanded,
+            verdict=judge.verdict(_error_mm(kept), expanded, target.tolerance_mm),
             wanted_M=_point(None if alone is None else alone.wanted_M),
             predicted_M=_point(None if alone is None else alone.predicted_M),
             measured_M=_point(None if alone is None else alone.point.p_M),

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from datetime import date
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
 from drivers.quantities import Length
 from drivers.settings import Section
+
+MpeRule = Literal["rectangular", "half"]
+"""The standard uncertainty that a maximum permissible error stands for: ``rectangular`` takes any error up to it as
+equally likely, MPE / sqrt 3 (JCGM 100, 4.3.7); ``half`` is MPE / 2, for who knows that errors are mostly smaller."""
+MPE_SHARE: Mapping[MpeRule, float] = {"rectangular": 1.0 / math.sqrt(3.0), "half": 0.5}
 
 Tolerance = Annotated[Length, Field(gt=0.0, le=0.1)]
 
@@ -41,12 +54,26 @@ HumiditySpan = Annotated[tuple[Humidity, Humidity], BeforeValidator(_span_of), A
 """Smallest and largest relative humidity [%]."""
 
 
-class Tolerances(Section):
+class _GrownSection(Section):
+    """A section that got keys later: profiles without them keep the JSON text, and so the hash, of earlier results."""
+
+    later_keys: ClassVar[frozenset[str]] = frozenset()
+    """Left out of the JSON where they have their defaults."""
+
+    @model_serializer(mode="wrap")
+    def _without_later_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = handler(self)
+        usual = {key for key in self.later_keys if getattr(self, key) == type(self).model_fields[key].default}
+        return {key: value for key, value in content.items() if key not in usual}
+
+
+class Tolerances(_GrownSection):
     """Largest permissible errors of a cell; what is left out is not judged.
 
     ``position`` is the distance of an arm's SMR from where it was commanded, at any target; ``distance`` the error of
     the distance between two positions of one arm; ``cooperative`` the error of the distance between the SMRs of two
-    arms. The others are the characteristics of ISO 9283.
+    arms. The others are the characteristics of ISO 9283. ``decision`` and ``mpe`` say how all of them are judged, and
+    the tolerances of targets and paths.
     """
 
     position: Tolerance | None = None
@@ -61,11 +88,15 @@ class Tolerances(Section):
     path_accuracy: Tolerance | None = None
     path_repeatability: Tolerance | None = None
     decision: DecisionRule = "guarded"
+    mpe: MpeRule = "rectangular"
+
+    later_keys = frozenset({"mpe"})
 
     @property
     def any_given(self) -> bool:
         """Whether anything is judged."""
-        return any(getattr(self, name) is not None for name in type(self).model_fields if name != "decision")
+        rules = ("decision", "mpe")
+        return any(getattr(self, name) is not None for name in type(self).model_fields if name not in rules)
 
 
 class Instrument(Section):
@@ -92,7 +123,7 @@ class TraceableArm(Section):
     asset: str = ""
 
 
-class Traceability(Section):
+class Traceability(_GrownSection):
     """Who measured with what, for certificates. What is left out is reported as not given, never assumed.
 
     ``client`` is for whom the certificate is made, with the address; ``procedure`` the written procedure of the
@@ -101,6 +132,8 @@ class Traceability(Section):
     the SMR's optical centre in its sphere and nest, ``air_temperature_uncertainty`` that of the air temperature along
     the beam.
     """
+
+    later_keys = frozenset({"client", "procedure", "air_pressure", "relative_humidity"})
 
     organisation: str = ""
     location: str = ""

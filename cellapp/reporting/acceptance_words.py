@@ -23,9 +23,21 @@ CHARACTERISTIC_WORDS: Mapping[Characteristic, str] = {
 }
 """Names of the field; those with letters are of ISO 9283."""
 RULE_WORDS: Mapping[DecisionRule, str] = {
-    "guarded": "An error conforms if it is inside its tolerance by its expanded uncertainty (ISO 14253-1).",
+    "guarded": (
+        "An error conforms if it is inside its tolerance by its expanded uncertainty U (k = 2), it does not conform if"
+        " it is outside by U, and nobody can say between (ISO 14253-1)."
+    ),
     "simple": "Errors alone are compared with their tolerances, without their uncertainty (simple acceptance).",
 }
+
+
+def undecided_words(not_given: Sequence[str]) -> str:
+    """Why the guarded rule decides nothing; empty where all contributions to U are given."""
+    if not not_given:
+        return ""
+    return f"U is not known, so that nothing is proven: not given in traceability or the run: {', '.join(not_given)}."
+
+
 VERDICT_TITLES: Mapping[Conformity, str] = {
     "conforms": "The cell conforms to its tolerances",
     "does not conform": "The cell does not conform to its tolerances",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from cellapp.reporting.acceptance_words import RULE_WORDS
 from cellapp.reporting.table import Cell, Column, Table, number_column
 from cellapp.results import (
     ISO_COMMANDS,
@@ -53,6 +54,7 @@ def iso9283_sentences(result: Iso9283Result) -> list[str]:
     return [
         _message(result),
         *([result.stopped] if result.stopped else []),
+        *dict.fromkeys(RULE_WORDS[one.rule] for one in result.judgements),
         *_conditions(result),
         *_bases(result),
         *(f"arm {name}: the cube is limited by: {cube.limited_by}" for name, cube in _cubes_of(result) if cube),

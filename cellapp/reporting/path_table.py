@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cellapp.reporting.acceptance_words import RULE_WORDS
 from cellapp.reporting.table import Cell, Column, Table, number_column
 from cellapp.results import FOLLOW, PATH, ErrorSummary, PathRecord, PathResult, RunResults
 
@@ -48,7 +49,8 @@ def path_sentences(result: PathResult) -> list[str]:
             )
         if driven is not None and driven.note:
             lines.append(f"{head} {driven.note}")
-    return [*lines, *result.notes]
+    rules = dict.fromkeys(RULE_WORDS[path.driven.rule] for path in result.paths if path.driven and path.driven.verdict)
+    return [*lines, *rules, *result.notes]
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -104,6 +106,7 @@ def _distances(paths: list[PathRecord]) -> Table:
         number_column("mean", ".3f", "mm"),
         number_column("95 %", ".3f", "mm"),
         number_column("max", ".3f", "mm"),
+        number_column("U", ".3f", "mm"),
         Column("met"),
     )
     rows = []
@@ -118,13 +121,16 @@ def _distances(paths: list[PathRecord]) -> Table:
         )
         for by, how, errors in kinds:
             if errors is not None:
-                verdict = driven.verdict if by == "model" and how == driven.judged else ""
-                rows.append(_distance_row(path.name, by, how, errors, verdict))
+                decides = by == "model" and how == driven.judged
+                expanded, verdict = (driven.expanded_mm, driven.verdict) if decides else (None, "")
+                rows.append(_distance_row(path.name, by, how, errors, expanded, verdict))
     return Table("Distance of measured points from the path", columns, tuple(rows))
 
 
-def _distance_row(name: str, by: str, how: str, errors: ErrorSummary, verdict: str) -> tuple[Cell, ...]:
-    return (name, by, how, errors.n, errors.mean, errors.p95, errors.max, verdict)
+def _distance_row(
+    name: str, by: str, how: str, errors: ErrorSummary, expanded_mm: float | None, verdict: str
+) -> tuple[Cell, ...]:
+    return (name, by, how, errors.n, errors.mean, errors.p95, errors.max, expanded_mm, verdict)
 
 
 def _measured(path: PathRecord) -> bool:

@@ -37,6 +37,11 @@ _COLUMNS = (
     *(number_column(axis, ".1f", "mm") for axis in ("x", "y", "z")),
     *(number_column(angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
 )
+_MEASURED_WORDS = {
+    "in": "within tolerance, by its uncertainty",
+    "out": "out of tolerance, by its uncertainty",
+    "cannot say": "not decided: nearer to its tolerance than its uncertainty",
+}
 COLUMN_GROUPS = (5, 6, 7, 9, 12, 15)
 """How many columns a narrow place can show without parting a position or a rotation."""
 
@@ -169,7 +174,7 @@ def _state_words(target: Target, state: TargetState) -> str:
     if state.pair is not None and (mm := state.pair.final_mm) is not None:
         words.append(f"distance of both SMRs off by {mm:.4f} mm{_rounds_words(state.pair)}")
     if state.is_measured and state.verdict:
-        words.append("out of tolerance" if state.verdict == "out" else "within tolerance")
+        words.append(_MEASURED_WORDS[state.verdict])
     return "; ".join([*words, *(note for note in state.notes if not state.refusals)])
 
 

@@ -154,6 +154,7 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
         number_column("after", MM),
         number_column("corrected", MM),
         number_column("tolerance", "g"),
+        number_column("U", MM),
         Column("met"),
     )
     measured = [pair for pair in verify.pairs if pair.compensated_mm is not None]
@@ -167,6 +168,7 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
             pair.compensated_mm,
             pair.final_mm if len(pair.rounds_mm) > 1 else None,
             shown_tolerance(pair.tolerance_mm),
+            pair.expanded_mm if pair.verdict else None,
             pair.verdict,
         )
         for number, pair in enumerate(measured, start=1)
@@ -193,6 +195,7 @@ def _arm_tables(verify: VerifyResult) -> list[Table]:
         number_column("corrected", MM),
         number_column("95 % bound", MM),
         number_column("tolerance", "g"),
+        number_column("U", MM),
         Column("met"),
     )
     tables = []
@@ -208,6 +211,7 @@ def _arm_tables(verify: VerifyResult) -> list[Table]:
                 target.final_mm if len(target.rounds_mm) > 1 else None,
                 target.within_mm,
                 shown_tolerance(target.tolerance_mm),
+                target.expanded_mm if target.verdict else None,
                 target.verdict,
             )
             for number, target in most_urgent(measured, lambda row: row[1].final_mm or 0.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.reporting.acceptance_words import RULE_WORDS, undecided_words
 from cellapp.results import CompensateResult, MeasuredPair, MeasuredTarget, TargetCommand, VerifyResult
 
 PART_WORDS: Mapping[str, str] = {
@@ -150,7 +151,8 @@ def _prediction_words(result: CompensateResult) -> list[str]:
     counts = [f"{sum(target.verdict == word for target in judged)} {word}" for word in ("in", "out", "cannot say")]
     out = dict.fromkeys(target.name for target in judged if target.verdict == "out")
     named = f"; out: {named_few(list(out))}" if out else ""
-    return [f"tolerances, predicted with 95 % probability: {', '.join(counts)}{named}"]
+    rule = "in if the 95 % bound is inside the tolerance, out if the SMR is outside with 95 % probability"
+    return [f"tolerances, predicted: {', '.join(counts)}{named} ({rule}, else nobody can say: ISO 14253-1)"]
 
 
 def _bound_words(result: CompensateResult) -> list[str]:
@@ -212,6 +214,7 @@ def verify_summary(verify: VerifyResult) -> list[str]:
         *([message] if message else []),
         *rounds_words(verify),
         *promise_words(verify),
+        *decision_words(verify),
         *([verify.stopped] if verify.stopped else []),
     ]
 
@@ -220,7 +223,13 @@ def rounds_words(verify: VerifyResult) -> list[str]:
     """How far the model alone came, and what correcting by measuring left; empty without corrections."""
     lines = []
     for measured, what in ((verify.targets, ""), (verify.pairs, ", of the distance of both SMRs")):
-        corrected = [one for one in measured if len(one.rounds_mm) > 1]
+        corrected = [one for one in measured if one.corrected_mm is not None]
+        asked = sum(bool(one.rounds_mm) for one in measured)
+        if asked:
+            lines.append(
+                f"corrected by measuring{what}: {len(corrected)} of {asked} targets; the error of the others is not"
+                " significant, or no correction made it significantly smaller"
+            )
         if corrected:
             alone = np.mean([one.rounds_mm[0] for one in corrected])
             last = np.mean([mm for one in corrected if (mm := one.final_mm) is not None])
@@ -231,6 +240,13 @@ def rounds_words(verify: VerifyResult) -> list[str]:
                 f" {times} by measuring brought it to {last:.4f} mm ({len(corrected)} targets)"
             )
     return lines
+
+
+def decision_words(verify: VerifyResult) -> list[str]:
+    """By which rule tolerances were decided, and what is missing for it; empty without a tolerance."""
+    if not _judged(verify):
+        return []
+    return [line for line in (RULE_WORDS[verify.rule], undecided_words(verify.not_given)) if line]
 
 
 def promise_words(verify: VerifyResult) -> list[str]:
@@ -272,5 +288,7 @@ def _judged(verify: VerifyResult) -> list[Measured]:
 def _tolerance_message(verify: VerifyResult) -> str:
     judged = _judged(verify)
     out = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "out"]
-    within = f"{len(judged) - len(out)} of {len(judged)} measurements within tolerance"
-    return within + (f", {len(out)} out: {named_few(out)}" if out else "")
+    unsure = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "cannot say"]
+    within = f"{len(judged) - len(out) - len(unsure)} of {len(judged)} measurements within tolerance"
+    within += f", {len(out)} out: {named_few(out)}" if out else ""
+    return within + (f", {len(unsure)} not decided: {named_few(unsure)}" if unsure else "")

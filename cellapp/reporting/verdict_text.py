@@ -8,6 +8,7 @@ from datetime import date
 from cellapp.acceptance.conditions import measured_conditions
 from cellapp.acceptance.judgements import judge_run
 from cellapp.errors import InputError
+from cellapp.reporting.acceptance_words import RULE_WORDS
 from cellapp.reporting.page_summary import Summary, summary
 from cellapp.reporting.report_data import ReportData, read_report_data
 from cellapp.reporting.table import Column, Table, number_column
@@ -69,6 +70,7 @@ def verdict_sentences(verdict: RunVerdict) -> list[str]:
     for one in verdict.judgements:
         sources.setdefault(one.source, []).append(f"{_name(one)} of {one.where}")
     return [
+        *dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements),
         *(f"{', '.join(judged)}: {source}" for source, judged in sources.items()),
         *(f"next: {step}" for step in verdict.steps),
     ]

@@ -55,8 +55,13 @@ class DrivenPath(Record):
         None where the arm did not report its joints.
     rehearsed : bool
         Whether the path was driven once before, and corrected by how the joints followed.
+    expanded_mm : float or None
+        Expanded uncertainty (k = 2) of a distance where the path is farthest from the tracker; None where a
+        contribution was not given.
+    rule : str
+        By which the tolerance was decided; in results of earlier versions the error alone was compared.
     verdict : str
-        Of 95 % of the points, moving or else at rest, against the tolerance.
+        Of 95 % of the points, moving or else at rest, against the tolerance, by the decision rule.
     judged : str
         Which of them that is; empty without a measurement.
     note : str
@@ -68,6 +73,8 @@ class DrivenPath(Record):
     nominal: ErrorSummary | None = None
     lag: PathLag | None = None
     rehearsed: bool = False
+    expanded_mm: float | None = None
+    rule: Literal["guarded", "simple"] = "simple"
     verdict: ToleranceVerdict = ""
     judged: PathSource = ""
     note: str = ""
@@ -127,9 +134,10 @@ class PathResult(Result):
             if driven.note:
                 found.append(f"path {path.name}: {driven.note}")
             errors = driven.moving or driven.at_rest
-            if driven.verdict == "out" and errors is not None and errors.p95 is not None:
+            if errors is not None and errors.p95 is not None and errors.p95 > path.tolerance_mm:
+                proven = "" if driven.verdict == "out" else ", not proven with the uncertainty"
                 found.append(
                     f"path {path.name}: 95 % of the points are within {errors.p95:.3f} mm, tolerance"
-                    f" {path.tolerance_mm:g} mm"
+                    f" {path.tolerance_mm:g} mm{proven}"
                 )
         return found

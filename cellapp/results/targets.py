@@ -147,8 +147,10 @@ class MeasuredTarget(TargetRecord):
         it was not driven, and in results of earlier versions.
     approach : signs or None
         Sign of each joint's last motion at ``compensated_mm`` and at every correction, 0 where unknown.
+    expanded_mm : float or None
+        Expanded uncertainty (k = 2) of ``final_mm``; None where a contribution was not given.
     verdict : str
-        Of ``final_mm`` against the tolerance.
+        Of ``final_mm`` against the tolerance, by the decision rule.
     """
 
     nominal_mm: float | None
@@ -162,6 +164,7 @@ class MeasuredTarget(TargetRecord):
     within_mm: float | None = None
     rounds_mm: tuple[float, ...] = ()
     corrected_mm: float | None = None
+    expanded_mm: float | None = None
     q_corrected: tuple[float, ...] | None = None
     q_driven: tuple[float, ...] | None = None
     approach: tuple[int, ...] | None = None
@@ -175,7 +178,8 @@ class MeasuredTarget(TargetRecord):
 class MeasuredPair(Record):
     """A cooperative target as measured: by how much the distance between both SMRs is off [mm].
 
-    ``wanted_mm`` is the wanted distance; ``rounds_mm``, ``corrected_mm`` and ``verdict`` as in ``MeasuredTarget``.
+    ``wanted_mm`` is the wanted distance; ``rounds_mm``, ``corrected_mm``, ``expanded_mm`` and ``verdict`` are as in
+    ``MeasuredTarget``.
     """
 
     name: str
@@ -187,6 +191,7 @@ class MeasuredPair(Record):
     verdict: ToleranceVerdict = ""
     rounds_mm: tuple[float, ...] = ()
     corrected_mm: float | None = None
+    expanded_mm: float | None = None
     note: str = ""
 
     @property
@@ -210,8 +215,9 @@ class ArmVerification(Record):
 class VerifyResult(Result):
     """``push``: every target, and with ``--verify`` the errors of each arm before and after compensation.
 
-    ``cooperative`` summarises the pairs. ``stopped`` says why not all targets were visited; empty if they were.
-    ``notes`` also say where the model that was used was out of date.
+    ``rule`` is that by which tolerances were decided, ``not_given`` what is missing for an expanded uncertainty; in
+    results of earlier versions errors alone were compared. ``cooperative`` summarises the pairs. ``stopped`` says why
+    not all targets were visited; empty if they were. ``notes`` also say where the model that was used was out of date.
     """
 
     schema_: Literal["cellapp-verify"] = "cellapp-verify"
@@ -221,10 +227,15 @@ class VerifyResult(Result):
     pairs: tuple[MeasuredPair, ...] = ()
     cooperative: ArmVerification | None = None
     stopped: str = ""
+    rule: Literal["guarded", "simple"] = "simple"
+    not_given: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
-        """Why the verification did not hold: it was stopped, became no better, or is out of tolerance; empty if not."""
+        """Why the verification did not hold: it was stopped, became no better, or is beyond a tolerance; empty if not.
+
+        An error beyond its tolerance is one whether or not its uncertainty proves it.
+        """
         found = [self.stopped] if self.stopped else []
         for name in dict.fromkeys(target.arm for target in self.targets):
             arm = self.arms.get(name)
@@ -247,10 +258,16 @@ def _no_better(subject: str, errors: ArmVerification) -> list[str]:
 
 
 def _out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
-    out = [one for one in measured if one.verdict == "out"]
+    out = [one for one in measured if one.verdict == "out" or _beyond(one)]
     if not out:
         return []
     named = [f"{one.name} ({one.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)" for one in out[:_MOST_NAMED]]
     more = [f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else []
     judged = sum(one.verdict != "" for one in measured)
-    return [f"{len(out)} of {judged} {what} with a tolerance are out of it: {', '.join(named + more)}"]
+    undecided = sum(one.verdict != "out" for one in out)
+    proven = f" ({undecided} of these not proven with the uncertainty)" if undecided else ""
+    return [f"{len(out)} of {judged} {what} with a tolerance are out of it: {', '.join(named + more)}{proven}"]
+
+
+def _beyond(one: MeasuredTarget | MeasuredPair) -> bool:
+    return one.final_mm is not None and one.tolerance_mm is not None and one.final_mm > one.tolerance_mm

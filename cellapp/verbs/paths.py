@@ -25,6 +25,7 @@ from cellapp.results import FOLLOW, PATH, DrivenPath, PathResult
 from cellapp.run import RunFile
 from cellapp.run.stages import append_stage, basis_on_model, read_stages
 from cellapp.run.stored_model import model_of, require_current_model, stage_in_force, stale_notes
+from cellapp.verbs.push import judge_of
 from cellapp.verbs.station import profile_at_station
 
 Driving = Literal["plan", "drive", "verify"]
@@ -124,6 +125,7 @@ def _driven(
         control,
         verify=verify,
         rehearse=rehearse,
+        judge=judge_of(run, profile),
         confirm=confirm,
         opened=noting_controllers(run, notes),
     )

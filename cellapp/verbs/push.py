@@ -5,10 +5,12 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 
+from cellapp.acceptance.conditions import measured_conditions
 from cellapp.collection.cell import Cell
 from cellapp.collection.motion import Confirm
 from cellapp.compensation.cell_checks import check_cell
 from cellapp.compensation.command import Command
+from cellapp.compensation.judging import Judge
 from cellapp.compensation.push import Visited, push
 from cellapp.compensation.targets import Target
 from cellapp.control import JobControl
@@ -60,6 +62,7 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
     Raises as ``push`` and ``check_cell`` do.
     """
     run, notes, visited = job.run, list(job.notes), Visited()
+    judge = judge_of(run, job.profile)
 
     def opened(cell: Cell) -> None:
         notes.extend(check_cell(run, cell, job.commands, changed_controller=job.out_of_date))
@@ -74,6 +77,7 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
             verify=job.verify,
             rounds=job.rounds,
             repeatability_m=_repeatability_m(run),
+            judge=judge,
             confirm=confirm,
             opened=opened,
             visited=visited,
@@ -83,14 +87,21 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
             asked = len(dict.fromkeys(command.target.name for command in job.commands))
             done = len(dict.fromkeys(target.name for target in visited.targets))
             with suppress(InputError):  # the reason of the stop is the one to report
-                _store(job, visited.result(f"stopped after {done} of {asked} targets: {error}"), notes)
+                _store(job, judge, visited.result(f"stopped after {done} of {asked} targets: {error}"), notes)
         raise
-    return _store(job, pushed, notes)
+    return _store(job, judge, pushed, notes)
 
 
-def _store(job: PushJob, pushed: VerifyResult, notes: list[str]) -> VerifyResult:
+def judge_of(run: RunFile, profile: Profile) -> Judge:
+    """Who decides on tolerances in a run: with the uncertainty that its results and readings give."""
+    return Judge(profile, read_results(run), measured_conditions({name: run.readings(name) for name in run.arms()}))
+
+
+def _store(job: PushJob, judge: Judge, pushed: VerifyResult, notes: list[str]) -> VerifyResult:
     said = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
-    result = pushed.model_copy(update={"notes": tuple([*notes, *said])})
+    judged = list(dict.fromkeys(one.arm for one in pushed.targets if one.tolerance_mm is not None))
+    stated = {"rule": judge.rule, "not_given": judge.not_given(judged) if job.verify else ()}
+    result = pushed.model_copy(update={"notes": tuple([*notes, *said]), **stated})
     basis = basis_on_model(job.run, job.model, job.targets)
     append_stage(job.run, VERIFY if job.verify else PUSH, result, basis)
     return result

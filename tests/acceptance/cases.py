@@ -27,7 +27,7 @@ DISTANCE_M = 4.0
 def profile_with(tolerances: Mapping[str, Any], traceability: Mapping[str, Any] | None = None) -> Profile:
     """The twin with these tolerances [m], and the twin's traceability with some keys changed."""
     twin = small_twin()
-    empty = {name: None for name in type(twin.tolerances).model_fields if name != "decision"}
+    empty = {name: None for name in type(twin.tolerances).model_fields if name not in ("decision", "mpe")}
     return twin.model_copy(
         update={
             "tolerances": twin.tolerances.model_copy(update={**empty, **tolerances}),

@@ -66,14 +66,25 @@ def test_the_combined_uncertainty_is_between_the_largest_and_the_sum(values: lis
 
 
 def test_contributions_of_the_twin_at_four_metres() -> None:
-    """15 um + 6 um/m at 4 m across the beam: 39 um, half of it 19.5 um; 0.2 K at 1 um/m per kelvin over 4 m: 0.8 um."""
+    """15 um + 6 um/m at 4 m across the beam: 39 um, over sqrt 3 22.5 um; 0.2 K at 1 um/m per K over 4 m: 0.8 um."""
     found = by_source(results(verify=verification([measured("a", "left", 0.0), measured("b", "left", 0.0)])))
-    assert found[TRACKER].standard_mm == pytest.approx(0.0195)
+    assert found[TRACKER].standard_mm == pytest.approx(0.039 / math.sqrt(3.0))
+    assert "square root of 3 (rectangular" in found[TRACKER].basis
     assert found[CENTERING].standard_mm == pytest.approx(0.003)
     assert found[AIR].standard_mm == pytest.approx(0.0008)
     assert [found[source].evaluation for source in (TRACKER, CENTERING, AIR)] == ["B", "B", "B"]
     assert STATION not in found
     assert GROWTH not in found
+
+
+def test_half_of_the_permissible_error_is_a_choice_and_is_stated() -> None:
+    profile = profile_with({"mpe": "half"})
+    found = results(verify=verification([measured("a", "left", 0.0)]))
+    tracker = next(one for one in position_budget(profile, found, "left") if one.source == TRACKER)
+    assert tracker.standard_mm == pytest.approx(0.0195)
+    assert "half was chosen" in tracker.basis
+    assert profile.model_dump(mode="json")["tolerances"]["mpe"] == "half"
+    assert "mpe" not in profile_with({"position": 1e-4}).model_dump(mode="json")["tolerances"], "older hashes hold"
 
 
 def test_what_nobody_gave_has_no_value_and_says_which_key_gives_it() -> None:

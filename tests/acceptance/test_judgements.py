@@ -76,7 +76,9 @@ def test_the_largest_verified_error_of_each_arm_is_judged_with_its_expanded_unce
     found = judged(results(verify=verification([*LEFT, *RIGHT]), **known_uncertainty()), position=1e-4)
     left, right = found["position", "left"], found["position", "right"]
     assert (left.value_mm, left.n, left.source) == (0.05, 2, "verification, 2 targets")
-    assert left.expanded_mm == pytest.approx(2.0 * (0.01956**2 + 0.003**2 + 0.0008**2 + 0.002**2) ** 0.5, abs=1e-4)
+    assert left.expanded_mm == pytest.approx(
+        2.0 * ((0.03912 / 3**0.5) ** 2 + 0.003**2 + 0.0008**2 + 0.002**2) ** 0.5, abs=1e-4
+    )
     assert left.conformity == "conforms"
     assert right.value_mm == 0.04
 

@@ -168,5 +168,10 @@ def test_a_tracker_that_cannot_follow_measures_at_rest(run: RunFile, monkeypatch
     monkeypatch.setattr(following, "StreamingTracker", JobControl)
     (path,) = follow_run(run, [spec()], driving="verify").paths
     assert path.driven is not None
-    assert (path.driven.moving, path.driven.judged, path.driven.verdict) == (None, "at rest", "in")
+    assert (path.driven.moving, path.driven.judged, path.driven.verdict) == (None, "at rest", "cannot say")
+    assert path.driven.at_rest is not None
+    assert path.driven.at_rest.p95 is not None
+    assert path.driven.expanded_mm is not None
+    assert path.driven.at_rest.p95 < path.tolerance_mm < path.driven.at_rest.p95 + path.driven.expanded_mm
+    assert any("ISO 14253-1" in line for line in path_sentences(PathResult(paths=(path,))))
     assert "verified at rest" in path.driven.note

@@ -14,6 +14,7 @@ import pytest
 from cellapp.collection.cell import Cell, open_cell
 from cellapp.compensation import target_visit
 from cellapp.compensation.compensate import Command, compensate, compensate_result
+from cellapp.compensation.judging import Judge
 from cellapp.compensation.push import push
 from cellapp.compensation.targets import Target, load_targets, same_target
 from cellapp.control import JobControl
@@ -27,6 +28,7 @@ from cellapp.results import ArmVerification, CompensateResult, ErrorSummary, Mea
 from cellapp.run import RunFile
 from cellapp.run.stages import read_results
 from cellapp.safety.cell_bodies import home_positions
+from cellapp.verbs.push import judge_of
 from drivers.plant import Clearance
 from tests.twin import PROFILES, plant_of, small_twin
 
@@ -192,12 +194,16 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     assert wide.tolerance_mm == pytest.approx(2.0)
     said = [str(row[-1]).split(":")[0] for row in predicted_tables(predicted)[0].rows]
     assert said == ["in", "out", "out of reach"]
-    found = push(run.profile, model, commands, verify=True)
-    assert [target.verdict for target in found.targets] == ["in", "out", "", ""]
+    found = push(run.profile, model, commands, verify=True, judge=judge_of(run, run.profile))
+    assert [target.verdict for target in found.targets] == ["in", "cannot say", "", ""], "guarded: U is some 40 um"
+    assert found.targets[1].expanded_mm is not None
+    assert 0.03 < found.targets[1].expanded_mm < 0.08
+    unknown = push(run.profile, model, commands[:1], verify=True, judge=Judge(run.profile))
+    assert unknown.targets[0].verdict == "cannot say", "nobody gave what the arm's readings scatter by"
     (complaint,) = found.complaints()
     assert complaint.startswith(f"1 of 2 targets with a tolerance are out of it: {TARGETS[1].name} (0.0")
-    assert complaint.endswith(" mm, tolerance 0.001 mm)")
-    assert [row[-1] for row in verification_tables(found)[1].rows] == ["in", "out", ""]
+    assert complaint.endswith(" mm, tolerance 0.001 mm) (1 of these not proven with the uncertainty)")
+    assert [row[-1] for row in verification_tables(found)[1].rows] == ["in", "cannot say", ""]
     assert all(same_target(target, stored) for target, stored in zip(targets, found.targets))
     assert not same_target(targets[0].model_copy(update={"tolerance": None}), found.targets[0])
 

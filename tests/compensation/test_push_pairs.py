@@ -18,6 +18,7 @@ from cellapp.reporting.target_words import verify_lines
 from cellapp.results import ArmVerification, ErrorSummary, MeasuredPair, VerifyResult
 from cellapp.run import RunFile
 from cellapp.safety.cell_bodies import home_positions
+from cellapp.verbs.push import judge_of
 from tests.compensation.pairs import pair_targets, stops_with_room
 from tests.twin import plant_of
 
@@ -35,7 +36,7 @@ def pairs(run: RunFile, model: CellModel, stops: list[int]) -> list[Command]:
 def test_both_arms_are_measured_at_each_cooperative_target(
     run: RunFile, model: CellModel, stops: list[int], pairs: list[Command], cells: list[Any]
 ) -> None:
-    found = push(run.profile, model, pairs, verify=True)
+    found = push(run.profile, model, pairs, verify=True, judge=judge_of(run, run.profile))
     assert [(target.name, target.arm, target.partner, target.note) for target in found.targets] == [
         (f"pair-{stop}", name, other, "") for stop in stops for name, other in (("left", "right"), ("right", "left"))
     ]

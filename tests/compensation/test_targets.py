@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from cellapp.acceptance.decision import target_verdict
 from cellapp.compensation.target_text import TypedTarget, targets_text, typed_target, typed_texts
 from cellapp.compensation.targets import Target, load_targets
-from cellapp.compensation.tolerance import measured_verdict, predicted_verdict
+from cellapp.compensation.tolerance import predicted_verdict
 from cellapp.errors import InputError
 from tests.twin import PROFILES, small_twin
 
@@ -173,5 +174,8 @@ def test_what_is_predicted_and_what_is_measured() -> None:
         "out",
         "",
     ]
-    assert [measured_verdict(0.1, size) for size in (0.1, 0.09, None)] == ["in", "out", ""]
-    assert measured_verdict(None, 0.1) == ""
+    guarded = [target_verdict(0.1, 0.02, size, "guarded") for size in (0.121, 0.119, 0.081, 0.0799, None)]
+    assert guarded == ["in", "cannot say", "cannot say", "out", ""]
+    assert target_verdict(0.1, None, 0.2, "guarded") == "cannot say"
+    assert [target_verdict(0.1, None, size, "simple") for size in (0.1, 0.09)] == ["in", "out"]
+    assert target_verdict(None, 0.02, 0.1, "guarded") == ""

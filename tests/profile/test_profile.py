@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 
 from cellapp.errors import InputError
 from cellapp.profile import Profile, load_profile, profile_from_json, profile_to_json
+from cellapp.profile.acceptance import Traceability
 
 pytestmark = pytest.mark.fast
 
@@ -385,3 +387,13 @@ def test_a_wrong_collection_section_is_refused(twin: Path, section: str, says: s
     found = refusal(twin)
     assert "collection" in found
     assert says in found
+
+
+def test_keys_that_came_later_do_not_change_the_text_of_earlier_profiles() -> None:
+    """Stored results rest on the hash of that text: they would all be out of date."""
+    text = profile_to_json(load_profile(PROFILES / "twin.yaml"))
+    assert not {"mpe", "client", "procedure", "air_pressure", "relative_humidity"} & set(re.findall(r'"(\w+)":', text))
+    stated = load_profile(PROFILES / "twin.yaml").model_copy(
+        update={"traceability": Traceability(client="Client Ltd", air_pressure=(1000.0, 1010.0))}
+    )
+    assert profile_from_json(profile_to_json(stated)) == stated

@@ -140,7 +140,7 @@ OLD = CompensateResult(
 def test_compensate_says_what_is_in_and_out_unknown_and_refused() -> None:
     text = "\n".join(compensate_lines(COMPENSATED))
     assert text.splitlines()[0] == "2 of 3 targets compensated, 1 of them cooperative, 1 refused"
-    assert "tolerances, predicted with 95 % probability: 2 in, 1 out, 0 cannot say; out: both" in text
+    assert "tolerances, predicted: 2 in, 1 out, 0 cannot say; out: both" in text
     assert "95 % bound of the measured error: median 0.061 mm, largest 0.070 mm at both" in text
     assert "temperature is not stated: thermal_growth may move the SMR by 0.040 mm at one; state conditions:" in text
     assert "not seen by the tracker, so that a push cannot measure them: both" in text
