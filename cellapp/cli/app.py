@@ -37,7 +37,7 @@ from cellapp.cli.program import run_program
 from cellapp.cli.report import report
 from cellapp.cli.request_commands import abort, pause, resume, stop
 from cellapp.cli.runs import compare, runs
-from cellapp.cli.show import schema, show
+from cellapp.cli.show import schema, show, show_discovery
 from cellapp.cli.trials import trials_app
 from cellapp.cli.whole_run import demo, run
 from cellapp.errors import CheckFailed, InputError
@@ -251,7 +251,6 @@ def discover(
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
     from cellapp.pipeline import discover_run, propose_run
-    from cellapp.reporting.discovery_text import discovery_lines, meaning_lines
     from cellapp.reporting.proposal import proposal_lines
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
@@ -259,7 +258,7 @@ def discover(
             result = discover_run(opened, job.listen, job.control)
         else:
             result = propose_run(opened, propose, job.listen, job.control)
-        job.say(*discovery_lines(result), *meaning_lines(result))
+        show_discovery(job, result)
         if result.proposal is not None:
             job.say("", *proposal_lines(result.proposal))
         job.result(result)

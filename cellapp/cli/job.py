@@ -118,7 +118,7 @@ class Job:
         self._stop_bars()
         console = Console(stderr=self._json_file == "-")
         for table in tables:
-            console.print(rich_table(table))
+            console.print(rich_table(table, cut=False), crop=False)
 
     def result(self, result: Result) -> None:
         """Write the result as JSON if ``--json`` was given."""

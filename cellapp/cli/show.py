@@ -13,7 +13,7 @@ from cellapp.cli.plan import state_check
 from cellapp.errors import InputError
 
 if TYPE_CHECKING:
-    from cellapp.results import RunResults
+    from cellapp.results import DiscoverResult, RunResults
     from cellapp.run import RunFile
 
 
@@ -274,13 +274,19 @@ def _show_parameters(job: Job, results: RunResults) -> None:
     job.say(*merged_sentences(results.calibrate))
 
 
-def _show_discovery(job: Job, results: RunResults) -> None:
-    from cellapp.reporting.discovery_tables import discovery_tables
+def show_discovery(job: Job, result: DiscoverResult) -> None:
+    """Print a discovery: what was found, the values of the effects, what they mean."""
+    from cellapp.reporting.discovery_tables import size_tables
     from cellapp.reporting.discovery_text import discovery_lines, meaning_lines
 
+    job.say(*discovery_lines(result))
+    job.show(size_tables(result))
+    job.say("", *meaning_lines(result))
+
+
+def _show_discovery(job: Job, results: RunResults) -> None:
     assert results.discover is not None
-    job.show(discovery_tables(results.discover))
-    job.say(*discovery_lines(results.discover), *meaning_lines(results.discover))
+    show_discovery(job, results.discover)
 
 
 def _show_location(job: Job, results: RunResults) -> None:

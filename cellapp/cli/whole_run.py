@@ -10,6 +10,7 @@ import typer
 from cellapp.cli.job import Job, require_none
 from cellapp.cli.motion import asking
 from cellapp.cli.options import AllowMotion, JsonOption, ProfilePath
+from cellapp.cli.show import show_discovery
 
 
 def run(
@@ -51,7 +52,6 @@ def _run_whole(job: Job, profile: Path, folder: Path | None, *, allowed: bool) -
     from cellapp.pipeline import run_whole
     from cellapp.profile import load_profile
     from cellapp.reporting.collection_text import collect_lines, other_notes
-    from cellapp.reporting.discovery_text import discovery_lines, meaning_lines
     from cellapp.reporting.tables import calibration_tables, tracker_sentences, verification_tables
 
     ask = asking(job, load_profile(profile).name, allowed=allowed)
@@ -61,7 +61,7 @@ def _run_whole(job: Job, profile: Path, folder: Path | None, *, allowed: bool) -
     if result.calibrate is not None:
         job.show(calibration_tables(result.calibrate))
     if result.discover is not None:
-        job.say(*discovery_lines(result.discover), *meaning_lines(result.discover))
+        show_discovery(job, result.discover)
     if result.verify is not None:
         job.show(verification_tables(result.verify))
     if result.calibrate is not None:

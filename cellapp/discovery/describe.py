@@ -11,6 +11,7 @@ from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.candidates import CandidateLaw
 from cellapp.discovery.formulas import formulas
 from cellapp.discovery.joint_fit import JointFit
+from cellapp.discovery.movement import rms_length
 from cellapp.discovery.search.scan import LawScan
 from cellapp.discovery.terms import UNKNOWN
 from cellapp.effects import Channel, EffectColumn, LawForm
@@ -94,9 +95,8 @@ def _visible_rms(fit: JointFit, number: int) -> float:
 
     That part is arbitrary: a shift of the base pose cancels a constant in a slow drift.
     """
-    visible = fit.residual_without(number).projector.project(fit.signal(number)).reshape(3, -1)
-    moved = np.linalg.solve(fit.white.transpose(2, 0, 1), visible.T[:, :, None])[..., 0]
-    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+    visible = fit.residual_without(number).projector.project(fit.signal(number))
+    return rms_length(fit, visible)
 
 
 def _curve(fit: JointFit, number: int, x: Array) -> tuple[tuple[float, float], ...]:

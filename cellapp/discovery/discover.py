@@ -23,6 +23,7 @@ from cellapp.discovery.describe import describe
 from cellapp.discovery.detectability import detectability
 from cellapp.discovery.held_out import HeldOut
 from cellapp.discovery.joint_fit import JointFit, fit_terms, with_posterior
+from cellapp.discovery.movement import term_movements
 from cellapp.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.term_pictures import pictures
@@ -34,11 +35,11 @@ from cellapp.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
 from cellapp.discovery.structure import structure_left
 from cellapp.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
 from cellapp.discovery.verdict import sampling_allowance, verdict
-from cellapp.effects import EFFECTS, MeasurementConditions
+from cellapp.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.model import ArmModel, CellModel
 from cellapp.profile import Profile
 from cellapp.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
-from cellapp.results import Noise
+from cellapp.results import CycleBand, Noise
 from cellapp.run import Readings
 
 _MOST_SEARCHED = 400
@@ -380,12 +381,19 @@ def _accepted_effects(
                 heldout_after_mm=after_mm,
                 rivals=review.rivals,
                 correlated=_most_correlated(fit, number),
-                cycles=dominant_cycles(columns, term.values) if term.slug == TRANSMISSION_ERROR else None,
+                cycles=_cycles(fit, number, term) if term.slug == TRANSMISSION_ERROR else None,
                 description=description,
                 posterior=probable.terms[number],
+                movements=term_movements(fit, number),
             )
         )
     return tuple(accepted)
+
+
+def _cycles(fit: JointFit, number: int, term: EffectTerm) -> dict[str, CycleBand]:
+    """Dominant cycles a turn of a periodic term, by the values of the final model."""
+    here = fit.layout.parameters(number)
+    return dominant_cycles(fit.term_columns(number), term.values, fit.identification.covariance[here, here])
 
 
 def _most_correlated(fit: JointFit, number: int) -> tuple[str, float] | None:

@@ -18,6 +18,7 @@ from cellapp.results import (
     HeldOutPosition,
     Noise,
     Picture,
+    PlaceMovement,
     PredictedUncertainty,
     RemainingStructure,
     StageErrors,
@@ -49,6 +50,8 @@ class AcceptedEffect:
         Of a data-driven term.
     posterior : float
         Probability that the effect is there, from the evidences of competing sets; NaN where it was not computed.
+    movements : tuple of PlaceMovement
+        How far it moves the SMR by each joint or frame, the largest first.
     """
 
     term: EffectTerm
@@ -63,6 +66,7 @@ class AcceptedEffect:
     cycles: Mapping[str, CycleBand] | None = None
     description: Description | None = None
     posterior: float = math.nan
+    movements: tuple[PlaceMovement, ...] = ()
 
     @property
     def law_misfit(self) -> float | None:

@@ -124,6 +124,7 @@ def _accepted(effect: outcome.AcceptedEffect) -> AcceptedEffect:
         law_misfit=effect.law_misfit,
         meaning=_meaning(EFFECTS[term.slug].meaning_of(term.law).at(place_in_words(effect.acts_on))),
         cycles=effect.cycles,
+        movements=effect.movements or None,
         description=None if described is None else _description(described),
     )
 

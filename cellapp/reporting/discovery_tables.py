@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import math
 
-from cellapp.reporting.table import Cell, Column, Interval, Table, number_column
+from cellapp.reporting.table import Cell, Column, Interval, Table, number_column, without_empty
 from cellapp.reporting.words import interval_95, law_words, place_words, probability_words, short_reason
-from cellapp.results import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult
+from cellapp.results import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult, Estimate
 
 _MM = ".4f"
 _SAME = 0.005
 """A last step within this relative difference of the final error is the final model: no extra row for it."""
+
+
+_SIZE_COLUMNS = (
+    Column("where"),
+    Column("parameter"),
+    number_column("value", ".3f"),
+    number_column("95 % interval", ".3f"),
+    Column("unit"),
+    number_column("moves the SMR", _MM, "mm rms"),
+)
 
 
 def gap_steps(arm: ArmDiscoveryResult) -> list[tuple[str, float]]:
@@ -37,12 +47,13 @@ def noise_floor_words(arm: ArmDiscoveryResult) -> str:
 
 
 def discovery_tables(result: DiscoverResult) -> list[Table]:
-    """Held-out error after each step and the accepted effects: one or two tables for each arm."""
+    """Held-out error after each step of each arm, its accepted effects, and the sizes of each of them."""
     tables = []
     for name, arm in result.arms.items():
         tables.append(steps_table(name, arm))
         if arm.accepted:
             tables.append(_short_accepted_table(name, arm))
+        tables += _effect_size_tables(name, arm)
     return tables
 
 
@@ -127,28 +138,65 @@ def _accepted_row(found: AcceptedEffect) -> tuple[Cell, ...]:
     )
 
 
-def parameter_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Parameters with 95 % intervals; None if there are none.
+def size_tables(result: DiscoverResult) -> list[Table]:
+    """Parameters with 95 % intervals as in ``parameter_table``, one table for each effect: they fit a terminal."""
+    return [table for name, arm in result.arms.items() for table in _effect_size_tables(name, arm)]
 
-    Free curves and data-driven terms have too many coefficients for a table; their figures show them.
+
+def _effect_size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
+    tables = []
+    for found in _by_movement(arm):
+        title = f"Arm {name}: size of {found.effect}, {_order_words(found)}"
+        rows = tuple(_size_rows(found))
+        tables.append(without_empty(Table(title, _SIZE_COLUMNS, rows)))
+    return tables
+
+
+def parameter_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """Parameters with 95 % intervals, what moves the SMR most first; None if there are none.
+
+    Free curves and data-driven terms have too many coefficients for a table: it has their size, figures show the rest.
     """
-    rows: list[tuple[Cell, ...]] = []
-    for found in arm.accepted:
-        if found.law.name == "curve" or found.description is not None:
-            continue
-        for parameter, estimate in found.parameters.items():
-            value, interval, unit = interval_95(estimate)
-            rows.append((found.effect, parameter, value, interval, unit))
-    if not rows:
+    if not arm.accepted:
         return None
-    columns = (
-        Column("effect"),
-        Column("parameter"),
-        number_column("value", ".3f"),
-        number_column("95 % interval", ".3f"),
-        Column("unit"),
-    )
-    return Table(f"Arm {name}: size of the effects", columns, tuple(rows))
+    rows = tuple((found.effect, *row) for found in _by_movement(arm) for row in _size_rows(found))
+    columns = (Column("effect"), *_SIZE_COLUMNS)
+    return without_empty(Table(f"Arm {name}: size of the effects, the largest first", columns, rows))
+
+
+def _by_movement(arm: ArmDiscoveryResult) -> list[AcceptedEffect]:
+    """Accepted effects, that which moves the SMR most first; as they were found where that is not known."""
+    return sorted(arm.accepted, key=lambda found: found.movements[0].moves_mm if found.movements else 0.0, reverse=True)
+
+
+def _order_words(found: AcceptedEffect) -> str:
+    return "the largest first" if found.movements is None else "what moves the SMR most first"
+
+
+def _size_rows(found: AcceptedEffect) -> list[tuple[Cell, ...]]:
+    moves = {place.where: place.moves_mm for place in found.movements or ()}
+    if found.description is not None:
+        described = found.description
+        return [(described.channel, "rms at the SMR", described.size_um, None, "µm", None)]
+    if found.law.name == "curve":
+        bands = {f"joint {joint}": band for joint, band in (found.cycles or {}).items()}
+        ordered = sorted(bands, key=lambda where: -moves.get(where, bands[where].rms_urad))
+        return [_curve_row(where, bands[where], moves.get(where)) for where in ordered]
+    where_of = {parameter: place.where for place in found.movements or () for parameter in place.parameters}
+    ordered = list(where_of) or sorted(found.parameters, key=lambda key: -abs(found.parameters[key].value))
+    rows: list[tuple[Cell, ...]] = []
+    for parameter in ordered:
+        value, interval, unit = interval_95(found.parameters[parameter])
+        where = where_of.get(parameter, "")
+        rows.append((where, parameter, value, interval, unit, moves.get(where)))
+    return rows
+
+
+def _curve_row(where: str, band: CycleBand, moves_mm: float | None) -> tuple[Cell, ...]:
+    error = band.rms_standard_error_urad
+    rms = Estimate(value=1e-6 * band.rms_urad, standard_error=None if error is None else 1e-6 * error, unit="rad")
+    value, interval, unit = interval_95(rms)
+    return (where, "rms over a whole turn", value, interval, unit, moves_mm)
 
 
 def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table | None:

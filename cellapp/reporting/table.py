@@ -115,6 +115,13 @@ def part_table(title: str, columns: tuple[Column, ...], rows: Sequence[tuple[Cel
     return Table(title + cut, columns, tuple(rows))
 
 
+def without_empty(table: Table) -> Table:
+    """The table without columns that have no cell."""
+    kept = [place for place in range(len(table.columns)) if any(row[place] not in (None, "") for row in table.rows)]
+    rows = tuple(tuple(row[place] for place in kept) for row in table.rows)
+    return Table(table.title, tuple(table.columns[place] for place in kept), rows)
+
+
 def format_cell(cell: Cell, number_format: str = "") -> str:
     """A cell as text."""
     if cell is None:

@@ -7,7 +7,16 @@ from __future__ import annotations
 
 import math
 
-from cellapp.reporting.table import MOST_ROWS, Cell, Column, Table, most_urgent, number_column, part_table
+from cellapp.reporting.table import (
+    MOST_ROWS,
+    Cell,
+    Column,
+    Table,
+    most_urgent,
+    number_column,
+    part_table,
+    without_empty,
+)
 from cellapp.reporting.tables import MM, verification_tables
 from cellapp.reporting.target_words import (
     PART_WORDS,
@@ -174,7 +183,7 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
         for number, pair in enumerate(measured, start=1)
     ]
     title = "Cooperative targets: error of the distance between both SMRs [mm]"
-    return [_without_empty(part_table(title, columns, rows[:MOST_ROWS], len(rows)))] if rows else []
+    return [without_empty(part_table(title, columns, rows[:MOST_ROWS], len(rows)))] if rows else []
 
 
 def not_measured_tables(verify: VerifyResult) -> list[Table]:
@@ -216,7 +225,7 @@ def _arm_tables(verify: VerifyResult) -> list[Table]:
             )
             for number, target in most_urgent(measured, lambda row: row[1].final_mm or 0.0)
         ]
-        tables.append(_without_empty(part_table(f"Arm {arm}: each target [mm]", columns, rows, len(measured))))
+        tables.append(without_empty(part_table(f"Arm {arm}: each target [mm]", columns, rows, len(measured))))
     return tables
 
 
@@ -228,13 +237,6 @@ def _prediction_urgency(target: TargetCommand) -> float:
     if target.refusal:
         return math.inf
     return (target.within_mm or target.uncertainty_mm or 0.0) / (target.tolerance_mm or math.inf)
-
-
-def _without_empty(table: Table) -> Table:
-    """The table without columns that have no cell."""
-    kept = [place for place in range(len(table.columns)) if any(row[place] not in (None, "") for row in table.rows)]
-    rows = tuple(tuple(row[place] for place in kept) for row in table.rows)
-    return Table(table.title, tuple(table.columns[place] for place in kept), rows)
 
 
 def _measured(target: MeasuredTarget) -> bool:

@@ -69,6 +69,14 @@ class Correlation(Record):
     correlation: float
 
 
+class PlaceMovement(Record):
+    """Rms displacement of the SMR [mm] at the readings by one joint or frame ``where``, and the parameters of it."""
+
+    where: str
+    parameters: tuple[str, ...]
+    moves_mm: float
+
+
 class CycleBand(Record):
     """Middle 80 % of the power of a periodic error in cycles a turn, its strongest line, and its rms."""
 
@@ -76,6 +84,8 @@ class CycleBand(Record):
     last: int = Field(validation_alias="to", serialization_alias="to")
     peak: int
     rms_urad: float
+    rms_standard_error_urad: float | None = None
+    omitted_when_none = frozenset({"rms_standard_error_urad"})
 
 
 class TermDescription(Record):
@@ -114,7 +124,7 @@ class AcceptedEffect(Record):
 
     ``posterior`` is the probability that it is there; None where it was not computed. ``parameters`` are those of its
     law. ``law_misfit`` is the rms displacement of the SMR by its smooth free part over that by its law, None where it
-    has no free part.
+    has no free part. ``movements`` are the joints or frames it acts on, that which moves the SMR most first.
     """
 
     effect: str
@@ -130,8 +140,9 @@ class AcceptedEffect(Record):
     law_misfit: float | None = None
     meaning: EffectMeaning | None = None
     cycles: Mapping[str, CycleBand] | None = None
+    movements: tuple[PlaceMovement, ...] | None = None
     description: TermDescription | None = None
-    omitted_when_none = frozenset({"cycles", "description"})
+    omitted_when_none = frozenset({"cycles", "movements", "description"})
 
     @property
     def indistinguishable(self) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from cellapp.reporting.discovery_tables import (
     not_found_table,
     numbered_steps_table,
     parameter_table,
+    size_tables,
     structure_table,
 )
 from cellapp.reporting.discovery_text import (
@@ -33,9 +34,26 @@ from cellapp.reporting.discovery_text import (
 )
 from cellapp.reporting.table import format_cell
 from cellapp.reporting.words import interval_95, law_words, place_words, probability_words, ranges, short_reason
-from cellapp.results import BeforeAfter, DiscoverResult, Estimate, LawRecord, Noise, Place
+from cellapp.results import (
+    BeforeAfter,
+    CycleBand,
+    DiscoverResult,
+    Estimate,
+    LawRecord,
+    Noise,
+    Place,
+    PlaceMovement,
+)
 from tests.effects.cell import context_of
-from tests.reporting.cases import data_driven_term, discovery, nothing_missing, picture, unknown_effect
+from tests.reporting.cases import (
+    ambiguous_compliance,
+    data_driven_term,
+    discovery,
+    free_curve,
+    nothing_missing,
+    picture,
+    unknown_effect,
+)
 
 pytestmark = pytest.mark.fast
 
@@ -87,7 +105,8 @@ def test_the_same_steps_everywhere() -> None:
     arm = unknown_effect("left")
     steps = [("geometry alone", 0.4906), ("transmission error: a free curve a joint", 0.1112)]
     assert gap_steps(arm) == [*steps, ("a data-driven term added", 0.0299), ("final model", 0.0312)]
-    first, accepted, second = discovery_tables(discovery("left", "right"))
+    first, accepted, *sizes, second = discovery_tables(discovery("left", "right"))
+    assert sizes == size_tables(discovery("left", "right"))
     assert first.title == "Arm left: unknown effect"
     assert [row[-1] for row in first.rows] == [row[-1] for row in numbered_steps_table("left", arm).rows]
     assert [row[0] for row in accepted.rows] == ["transmission_error", "joint_compliance", "unknown"]
@@ -195,10 +214,47 @@ def test_parameters_have_intervals_in_people_s_units_and_curves_have_cycles() ->
     parameters, cycles = parameter_table("left", arm), cycle_table("left", arm)
     assert parameters is not None
     assert cycles is not None
-    assert parameters.text_rows() == (("joint_compliance", "compliance2", "16.668", "16.633 to 16.703", "µrad/Nm"),)
+    curve = "rms over a whole turn"
+    assert parameters.text_rows() == (
+        ("transmission_error", "joint 1", curve, "212.400", "", "µrad"),
+        ("transmission_error", "joint 2", curve, "80.000", "", "µrad"),
+        ("joint_compliance", "", "compliance2", "16.668", "16.633 to 16.703", "µrad/Nm"),
+        ("unknown", "joint 5", "rms at the SMR", "22.400", "", "µm"),
+    )
     assert cycles.text_rows() == (("1", "9 to 37", "11", "212"), ("2", "14", "14", "80"))
     assert parameter_table("right", nothing_missing("right")) is None
     assert cycle_table("right", nothing_missing("right")) is None
+
+
+def test_sizes_have_value_unit_and_interval_of_each_joint_the_one_that_moves_the_smr_most_first() -> None:
+    found = ambiguous_compliance().model_copy(
+        update={
+            "parameters": {
+                "compliance5": Estimate(value=9.73e-5, standard_error=1.4e-5, unit="rad/Nm"),
+                "compliance2": Estimate(value=2.018e-6, standard_error=2.5e-8, unit="rad/Nm"),
+            },
+            "movements": (
+                PlaceMovement(where="joint 2", parameters=("compliance2",), moves_mm=1.3768),
+                PlaceMovement(where="joint 5", parameters=("compliance5",), moves_mm=0.0057),
+            ),
+        }
+    )
+    curve = free_curve().model_copy(
+        update={
+            "cycles": {"3": CycleBand(first=2, last=9, peak=2, rms_urad=120.0, rms_standard_error_urad=4.0)},
+            "movements": (PlaceMovement(where="joint 3", parameters=(), moves_mm=0.2),),
+        }
+    )
+    arm = unknown_effect("left").model_copy(update={"accepted": (curve, found)})
+    result = DiscoverResult(arms={"left": arm, "right": nothing_missing("right")})
+    first, second = size_tables(result)
+    assert first.title == "Arm left: size of joint_compliance, what moves the SMR most first"
+    assert first.headings == ("where", "parameter", "value", "95 % interval", "unit", "moves the SMR [mm rms]")
+    assert first.text_rows() == (
+        ("joint 2", "compliance2", "2.018", "1.969 to 2.067", "µrad/Nm", "1.3768"),
+        ("joint 5", "compliance5", "97", "70 to 125", "µrad/Nm", "0.0057"),
+    )
+    assert second.text_rows() == (("joint 3", "rms over a whole turn", "120.0", "112.2 to 127.8", "µrad", "0.2000"),)
 
 
 def test_an_estimate_without_standard_error_has_no_interval() -> None:

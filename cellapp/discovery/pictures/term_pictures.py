@@ -18,6 +18,7 @@ import numpy as np
 
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import JointFit
+from cellapp.discovery.movement import term_movements
 from cellapp.discovery.pictures.axes import axes_of
 from cellapp.discovery.pictures.picture import PictureData, make_picture, rounded
 from cellapp.discovery.terms import UNKNOWN
@@ -48,20 +49,24 @@ _POINTS_A_CYCLE = 7
 def pictures(data: ArmData, fit: JointFit) -> tuple[Picture, ...]:
     """One picture for each joint with a lever that a term offsets, or one for the term's shift of the SMR.
 
+    The term that moves the SMR most comes first, and in each the joint that moves it most.
     A data-driven term of two variables has one against each of them.
     """
     levers = np.sqrt(np.mean(np.einsum("cjn,cjn->jn", fit.by_joint, fit.by_joint), axis=1))
     found: list[Picture] = []
-    for number in range(len(fit.terms)):
+    movements = {number: term_movements(fit, number) for number in range(len(fit.terms))}
+    for number in sorted(movements, key=lambda number: -movements[number][0].moves_mm):
         one = _TermPictures(data, fit, number)
         columns = fit.term_columns(number)
-        joints = sorted({column.joint for column in columns if column.joint is not None})
+        joint_of = {column.where: column.joint for column in columns if column.joint is not None}
+        joints = [joint_of[place.where] for place in movements[number] if place.where in joint_of]
         for joint in joints[:_MOST_JOINTS]:
             if levers[joint] > _LEAST_LEVER * levers.max():
                 found += one.of_joint(joint)
         if not joints:
             # a tilting joint axis is shown against its own joint; all other columns shift the SMR together
-            for axis in dict.fromkeys(column.index if column.channel is Channel.AXIS else None for column in columns):
+            axis_of = {column.where: column.index if column.channel is Channel.AXIS else None for column in columns}
+            for axis in dict.fromkeys(axis_of[place.where] for place in movements[number]):
                 found += one.of_shift(axis)
     return tuple(picture for picture in found if picture.x)
 

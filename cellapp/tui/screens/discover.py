@@ -20,7 +20,7 @@ from cellapp.tui.offers import BEGIN, arms_words
 from cellapp.tui.plots import ChartPlot
 from cellapp.tui.screens.base import DayScreen
 from cellapp.tui.screens.collect_state import stops_left
-from cellapp.tui.widgets.tables import TablesView
+from cellapp.tui.widgets.tables import WrappedTables
 from cellapp.tui.widgets.tabs import show_next_tab
 from cellapp.tui.workspace import Step, Workspace
 
@@ -41,7 +41,7 @@ class DiscoverScreen(DayScreen):
 the error at held-out stops shrinks. Nothing moves.
 
 - *Gap*: the error after each step of the search, down to the tracker's noise, and the verdict.
-- *Names*: what was accepted, with its probability and its evidence; what these data cannot tell apart.
+- *Names*: what was accepted, with its probability, its evidence and its size at each joint.
 - *Pictures*: each effect as these data show it. **,** and **.** go from one to the next.
 - *Check*: the cause of each effect, how large it usually is, what to check on the machine, what would settle it.
 - *Proposed stops*: **m** plans {_PROPOSED} further stops that best settle what is open; **e** collects them. Real arms
@@ -73,7 +73,7 @@ The handbook explains each effect: key **h**.
                     yield ChartPlot(id="gap-plot")
                     yield ChartPlot(id="candidates-plot")
             with TabPane("Names", id="names"):
-                yield TablesView(_EMPTY, id="name-tables")
+                yield WrappedTables(_EMPTY, id="name-tables")
             with TabPane("Pictures", id="pictures"):
                 yield ChartPlot(id="picture-plot")
             with TabPane("Check", id="check"), VerticalScroll():
@@ -136,7 +136,7 @@ The handbook explains each effect: key **h**.
             return
         self._drawn = workspace
         found = self._result
-        tables = self.query_one("#name-tables", TablesView)
+        tables = self.query_one("#name-tables", WrappedTables)
         if found is None or workspace.results is None:
             tables.show([])
             self.query_one("#meaning", Static).update(_EMPTY)

@@ -11,6 +11,7 @@ import pytest
 from cellapp.calibration.measurement_conditions import measurement_conditions
 from cellapp.discovery.arm_data import ArmData
 from cellapp.discovery.joint_fit import fit_terms
+from cellapp.discovery.movement import term_movements
 from cellapp.discovery.pictures.cycles import dominant_cycles
 from cellapp.discovery.pictures.term_pictures import pictures
 from cellapp.discovery.terms import ModelTerm
@@ -53,8 +54,8 @@ def test_columns_that_are_not_periodic_have_no_cycles():
     assert dominant_cycles([wave_column(0, 3, False), wave_column(0, 3, True)], np.zeros(2)) == {}
 
 
-def made(bend, *terms, off_axis_m=0.1):
-    """Pictures of a fit of ``terms`` to readings with joint offsets ``bend(q, approach)``."""
+def fitted(bend, *terms, off_axis_m=0.1):
+    """Data and a fit of ``terms`` to readings with joint offsets ``bend(q, approach)``."""
     profile = load_profile(PROFILES / "twin.yaml")
     geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
     named = dict(zip(parameter_names(6), geometry.vector(), strict=True)) | {"tx": off_axis_m, "ty": 0.0}
@@ -72,8 +73,12 @@ def made(bend, *terms, off_axis_m=0.1):
     )
     model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=UP)
     data = ArmData.of(profile, model, readings, measurement_conditions(readings))
-    fit = fit_terms(data, tuple(terms))
-    found = pictures(data, fit)
+    return data, fit_terms(data, tuple(terms))
+
+
+def made(bend, *terms, off_axis_m=0.1):
+    """Pictures of ``fitted``."""
+    found = pictures(*fitted(bend, *terms, off_axis_m=off_axis_m))
     for picture in found:
         assert len(picture.x) == len(picture.measured) == len(picture.computed) == len(picture.band) > 0
         assert list(picture.x) == sorted(picture.x)
@@ -147,7 +152,7 @@ def test_axes_that_wobble_are_drawn_one_by_one():
     first, second = made(
         lambda q, approach: np.zeros((N, 6)), ModelTerm("joint_axis_wobble", EFFECTS["joint_axis_wobble"].law(), names)
     )
-    assert (first.x_label, second.x_label) == ("joint 1 [deg]", "joint 3 [deg]")
+    assert {first.x_label, second.x_label} == {"joint 1 [deg]", "joint 3 [deg]"}
 
 
 def test_a_data_driven_term_is_drawn_against_each_of_its_variables():
@@ -169,4 +174,34 @@ def test_a_joint_that_does_not_move_the_smr_has_no_picture():
     part = ModelTerm("backlash", EFFECTS["backlash"].law("constant"), ("half_play2", "half_play6"))
     for off_axis, seen in ((0.2, ["joint 2", "joint 6"]), (0.002, ["joint 2"])):
         found = made(lambda q, approach: np.zeros((N, 6)), part, off_axis_m=off_axis)
-        assert [picture.title[-7:] for picture in found] == seen
+        assert sorted(picture.title[-7:] for picture in found) == seen
+
+
+def test_the_joint_that_moves_the_smr_most_comes_first_in_pictures_and_movements():
+    plays = {1: 20e-6, 2: 200e-6, 3: 100e-6}
+    part = ModelTerm("backlash", EFFECTS["backlash"].law("constant"), tuple(f"half_play{joint}" for joint in plays))
+
+    def bend(q, approach):
+        return -approach * np.array([*plays.values(), 0.0, 0.0, 0.0])
+
+    data, fit = fitted(bend, part)
+    assert [picture.title[-7:] for picture in pictures(data, fit)] == ["joint 2", "joint 3", "joint 1"]
+    movements = term_movements(fit, 0)
+    assert [(place.where, place.parameters) for place in movements] == [
+        (f"joint {joint}", (f"half_play{joint}",)) for joint in (2, 3, 1)
+    ]
+    # by finite displacements: the arm with and without the play of joint 2
+    q, approach = data.readings.q, data.readings.approach
+    turned = q - np.where(np.arange(6) == 1, 200e-6, 0.0) * approach
+    moved = smr_positions(fit.model.geometry, turned) - smr_positions(fit.model.geometry, q)
+    assert movements[0].moves_mm == pytest.approx(1e3 * np.sqrt(np.mean(np.sum(moved**2, axis=1))), rel=0.1)
+
+
+def test_the_rms_of_a_curve_has_the_standard_error_of_its_coefficients():
+    columns = [wave_column(0, 2, False), wave_column(0, 2, True), wave_column(1, 3, True)]
+    values, covariance = np.array([3e-5, 4e-5, 1e-5]), np.diag([1e-6, 1e-6, 5e-6]) ** 2
+    found = dominant_cycles(columns, values, covariance)
+    drawn = np.random.default_rng(1).normal(values[:2], 1e-6, (20_000, 2))
+    spread = np.sqrt(0.5 * np.sum(drawn**2, axis=1)).std() * 1e6
+    assert found["1"].rms_standard_error_urad == pytest.approx(spread, rel=0.03)
+    assert found["2"].rms_standard_error_urad == pytest.approx(5.0 / math.sqrt(2.0))
