@@ -242,6 +242,8 @@ def _parse_yaml(text: str, path: Path) -> Document:
 
 
 def _read_text(path: Path) -> str:
+    if path.is_fifo():  # reading would wait for a writer, without end
+        raise InputError(f"{path}: is a pipe, not a file; save the profile as a file and give its path")
     try:
         raw = path.read_bytes()
     except FileNotFoundError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import shutil
 from pathlib import Path
@@ -397,3 +398,10 @@ def test_keys_that_came_later_do_not_change_the_text_of_earlier_profiles() -> No
         update={"traceability": Traceability(client="Client Ltd", air_pressure=(1000.0, 1010.0))}
     )
     assert profile_from_json(profile_to_json(stated)) == stated
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in the file system here")
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(InputError, match="is a pipe, not a file"):
+        load_profile(tmp_path / "pipe.yaml")
