@@ -43,7 +43,7 @@ def test_the_parts_add_up_to_the_uncertainty(whole: RunFile) -> None:
     assert results.compensate is not None
     for target in results.compensate.targets:
         if target.parts is not None and target.uncertainty_mm is not None:
-            parts = [getattr(target.parts, part) for part in PART_WORDS if part != "noise"]
+            parts = [getattr(target.parts, part) for part in PART_WORDS]
             assert math.isclose(math.hypot(*parts), target.uncertainty_mm, rel_tol=1e-9)
     (table,) = uncertainty_tables(results.compensate)
     assert len(table.rows) == 4
