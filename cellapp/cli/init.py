@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
-import click
 import typer
 
 from cellapp.cli.job import Job
@@ -123,5 +122,5 @@ def _ask(question: str, answers: tuple[str, ...]) -> str:
     """Ask a person; empty where nobody sits at a terminal."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return ""
-    said: str = typer.prompt(question, type=click.Choice(answers), err=True, default=answers[0])
-    return said
+    said: str = typer.prompt(f"{question}\n{', '.join(answers)}", err=True, default=answers[0])
+    return said.strip() if said.strip() in answers else ""

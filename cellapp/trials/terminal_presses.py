@@ -19,6 +19,7 @@ import numpy as np
 from cellapp.errors import HardwareError, InputError
 from cellapp.pipeline import new_planned_run
 from cellapp.profile import Profile, load_profile
+from cellapp.run import RunFile
 from cellapp.trials.polling import comes_about
 from cellapp.trials.pseudo_terminal import PseudoTerminal
 from cellapp.trials.storm_cell import StormCell, emulated_cell
@@ -70,6 +71,8 @@ _WATCHED_S = 0.3
 _RESUMED_WITHIN_S = 4.0
 _RESUMED_AT_LAST_S = 60.0
 """On a busy computer, which may stop the arms again: a driver's process that is not heard of for 0.3 s is a doubt."""
+_TOLD = 4
+"""Requests of the run that a complaint names."""
 _LAST = 2000
 """Characters of what was drawn last that a complaint shows."""
 
@@ -180,7 +183,17 @@ class PressBench:
             self.terminal.send("c")
             if comes_about(partial(self._began, since_s), time.monotonic() + _RESUMED_WITHIN_S):
                 return
-        raise HardwareError(f"{what}: no motion begins after resume\n{self.terminal.text()[-_LAST:]}")
+        raise HardwareError(
+            f"{what}: no motion begins after resume; the run says: {self._last_requests()}\n"
+            f"{self.terminal.text()[-_LAST:]}"
+        )
+
+    def _last_requests(self) -> str:
+        """What the run has recorded last, and so why nothing moves."""
+        with RunFile.open(self.folder / RUN) as run:
+            sessions = run.sessions()
+        said = [f"{kind}: {reason}" for session in sessions for _, kind, reason in session.requests]
+        return "; ".join(said[-_TOLD:]) or "nothing"
 
     def _began(self, since_s: float) -> bool:
         return any(self.cell.control(name, "starts", since_s) for name in self.cell.arms)
