@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import ast
 import functools
+import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -40,6 +43,15 @@ SETTINGS = (
 """What the profile may import from drivers: settings, and the lists of the kinds that have some."""
 DRIVERS = ("drivers.plant", "drivers.arms.ur", "drivers.trackers.lmf")
 """Some of what no command needs that only reads the profile."""
+BROUGHT_ALONG = {
+    "pydantic_core": ["pydantic"],
+    "markupsafe": ["jinja2"],
+    "coal": ["coal"],
+    "fcl": ["python-fcl"],
+    "rtde_control": ["ur-rtde"],
+    "rtde_receive": ["ur-rtde"],
+}
+"""Modules that no installed package names as its own, and those of packages that a declared one needs."""
 REGISTRIES = "drivers.plugins"
 """How all registries find plug-ins, those of effects and exports as well; it knows no device."""
 
@@ -250,3 +262,17 @@ def test_nothing_waits_by_sleeping_in_tests() -> None:
         tree = ast.parse(text)
         sleeps = [node for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node.attr == "sleep"]
         assert "time.sleep" not in [ast.unparse(node) for node in sleeps], path.name
+
+
+def test_every_package_that_is_imported_is_declared() -> None:
+    """What another package brings along by chance is missing where that changes."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    listed = [*project["dependencies"], *(one for extra in project["optional-dependencies"].values() for one in extra)]
+    declared = {re.split(r"[^A-Za-z0-9._-]", one, maxsplit=1)[0].lower().replace("_", "-") for one in listed}
+    brought = {**metadata.packages_distributions(), **BROUGHT_ALONG}
+    imported_here = {name.split(".")[0] for path in MODULES for name in imported(path)}
+    others = imported_here - {"cellapp", "drivers", "tests", "__future__"} - sys.stdlib_module_names
+    undeclared = {
+        name for name in others if not {one.lower().replace("_", "-") for one in brought.get(name, [name])} & declared
+    }
+    assert undeclared == set()
