@@ -9,6 +9,9 @@ COPY pyproject.toml README.md LICENSE ./
 COPY cellapp cellapp
 COPY drivers drivers
 COPY profiles profiles
+COPY tests/fixtures/ur10-real tests/fixtures/ur10-real
+COPY tests/fixtures/ur10-real-d tests/fixtures/ur10-real-d
+COPY tests/fixtures/ur5-real tests/fixtures/ur5-real
 RUN python -m pip wheel --no-cache-dir --no-deps --wheel-dir /wheel .
 
 FROM python:3.11.11-slim-bookworm

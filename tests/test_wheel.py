@@ -12,7 +12,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SOURCE_FOLDERS = {"cellapp": "cellapp", "drivers": "drivers", "profiles": "cellapp/starters"}
+SERIES = ("ur10-real", "ur10-real-d", "ur5-real")
+SOURCE_FOLDERS = {
+    **{"cellapp": "cellapp", "drivers": "drivers", "profiles": "cellapp/starters"},
+    **{f"tests/fixtures/{name}": f"cellapp/starters/readings/{name}" for name in SERIES},
+}
 """Folders of the repository, and where the wheel has them."""
 WAIT_S = 120.0
 

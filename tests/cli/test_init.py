@@ -40,6 +40,6 @@ def test_answers_into_another_folder(call: Any) -> None:  # noqa: F811
 def test_one_source_is_needed(call: Any, arguments: tuple[str, ...]) -> None:  # noqa: F811
     ended = call("init", *arguments)
     assert ended.code == 2
-    assert "give one of --twin, --from NAME and --answers FILE" in ended.err
+    assert "give one of --twin, --from NAME, --answers FILE and --readings FILE" in ended.err
     assert "ur10-ur5       The real cell" in ended.err
     one_sentence(call("init", "--from", "tvin"), "'tvin' is no profile that comes with cellapp; there are twin,")
