@@ -75,7 +75,9 @@ class CellScreen(DayScreen):
         Binding("r", "refresh_devices", "Ask devices", tooltip="ask every device for its state; nothing moves"),
         Binding("o", "open", "Open profile", tooltip="open a profile by its path"),
         Binding("w", "edit", "Edit profile", tooltip="change the profile in a form"),
-        Binding("i", "own_readings", "Own readings", show=False, tooltip="calibrate readings that were recorded elsewhere"),
+        Binding(
+            "i", "own_readings", "Own readings", show=False, tooltip="calibrate readings that were recorded elsewhere"
+        ),
         Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
         Binding("plus", "write", "New profile", key_display="+", tooltip="write a profile in a form"),
     ]
