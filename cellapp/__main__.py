@@ -1,6 +1,6 @@
 """``python -m cellapp``."""
 
-from cellapp.cli import main
+from cellapp.interfaces.cli import main
 
 if __name__ == "__main__":
     main()

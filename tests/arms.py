@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.kinematics.chain import Geometry, nominal_geometry, parallel_rows, parameter_names, parameter_unit
-from cellapp.kinematics.transforms import rotation_from_vector, transform
+from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parallel_rows, parameter_names, parameter_unit
+from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from drivers.plant import ArmConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
 
 Array = NDArray[np.float64]

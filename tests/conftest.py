@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from cellapp.collection.collect import collect_run
-from cellapp.compensation.targets import load_targets
-from cellapp.pipeline import calibrate_run, discover_run, new_planned_run, push_run
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.targets.targets import load_targets
+from cellapp.commands.pipeline import calibrate_run, discover_run, new_planned_run, push_run
 from tests.made_once import made_once
 from tests.twin import PROFILES, finished_twin
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.kinematics.chain import Geometry
-from cellapp.kinematics.inverse import errors_and_jacobian
-from cellapp.kinematics.transforms import Array
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.inverse import errors_and_jacobian
+from cellapp.robot.kinematics.transforms import Array
 
 _LEAST = 0.03
 """Smallest singular value of the Jacobian [m, rad a radian]: deviations of some milliradians turn no joint by more than

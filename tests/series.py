@@ -9,12 +9,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.collection.cell import build_plant
-from cellapp.kinematics.chain import flange_poses
-from cellapp.model.nominal import nominal_arm
-from cellapp.planning.plan import draw_stops
-from cellapp.profile import Profile, load_profile
-from cellapp.safety.cell_bodies import cell_bodies
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.planning.plan import draw_stops
+from cellapp.cell.profile import load_profile
+from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.chain import flange_poses
+from cellapp.robot.model.nominal import nominal_arm
 from tests.twin import PROFILES
 
 Array = NDArray[np.float64]

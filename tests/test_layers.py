@@ -28,7 +28,7 @@ EACH_OTHER = {
     ("pipeline", "verbs"),
 }
 """Packages that import each other; whoever parts two of them takes them from here."""
-READINGS = ("cellapp.run.readings", "cellapp.run.columns")
+READINGS = ("cellapp.estimation.readings.readings", "cellapp.estimation.readings.columns")
 """What mathematics may know of a run: arrays, and the names of their columns."""
 OPEN_DEVICES = ("collection", "compensation", "commissioning", "trials")
 SETTINGS = (
@@ -114,16 +114,18 @@ def modules_below(folder: str) -> list[Path]:
 
 def test_the_modules_are_found() -> None:
     names = {name(path) for path in MODULES}
-    assert {"cellapp/cli/app.py", "cellapp/kinematics/chain.py", "drivers/plant/plant.py"} <= names
-    assert imports_of(ROOT / "cellapp/collection/cell.py", "drivers") != []
-    assert "cellapp.pipeline" in imported(ROOT / "cellapp/cli/app.py"), "imports inside functions count"
+    assert {"cellapp/interfaces/cli/app.py", "cellapp/robot/kinematics/chain.py", "drivers/plant/plant.py"} <= names
+    assert imports_of(ROOT / "cellapp/cell/driving/cell.py", "drivers") != []
+    assert "cellapp.commands.pipeline" in imported(ROOT / "cellapp/interfaces/cli/app.py"), (
+        "imports inside functions count"
+    )
 
 
 def test_every_name_in_these_rules_is_a_module() -> None:
     """A rule about a module that was renamed would hold whatever is written."""
     packages = [f"cellapp.{package}" for package in (*PURE, *OPEN_DEVICES, *OUTER)]
     assert [module for module in (*packages, *READINGS, *SETTINGS, *DRIVERS, REGISTRIES) if not is_ours(module)] == []
-    assert not is_ours("cellapp.run.csv_io")
+    assert not is_ours("cellapp.cell.run.csv_io")
 
 
 def test_no_two_packages_import_each_other_but_these() -> None:
@@ -161,7 +163,7 @@ def test_only_the_profile_imports_settings_and_only_some_packages_open_devices()
 def test_loading_the_profile_loads_no_driver() -> None:
     """Settings modules import neither numpy nor a device library, so that every command starts fast."""
     heavy = {"numpy", "serial", "rtde_control", "clr", *DRIVERS}
-    code = f"import sys, cellapp.profile; sys.exit(', '.join({heavy} & sys.modules.keys()) or None)"
+    code = f"import sys, cellapp.cell.profile; sys.exit(', '.join({heavy} & sys.modules.keys()) or None)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -187,10 +189,10 @@ def test_mathematics_knows_neither_devices_nor_those_who_use_them(package: str) 
 @pytest.mark.parametrize("package", [*PURE, "discovery", "iso9283"])
 def test_mathematics_reads_and_writes_no_run(package: str) -> None:
     inside = tuple(f"{module}." for module in READINGS)
-    offered = [one for one in imported(ROOT / "cellapp/run/__init__.py") if one.startswith(inside)]
-    allowed = {"cellapp.run", *READINGS, *(f"cellapp.run.{one.rpartition('.')[2]}" for one in offered)}
+    offered = [one for one in imported(ROOT / "cellapp/cell/run/__init__.py") if one.startswith(inside)]
+    allowed = {"cellapp.cell.run", *READINGS, *(f"cellapp.cell.run.{one.rpartition('.')[2]}" for one in offered)}
     for path in modules_below(f"cellapp/{package}"):
-        found = [one for one in imports_of(path, "cellapp.run") if not one.startswith(inside)]
+        found = [one for one in imports_of(path, "cellapp.cell.run") if not one.startswith(inside)]
         assert set(found) <= allowed, name(path)
 
 
@@ -202,7 +204,7 @@ def test_mathematics_opens_no_file() -> None:
         called = [node.func for node in nodes_of(path) if isinstance(node, ast.Call)]
         names = {ast.unparse(one).rpartition(".")[2] for one in called if isinstance(one, ast.Name | ast.Attribute)}
         found |= {(name(path), one) for one in names & opening}
-    assert found == {("cellapp/model/model.py", "read_text"), ("cellapp/model/model.py", "write_text")}
+    assert found == {("cellapp/robot/model/model.py", "read_text"), ("cellapp/robot/model/model.py", "write_text")}
 
 
 def test_json_goes_through_the_typed_results() -> None:
@@ -214,10 +216,10 @@ def test_json_goes_through_the_typed_results() -> None:
 
 def test_doors_are_used_by_nobody_inside() -> None:
     for path in MODULES:
-        if name(path) != "cellapp/__main__.py" and not name(path).startswith("cellapp/cli/"):
-            assert imports_of(path, "cellapp.cli") == [], name(path)
-            if not name(path).startswith("cellapp/tui/"):
-                assert imports_of(path, "cellapp.tui") == [], name(path)
+        if name(path) != "cellapp/__main__.py" and not name(path).startswith("cellapp/interfaces/cli/"):
+            assert imports_of(path, "cellapp.interfaces.cli") == [], name(path)
+            if not name(path).startswith("cellapp/interfaces/tui/"):
+                assert imports_of(path, "cellapp.interfaces.tui") == [], name(path)
 
 
 def test_nothing_that_runs_foreign_code_or_hides_errors() -> None:

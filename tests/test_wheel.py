@@ -54,7 +54,7 @@ def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 COMMANDS = """
 import sys
-from cellapp.cli import main
+from cellapp.interfaces.cli import main
 
 for line in sys.argv[1:]:
     sys.argv = ["cellapp", *line.split()]

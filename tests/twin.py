@@ -8,8 +8,9 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from cellapp.collection.cell import Cell
-from cellapp.profile import Profile, load_profile
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.profile import load_profile
+from cellapp.ground.profile import Profile
 from drivers.clock import SimulatedClock
 from drivers.plant import Plant
 

@@ -20,16 +20,17 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.calibration import calibrate
-from cellapp.calibration.calibrate import calibrate_arm, calibrate_readings, train_arm
-from cellapp.calibration.evaluation import position_errors
-from cellapp.model import ArmModel
-from cellapp.planning.plan import plan_stops
-from cellapp.profile import Profile, load_profile
-from cellapp.run import Readings
-from cellapp.trials.drawn_cell import drawn_cell
-from cellapp.trials.league.series import SERIES, load_entrant
-from cellapp.trials.measured import measured_plan
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.profile import load_profile
+from cellapp.commands.trials.drawn_cell import drawn_cell
+from cellapp.commands.trials.league.series import SERIES, load_entrant
+from cellapp.commands.trials.measured import measured_plan
+from cellapp.estimation.calibration import calibrate
+from cellapp.estimation.calibration.calibrate import calibrate_arm, calibrate_readings, train_arm
+from cellapp.estimation.calibration.evaluation import position_errors
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.robot.model import ArmModel
 
 ROOT = Path(__file__).parents[2]
 SHARES = (0.01, 0.03, 0.05)

@@ -10,10 +10,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from cellapp.scale.executor import Resources
-from cellapp.scale.gather import gather
-from tests.scale.dask_processes import scheduler, workers
-from tests.scale.kinds import Number, Shared, squares
+from cellapp.ground.scale.executor import Resources
+from cellapp.ground.scale.gather import gather
+from tests.ground.scale.dask_processes import scheduler, workers
+from tests.ground.scale.kinds import Number, Shared, squares
 
 _TASKS, _WARM = 400, 10
 """Tasks, and those of them before time counts: processes have started then."""

@@ -15,14 +15,14 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from cellapp.profile import load_profile
-from cellapp.scale.executor import Resources
-from cellapp.scale.gather import gather
-from cellapp.scale.store import ResultStore
-from cellapp.scale.task import Batch
-from cellapp.trials.parameter_sets import IDENTIFY_STOPS, SETS, VALIDATE_STOPS
-from cellapp.trials.planned_cell import ArmSeed, PlannedCell, planned_cell
-from tests.scale.dask_processes import scheduler, workers
+from cellapp.cell.profile import load_profile
+from cellapp.commands.trials.parameter_sets import IDENTIFY_STOPS, SETS, VALIDATE_STOPS
+from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, planned_cell
+from cellapp.ground.scale.executor import Resources
+from cellapp.ground.scale.gather import gather
+from cellapp.ground.scale.store import ResultStore
+from cellapp.ground.scale.task import Batch
+from tests.ground.scale.dask_processes import scheduler, workers
 
 ROOT = Path(__file__).parents[2]
 _TASKS = 40

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.compensation.compensate import compensate
-from cellapp.compensation.targets import Target
-from cellapp.kinematics.chain import flange_poses, smr_positions
-from cellapp.kinematics.closed_form import closed_form_solutions
-from cellapp.kinematics.transforms import zyx_angles
-from cellapp.model import ArmModel, CellModel
-from cellapp.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
+from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.targets.targets import Target
+from cellapp.robot.kinematics.chain import flange_poses, smr_positions
+from cellapp.robot.kinematics.closed_form import closed_form_solutions
+from cellapp.robot.kinematics.transforms import zyx_angles
+from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from tests.twin import small_twin
 
 TARGETS = 1000

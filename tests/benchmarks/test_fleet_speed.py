@@ -14,9 +14,9 @@ import time
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from cellapp.reporting.fleet_page import write_fleet_page
-from cellapp.verbs.fleet import fleet
-from tests.fleet.runs import Truth, measured_run
+from cellapp.commands.fleet.run import fleet
+from cellapp.interfaces.page.fleet_page import write_fleet_page
+from tests.estimation.monitoring.fleet.runs import Truth, measured_run
 
 RUNS = 200
 BETWEEN = timedelta(days=7)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.profile import load_profile
-from cellapp.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.safety.gate import clear_stops, refuse_motion, refuse_stop, visible_stops
+from cellapp.cell.profile import load_profile
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import clear_stops, refuse_motion, refuse_stop, visible_stops
 from tests.benchmarks.test_speed import best_of
 from tests.twin import PROFILES
 

@@ -1,4 +1,4 @@
-"""Speed of pairing and ordering the stops of a plan; ``python -m tests.planning.measure_order`` prints the whole table.
+"""Speed of pairing and ordering the stops of a plan; ``python -m tests.cell.planning.measure_order`` prints the table.
 
 pytest tests/benchmarks/test_plan_order.py
 """
@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.planning.balance import balanced_levels, standardised
-from cellapp.planning.tour import TourTask, best_order
-from cellapp.progress import CancelToken
+from cellapp.cell.planning.balance import balanced_levels, standardised
+from cellapp.cell.planning.tour import TourTask, best_order
+from cellapp.ground.progress import CancelToken
 
 STEPS = 200
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.planning.candidates import draw_pool
-from cellapp.planning.view import view_workspace
-from cellapp.profile import load_profile
-from cellapp.safety.bodies import place
-from cellapp.safety.cell_bodies import cell_bodies
-from cellapp.safety.gate import clear_alone, visible
+from cellapp.cell.planning.candidates import draw_pool
+from cellapp.cell.planning.view import view_workspace
+from cellapp.cell.profile import load_profile
+from cellapp.cell.safety.bodies import place
+from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.cell.safety.gate import clear_alone, visible
 from tests.twin import PROFILES
 
 PROFILE = load_profile(PROFILES / "twin.yaml")

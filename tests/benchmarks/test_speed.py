@@ -15,10 +15,10 @@ import time
 import numpy as np
 import pytest
 
-from cellapp.calibration.identification import identify, start_from_nominal
-from cellapp.calibration.network_training import train_network
-from cellapp.calibration.perceptron import Perceptron
-from cellapp.kinematics.chain import JointAngles, jacobian, smr_positions
+from cellapp.estimation.calibration.identification import identify, start_from_nominal
+from cellapp.estimation.calibration.network_training import train_network
+from cellapp.estimation.calibration.perceptron import Perceptron
+from cellapp.robot.kinematics.chain import JointAngles, jacobian, smr_positions
 from tests.arms import OFF_AXIS, UR10, at_station, true_geometry
 
 

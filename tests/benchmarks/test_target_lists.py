@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.compensation.goals import goals_of_arm
-from cellapp.compensation.target_text import targets_text
-from cellapp.compensation.targets import load_targets
-from cellapp.discovery.plan_forecast import nominal_model
-from cellapp.model import CellModel
+from cellapp.cell.targets.goals import goals_of_arm
+from cellapp.cell.targets.target_text import targets_text
+from cellapp.cell.targets.targets import load_targets
+from cellapp.estimation.discovery.plan_forecast import nominal_model
+from cellapp.robot.model import CellModel
 from tests.twin import small_twin
 
 COUNT = 10_000

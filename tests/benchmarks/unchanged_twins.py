@@ -4,7 +4,7 @@
 
 Each DIR holds runs of one cell that differ in plan and noise alone. Every run is compared with every other one of its
 folder. Printed are pairs, alarms with their reasons, and for each arm the rms of the differences in units of the
-standard errors, without the factor and the temperatures that ``cellapp.fleet.parameters`` adds.
+standard errors, without the factor and the temperatures that ``cellapp.estimation.monitoring.fleet.parameters`` adds.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.fleet.histories import fleet_result
-from cellapp.fleet.parameters import determined_values, is_angle, is_installation
-from cellapp.fleet.reading import read_record
-from cellapp.fleet.record import GeometryRecord, RunRecord
-from cellapp.run.history import run_folders
+from cellapp.commands.fleet.reading import read_record
+from cellapp.commands.runs.history import run_folders
+from cellapp.estimation.monitoring.fleet.histories import fleet_result
+from cellapp.estimation.monitoring.fleet.parameters import determined_values, is_angle, is_installation
+from cellapp.estimation.monitoring.fleet.record import GeometryRecord, RunRecord
 
 
 def scatter(first: GeometryRecord, other: GeometryRecord) -> list[float]:

@@ -31,7 +31,7 @@ _SAMPLE_S = 0.02
 _PROGRAM = f"""
 import atexit, sys
 atexit.register(lambda: print(*({{*{SLOW_TO_LOAD!r}}} & sys.modules.keys()), file=open(sys.argv.pop(), "w")))
-from cellapp.cli import main
+from cellapp.interfaces.cli import main
 modules = sys.argv.pop()
 atexit.register(lambda: sys.argv.append(modules))
 main()
@@ -119,7 +119,7 @@ def verbs() -> list[str]:
     """All commands of the program, as its help lists them; '' for the program itself."""
     import typer
 
-    from cellapp.cli.app import app
+    from cellapp.interfaces.cli.app import app
 
     group = typer.main.get_command(app)
     return ["", *group.commands] if isinstance(group, typer.core.TyperGroup) else [""]

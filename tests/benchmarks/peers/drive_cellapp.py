@@ -16,9 +16,16 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cellapp.calibration.identification import identify
-from cellapp.kinematics.chain import Geometry, JointAngles, jacobian, nominal_geometry, parallel_rows, smr_positions
-from cellapp.kinematics.transforms import Array
+from cellapp.estimation.calibration.identification import identify
+from cellapp.robot.kinematics.chain import (
+    Geometry,
+    JointAngles,
+    jacobian,
+    nominal_geometry,
+    parallel_rows,
+    smr_positions,
+)
+from cellapp.robot.kinematics.transforms import Array
 
 ROUNDS = 200
 HELD_RAD = 1e-7

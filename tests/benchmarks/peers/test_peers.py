@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from cellapp.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.chain import smr_positions
 from tests.benchmarks.peers.__main__ import main
 from tests.benchmarks.peers.cases import NOMINAL_ROWS, NOMINAL_TOOL, make_case, positions, write_case
 from tests.benchmarks.peers.drive_cellapp import start_geometry

@@ -21,10 +21,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from cellapp.progress import CancelToken
-from cellapp.trials.link_bench import travel_s
-from cellapp.trials.link_results import LinksResult
-from cellapp.trials.links import link_trials
+from cellapp.commands.trials.link_bench import travel_s
+from cellapp.commands.trials.link_results import LinksResult
+from cellapp.commands.trials.links import link_trials
+from cellapp.ground.progress import CancelToken
 from drivers.arms import ur_supervisor
 from drivers.arms.protocol import (
     ArmError,

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from cellapp.kinematics.chain import parameter_names, smr_positions
+from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from drivers.plant.changes import lengthened, link_moved, zero_shifted
 from tests.arms import OFF_AXIS, UR10, at_station, plant_of
 

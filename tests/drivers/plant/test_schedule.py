@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.collection.cell import build_plant
-from cellapp.planning.plan import plan_stops
-from cellapp.profile import load_profile
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.profile import load_profile
 from drivers.arms.protocol import ArmError, MotionStopped, ProtectiveStop
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant

@@ -1,0 +1,299 @@
+"""Opening the cell that a profile describes, and the simulated cell behind simulated devices."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from cellapp.cell.driving.pulse import JobPulse
+from cellapp.cell.driving.together import Together, answers_of_all, in_threads, one_by_one
+from cellapp.cell.driving.tracker_watch import Watch, monitored, unwatched, watched
+from cellapp.cell.safety.gate import Gate, refuse_motion
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Arm as ArmProfile
+from cellapp.ground.profile import Profile
+from cellapp.robot.model.nominal import pose_matrix
+from drivers.arms.protocol import Arm, JointLimits
+from drivers.arms.settings import ArmContext
+from drivers.clock import Clock, RealClock, SimulatedClock
+from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+from drivers.sensors.protocol import AirSensor, SensorError
+from drivers.settings import SettingError
+from drivers.trackers.protocol import NotReady, Tracker, TrackerError
+from drivers.trackers.settings import TrackerContext, TrackerSettings
+
+
+class ClearanceObserver(Protocol):
+    """Records the smallest distances [m] that occurred in a cell; infinite before the first observation."""
+
+    @property
+    def arms_m(self) -> float:
+        """Smallest distance between the arms."""
+
+    @property
+    def floor_m(self) -> float:
+        """Smallest distance of an arm from the floor."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An open cell: connected devices and their common clock.
+
+    ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
+    functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
+    ``gate`` checks every motion; a trial that drives the same plan many times shares its answers. ``tracker_unmet``
+    lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's sign of life.
+    """
+
+    arms: Mapping[str, Arm]
+    tracker: Tracker
+    clock: Clock
+    air: AirSensor | None = None
+    clearance: ClearanceObserver | None = None
+    together: Together = in_threads
+    watch_tracker: Watch = watched
+    gate: Gate = refuse_motion
+    tracker_unmet: tuple[str, ...] = ()
+    pulse: JobPulse = field(default_factory=JobPulse)
+
+    def oldest_data_s(self) -> float:
+        """Return the age of the newest state of the arm that was heard last [s]; never blocks."""
+        return max(arm.live().age_s for arm in self.arms.values())
+
+    def require_tracker(self) -> None:
+        """Raise ``HardwareError`` if the tracker was not ready to measure when the cell was opened."""
+        if self.tracker_unmet:
+            raise HardwareError(f"tracker: not ready: {'; '.join(self.tracker_unmet)}")
+
+
+@contextmanager
+def open_cell(
+    profile: Profile,
+    *,
+    watch_clearance: bool = False,
+    plant: Plant | None = None,
+    control: JobControl | None = None,
+) -> Iterator[Cell]:
+    """Connect to all devices of a profile; at the end they are disconnected, whatever happens.
+
+    ``watch_clearance`` observes the distances in a simulated cell; this takes time. ``plant`` is the simulated cell, as
+    an earlier job left it; None: a new one that the profile describes. A person's stop, through ``control``, ends the
+    connecting: no program is started on a controller after it.
+
+    Raises
+    ------
+    InputError
+        If a setting does not fit its device.
+    HardwareError
+        If a device cannot be reached or is not ready.
+    Stopped, Aborted
+        If a person stopped the job while it connected; nothing has moved.
+    """
+    control = control or JobControl()
+    if plant is None and _needs_plant(profile):
+        plant = build_plant(profile, watch_clearance=watch_clearance)
+    arms = {name: _driver_of(name, arm, plant) for name, arm in profile.arms.items()}
+    tracker = tracker_driver(profile, plant)
+    air = _air_sensor(profile, plant)
+    simulated = None if _has_real_arm(profile) else plant
+    together = in_threads if simulated is None else one_by_one
+    with ExitStack() as stack:
+        stack.callback(_disconnect_all, arms, together)
+        _connect_all(arms, together, control)
+        stack.callback(tracker.disconnect)
+        unmet = start_tracker(tracker, profile.tracker.driver)
+        if air is not None:
+            stack.callback(air.disconnect)
+            try:
+                air.connect()
+            except SensorError as error:
+                raise HardwareError(str(error)) from error
+        control.check()
+        if simulated is None:
+            monitor = stack.enter_context(monitored(tracker))
+            yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
+        else:
+            clock, clearance = SimulatedClock(simulated), simulated.clearance
+            yield Cell(arms, tracker, clock, air, clearance, together, unwatched, tracker_unmet=unmet)
+
+
+def _needs_plant(profile: Profile) -> bool:
+    """Whether a device is simulated in this process. A section 'plant' may also describe what 'emulate' simulates."""
+    air = profile.sensors.air
+    return (
+        profile.tracker.driver.needs_plant
+        or any(arm.driver.needs_plant for arm in profile.arms.values())
+        or (air is not None and air.needs_plant)
+    )
+
+
+def _has_real_arm(profile: Profile) -> bool:
+    """Whether an arm moves in real time: then the cell's clock is real, whatever else is simulated."""
+    return any(arm.driver.has_device and not arm.driver.needs_plant for arm in profile.arms.values())
+
+
+def _connect_all(arms: Mapping[str, Arm], together: Together, control: JobControl) -> None:
+    """Connect all arms at once; a person's stop meanwhile ends that."""
+
+    def brake_all(verb: str) -> None:
+        for arm in arms.values():
+            arm.refuse_motion()
+
+    with control.brakes(brake_all, holds=False):
+        control.check()
+        _, errors = answers_of_all(together, {name: arm.connect for name, arm in arms.items()})
+    control.check()
+    for error in errors.values():
+        raise HardwareError(str(error)) from error
+
+
+def _disconnect_all(arms: Mapping[str, Arm], together: Together) -> None:
+    """Disconnect every arm, whatever another one says: an earlier error is the one to report."""
+    answers_of_all(together, {name: arm.disconnect for name, arm in arms.items()})
+
+
+def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...]:
+    """Connect and prepare the tracker; return what keeps it from measuring, as sentences.
+
+    Raises
+    ------
+    InputError
+        If a setting is one that this tracker does not have.
+    HardwareError
+        If it cannot be reached.
+    """
+    try:
+        tracker.connect()
+        preparation = settings.preparation()
+        if preparation is not None:
+            tracker.prepare(preparation)
+        return tuple(tracker.unmet())
+    except NotReady as error:
+        return (str(error),)
+    except TrackerError as error:
+        raise HardwareError(str(error)) from error
+    except ValueError as error:  # a setting that this tracker does not have
+        raise InputError(str(error)) from error
+
+
+# -- drivers ----------------------------------------------------------------------------------------------------------
+
+
+def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None) -> ArmContext:
+    """Return what the profile specifies for the driver of an arm."""
+    joints = arm.type.joints
+    return ArmContext(
+        name=name,
+        model=arm.type.model,
+        joints=len(joints),
+        limits=JointLimits(
+            position=np.array(arm.limits or tuple(joint.limit for joint in joints)),
+            speed=np.array([joint.speed for joint in joints]) * arm.speed_scale,
+            acceleration=np.array([joint.acceleration for joint in joints]) * arm.speed_scale,
+        ),
+        payload_kg=arm.payload.mass,
+        payload_center_m=np.array(arm.payload.center_of_mass),
+        plant=plant,
+    )
+
+
+def tracker_context(profile: Profile, plant: Plant | None = None) -> TrackerContext:
+    """Return what the profile specifies for the driver of the tracker."""
+    tracker = profile.tracker
+    return TrackerContext(
+        transverse=(tracker.transverse.constant, tracker.transverse.proportional),
+        range=(tracker.range.constant, tracker.range.proportional),
+        plant=plant,
+    )
+
+
+def tracker_driver(profile: Profile, plant: Plant | None) -> Tracker:
+    """Return the driver of the profile's tracker, not connected yet. Raises ``InputError``."""
+    try:
+        return profile.tracker.driver.open(tracker_context(profile, plant))
+    except SettingError as error:
+        raise InputError(f"tracker.{error}") from error
+
+
+def _driver_of(name: str, arm: ArmProfile, plant: Plant | None) -> Arm:
+    try:
+        return arm.driver.open(arm_context(name, arm, plant))
+    except SettingError as error:
+        raise InputError(f"arms.{name}.{error}") from error
+
+
+def _air_sensor(profile: Profile, plant: Plant | None) -> AirSensor | None:
+    settings = profile.sensors.air
+    try:
+        return None if settings is None else settings.open(plant)
+    except SettingError as error:
+        raise InputError(f"sensors.air.{error}") from error
+
+
+# -- the simulated cell -----------------------------------------------------------------------------------------------
+
+
+def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions: bool = False) -> Plant:
+    """Return the simulated cell that a profile describes. Raises ``InputError`` on an unknown effect or parameter."""
+    settings = profile.plant
+    tracker = profile.tracker
+    if settings is None or tracker.pose is None:
+        raise InputError(f"profile {profile.name}: a simulated cell needs the sections 'plant' and 'tracker.pose'")
+    accuracy = tracker_context(profile)
+    try:
+        config = PlantConfig(
+            seed=settings.seed,
+            arms=tuple(plant_arm(name, arm, settings.effects.get(name, {})) for name, arm in profile.arms.items()),
+            tracker=TrackerConfig(
+                T_C_M=pose_matrix(settings.tracker_pose or tracker.pose),
+                transverse=accuracy.transverse,
+                range=accuracy.range,
+                azimuth=tracker.azimuth,
+                elevation=tracker.elevation,
+                distance=tracker.distance,
+                averaging_s=tracker.averaging,
+            ),
+            errors=GeometryErrors(**settings.geometry.model_dump()),
+            repeatability=settings.repeatability,
+            temperature_c=settings.temperature,
+            noise=settings.noise,
+            floor=profile.plan.floor,
+        )
+        return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)
+    except ValueError as error:
+        raise InputError(f"profile {profile.name}: plant: {error}") from error
+
+
+def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, object]]) -> ArmConfig:
+    """Return an arm of the simulated cell with its hidden effects, name -> parameters. Raises ``InputError``."""
+    if arm.base is None or arm.smr.offset == "unknown":
+        raise InputError(f"arms.{name}: a simulated arm needs 'base' and a known 'smr.offset'")
+    joints = arm.type.joints
+    limits = arm.limits or tuple(joint.limit for joint in joints)
+    return ArmConfig(
+        name=name,
+        rows=np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in joints]),
+        limits=np.array(limits),
+        speed=np.array([joint.speed for joint in joints]),
+        acceleration=np.array([joint.acceleration for joint in joints]),
+        T_C_B=pose_matrix(arm.base),
+        smr_offset=np.array(arm.smr.offset),
+        smr_normal=np.array(arm.smr.normal) / math.hypot(*arm.smr.normal),
+        smr_acceptance=arm.smr.acceptance,
+        masses=np.array([joint.mass for joint in joints]),
+        centers_of_mass=np.array([joint.center_of_mass for joint in joints]),
+        payload_mass=arm.payload.mass,
+        payload_center=np.array(arm.payload.center_of_mass),
+        capsules=tuple(
+            CapsuleConfig(capsule.frame, np.array(capsule.start), np.array(capsule.end), capsule.radius)
+            for capsule in arm.type.capsules
+        ),
+        effects=effects,
+        home=None if arm.home is None else np.array(arm.home),
+    )

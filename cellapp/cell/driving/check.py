@@ -1,0 +1,255 @@
+"""Drive a few stops of a calibrated cell and measure all arms at each, until a sequential test is sure.
+
+Every stop is reached and measured as in collecting. The SMRs are searched for around their predictions, because base,
+tracker or SMR may have moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.driving_targets import Driver
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
+from cellapp.cell.driving.smr_search import FoundPoint, SmrSearch
+from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
+from cellapp.cell.driving.target_visit import last_motion_matters
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.estimation.monitoring.check import Standing
+from cellapp.estimation.readings import Reading, Readings
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import HardwareError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+from drivers.arms.protocol import ArmState
+
+_MISSED_AT_FIRST, _MISSED_LATER = 2, 3
+"""An SMR that is not found at so many stops one after the other is not looked for any more, before it was found for the
+first time and after it."""
+
+
+class StopTest(Protocol):
+    """A test that is told what was measured at each stop, as ``SequentialTest``."""
+
+    def add(self, readings: Mapping[str, Readings]) -> Standing:
+        """Take one stop, arm -> its reading, and say where the test stands."""
+
+
+@dataclass(frozen=True, eq=False)
+class CheckTask:
+    """What to measure.
+
+    ``model`` is in the present tracker frame. ``stops`` are joint positions (N,) [rad] by arm, in the order of driving.
+    ``excess_m`` is as in ``fit_station``.
+    """
+
+    profile: Profile
+    model: CellModel
+    stops: Sequence[Mapping[str, Vector]]
+    excess_m: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredStop:
+    """One stop: what was found of each arm, where the test stood after it, when it was done [s].
+
+    ``number`` counts the planned stops from 0; ``time_s`` counts from the first motion.
+    """
+
+    number: int
+    found: Mapping[str, FoundPoint]
+    standing: Standing
+    time_s: float
+
+
+@dataclass(eq=False)
+class DrivenCheck:
+    """What was measured; ``lost`` are arms whose SMR was not found any more, ``seconds`` is the time of all motions."""
+
+    stops: list[MeasuredStop] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+def drive_check(
+    task: CheckTask,
+    test: StopTest,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    confirm: Confirm | None = None,
+    opened: Callable[[Cell], object] = lambda cell: None,
+    open_with: Opened | None = None,
+) -> DrivenCheck:
+    """Visit the stops with all arms together until ``test`` is sure.
+
+    Where the gate refuses a stop for all arms together, each goes there alone, with the others at home. ``opened`` is
+    called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked before the first
+    motion. ``open_with`` opens the cell.
+
+    Raises
+    ------
+    HardwareError
+        If a device fails, all arms have been stopped then; or if no SMR is found.
+    InputError
+        If the first motion is not confirmed.
+    Stopped, Aborted
+        On request; the arms have been braked.
+    """
+    control = control or JobControl()
+    bodies, homes = cell_bodies(task.profile, task.model), home_positions(task.profile)
+    with attended_cell(task.profile, control, open_with) as (cell, reaction):
+        opened(cell)
+        cell.require_tracker()
+        mover = Mover(task.profile, cell, bodies, reaction)
+        mover.confirm_first(homes, confirm)
+
+        def checkpoint() -> None:
+            hold_while_paused(cell, control, reaction)
+
+        repeat = task.profile.collection.repeat
+        repeats = 1 if repeat.precision is None else repeat.times
+        search = SmrSearch(task.profile, task.model, mover, np.eye(4), task.excess_m, repeats, checkpoint)
+        checking = _Checking(task, test, mover, Driver(mover, homes), search, checkpoint, cell.clock.now_s, listener)
+        driven = checking.visit_all()
+        mover.go_home()
+        driven.seconds = checking.elapsed_s()
+    listener(Progress("check", len(task.stops), len(task.stops), "done"))
+    return driven
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class _Checking:
+    task: CheckTask
+    test: StopTest
+    mover: Mover
+    driver: Driver
+    search: SmrSearch
+    checkpoint: Callable[[], None]
+    now_s: Callable[[], float]
+    listener: Listener
+    driven: DrivenCheck = field(default_factory=DrivenCheck)
+
+    def __post_init__(self) -> None:
+        self._began_s = self.now_s()
+        self._missed = dict.fromkeys(self.task.profile.arms, 0)
+
+    def elapsed_s(self) -> float:
+        """Time since the first motion [s]."""
+        return self.now_s() - self._began_s
+
+    def visit_all(self) -> DrivenCheck:
+        """Visit the stops until the test is sure, or no arm is left that can be measured."""
+        self._set_speed(0)
+        self.mover.go_home()
+        for number, stop in enumerate(self.task.stops):
+            self.checkpoint()
+            self._set_speed(number)
+            wanted = {name: q for name, q in stop.items() if name not in self.driven.lost}
+            if not wanted:
+                break
+            self.listener(Progress("check", number, len(self.task.stops), f"stop {number + 1}"))
+            if self._visit(number, wanted):
+                break
+        if not self.driven.stops:
+            raise HardwareError(
+                f"no SMR could be measured at any stop: {'; '.join(self.driven.notes)}. If the tracker was moved, run"
+                " 'cellapp locate DIR' with --tracker-pose first"
+            )
+        return self.driven
+
+    def _set_speed(self, visited: int) -> None:
+        """The first stops are visited slowly, on real hardware only."""
+        slow = self.task.profile.collection.slow_start
+        self.mover.speed = slow.speed if self.task.profile.moves_hardware and visited < slow.stops else 1.0
+
+    def _visit(self, number: int, wanted: Mapping[str, Vector]) -> bool:
+        """Measure the arms at one stop, together or each alone; return whether the test is sure."""
+        try:
+            return self._measure(number, self._drive(wanted))
+        except MotionRefused as error:
+            if len(wanted) == 1:
+                self._note_refusal(number, wanted, error)
+                return False
+        for name, q in wanted.items():
+            try:
+                if self._measure(number, self._drive({name: q})):
+                    return True
+            except MotionRefused as error:
+                self._note_refusal(number, [name], error)
+        return False
+
+    def _note_refusal(self, number: int, names: Iterable[str], error: MotionRefused) -> None:
+        self.driven.notes.append(f"stop {number + 1}, arm {', '.join(names)}: {error}")
+
+    def _drive(self, wanted: Mapping[str, Vector]) -> dict[str, ArmState]:
+        """Drive arms to joint positions (N,) [rad], with a short last motion where the model depends on it."""
+        here = self.mover.positions()
+        sides = {
+            name: np.sign(q - here[name])
+            for name, q in wanted.items()
+            if last_motion_matters(self.task.model.arms[name])
+        }
+        return self.driver.to(list(wanted), lambda name, start: wanted[name], sides)
+
+    def _measure(self, number: int, states: Mapping[str, ArmState]) -> bool:
+        """Measure the SMRs of arms that stand at a stop together; return whether the test is sure then."""
+        found = {name: point for name, state in states.items() if (point := self._find(name, state)) is not None}
+        if not found:
+            return False
+        rows = {name: self._reading(name, point) for name, point in found.items()}
+        # arms that went to a stop each alone were at two stops: the other one stood at home
+        count = len(self.driven.stops)
+        standing = self.test.add({name: row.as_readings(count) for name, row in rows.items()})
+        self.driven.stops.append(MeasuredStop(number, found, standing, self.elapsed_s()))
+        return standing.sure
+
+    def _find(self, name: str, state: ArmState) -> FoundPoint | None:
+        """Measure one SMR; an arm whose SMR is missed too often is given up."""
+        found = self.search.measure(name, state)
+        if isinstance(found, FoundPoint):
+            self._missed[name] = 0
+            return found
+        self.driven.notes.append(found)
+        self._missed[name] += 1
+        seen = any(one.arm == name for one in self.search.found)
+        if self._missed[name] >= (_MISSED_LATER if seen else _MISSED_AT_FIRST):
+            self.driven.lost.append(name)
+            self.driven.notes.append(
+                f"arm {name}: its SMR was not found at {self._missed[name]} stops in a row and is not looked for any"
+                " more: look for a covered or missing SMR"
+            )
+        return None
+
+    def _reading(self, name: str, found: FoundPoint) -> Reading:
+        """The measured point with what is known of the arm there, as collecting stores it.
+
+        It has no time: seconds since the run began would lie far beyond those of the calibration.
+        """
+        conditions, point = found.conditions, found.point
+        return Reading(
+            q=found.q,
+            p_M=point.p_M,
+            sequence=float(len(self.driven.stops)),
+            approach=self.mover.approach(name).copy(),
+            payload_kg=_first(conditions.payload_kg),
+            temperature_c=point.temperature_c,
+            joint_temperature_c=None if conditions.joints_c is None else conditions.joints_c[0],
+            step=self.mover.step(name),
+            dwell_s=_first(conditions.dwell_s),
+            covariance_M=point.covariance_M,
+        )
+
+
+def _first(values: Array | None) -> float | None:
+    return None if values is None else float(values[0])

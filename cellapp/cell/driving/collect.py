@@ -1,0 +1,111 @@
+"""The verb: drive the planned stops, measure both SMRs at each, and commit every stop before the next motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.controllers import check_controllers
+from cellapp.cell.driving.motion import Confirm
+from cellapp.cell.driving.records import MissingReading
+from cellapp.cell.driving.session import CollectSession, End
+from cellapp.cell.driving.supervision import Opened, opening, reacting
+from cellapp.cell.driving.work import remaining_work
+from cellapp.cell.run import RunFile, SessionEnd
+from cellapp.cell.run.collected import missing_readings
+from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.ground.control import Aborted, JobControl, Stopped
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.progress import Listener, ignore
+from drivers.arms.protocol import ArmError
+
+
+@dataclass(frozen=True)
+class CollectSummary:
+    """How a session ended. ``missing`` lists planned readings that the run lacks."""
+
+    outcome: End
+    notes: tuple[str, ...]
+    missing: tuple[MissingReading, ...]
+    standard_error_mm: Mapping[str, float] = field(default_factory=dict)
+
+
+def collect_run(
+    run: RunFile,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    resume: bool = False,
+    accept_drift: bool = False,
+    watch_clearance: bool = False,
+    confirm: Confirm | None = None,
+    opened: Opened | None = None,
+) -> CollectSummary:
+    """Collect all planned stops that are not stored yet.
+
+    A target that cannot be measured is recorded and its arm's reading left out; the stop counts as done for the other
+    arm, and a reserve stop is added. Every stop is reached as planned, with its own approach and dwell. If the gate
+    refuses all ways to it, it is tried again at the end, then left out; one that discovery proposed is left out at
+    once. Once splits are drawn, new readings are for training: the validation set must not change.
+
+    Raises
+    ------
+    InputError
+        If there is no plan, stops are stored and ``resume`` is False, the first motion is not confirmed, or the run
+        file cannot be written.
+    HardwareError
+        If an arm or the tracker fails, or nothing could be measured; all committed stops stay.
+    Stopped, Aborted
+        On request; the arms have been braked, and the run can be resumed.
+    """
+    control = control or JobControl()
+    work = remaining_work(run, resume=resume)
+    if not work.stops:
+        return CollectSummary("complete", (f"all {work.total} stops were stored already",), missing_readings(run))
+    bodies = cell_bodies(run.profile)
+    with opening(run.profile, control, opened, watch_clearance=watch_clearance) as cell:
+        notes = list(check_controllers(run, cell).notes)
+        number = run.begin_session()
+        with (
+            _session_recorded(run, number),
+            _late_heartbeats_noted(run, cell, notes),
+            reacting(cell, control) as reaction,
+        ):
+            session = CollectSession(
+                run, work, cell, bodies, reaction, control, listener, number, accept_drift, confirm, notes
+            )
+            outcome = session.collect()
+            if not run.stops_done():
+                reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
+                raise HardwareError(f"nothing could be measured: {reason}")
+            run.end_session(number, outcome, "")
+    return CollectSummary(outcome, tuple(notes), missing_readings(run), session.standard_error_mm)
+
+
+@contextmanager
+def _late_heartbeats_noted(run: RunFile, cell: Cell, notes: list[str]) -> Iterator[None]:
+    """Note the warnings that drivers have gained meanwhile, as of late heartbeats, however the session ends."""
+    try:
+        yield
+    finally:
+        with suppress(ArmError, InputError):  # the session's own end is the one to report
+            for text in (text for arm in cell.arms.values() for text in arm.warnings()):
+                if text not in notes:
+                    notes.append(text)
+                    run.log("warning", text)
+
+
+@contextmanager
+def _session_recorded(run: RunFile, number: int) -> Iterator[None]:
+    """Record how a session ends with an exception; the exception is the one to report, whatever the disk says."""
+    endings: tuple[tuple[type[BaseException], SessionEnd], ...] = ((Aborted, "aborted"), (Stopped, "stopped"))
+    try:
+        yield
+    except BaseException as error:
+        outcome: SessionEnd = next((word for kind, word in endings if isinstance(error, kind)), "failed")
+        with suppress(InputError):
+            run.end_session(number, outcome, str(error))
+            run.log("info" if outcome != "failed" else "error", f"collecting {outcome}: {error}")
+        raise

@@ -1,0 +1,71 @@
+"""What collecting says of its steps: the same details and sentences while it runs and from what a run stores."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.run import Outcome
+from cellapp.estimation.readings import Reading
+from cellapp.ground.progress import JobState, MotionEnded, PointMeasured
+from drivers.arms.protocol import ArmState
+
+_STATES: dict[str, JobState | None] = {
+    "pause": "paused",
+    "suspend": "suspended",
+    "resume": "running",
+    "give up": "running",
+    "abort": "aborted",
+    "reference": None,
+}
+"""Job state that each recorded kind begins; every other kind is a cause that stopped the arms."""
+
+
+def state_of(kind: str) -> JobState | None:
+    """Return the job's state after what a session recorded under ``kind``; None if it did not change."""
+    return _STATES.get(kind, "stopped")
+
+
+def record_sentence(kind: str, reason: str) -> str:
+    """Return the line of the log for what a session recorded."""
+    return f"{kind}: {reason}"
+
+
+def missed_sentence(outcome: Outcome) -> str:
+    """Return the line of the log for an SMR that was not measured."""
+    return f"stop {outcome.stop + 1}, arm {outcome.arm}: {outcome.kind}: {outcome.reason}"
+
+
+def vectors(q: Mapping[str, NDArray[np.float64]]) -> dict[str, tuple[float, ...]]:
+    """Return joint positions of arms, name -> (N,) [rad], as tuples."""
+    return {name: tuple(one.tolist()) for name, one in q.items()}
+
+
+def motion_ended(stop: int | None, states: Mapping[str, ArmState]) -> MotionEnded:
+    """Return the end of a motion, from the states of the arms at rest."""
+    warm = {name: one.joint_temperature_c for name, one in states.items() if one.joint_temperature_c is not None}
+    return MotionEnded(stop, vectors({name: one.q for name, one in states.items()}), vectors(warm))
+
+
+def point_measured(stop: int, arm: str, reading: Reading) -> PointMeasured:
+    """Return the detail of a reading."""
+    x, y, z = reading.p_M.tolist()
+    warm = reading.joint_temperature_c
+    return PointMeasured(
+        stop=stop,
+        arm=arm,
+        q=tuple(reading.q.tolist()),
+        p_M=(x, y, z),
+        sigma_mm=_sigma_mm(reading),
+        temperature_c=reading.temperature_c,
+        joint_temperature_c=None if warm is None else tuple(warm.tolist()),
+    )
+
+
+def _sigma_mm(reading: Reading) -> float | None:
+    if reading.covariance_M is not None:
+        return 1e3 * math.sqrt(float(np.trace(reading.covariance_M)))
+    return None if reading.sigma_m is None else 1e3 * math.sqrt(3.0) * reading.sigma_m

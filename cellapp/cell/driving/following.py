@@ -1,0 +1,244 @@
+"""Drive planned paths and, with verification, measure how far the SMR really is from them, moving and at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
+from cellapp.cell.driving.reaction import StopCause, StopReaction
+from cellapp.cell.driving.supervision import attended_cell, hold_while_paused
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.targets.judging import Judge
+from cellapp.cell.targets.path_file import PathSpec
+from cellapp.cell.targets.path_records import DrivenPath, PathLag
+from cellapp.cell.targets.plan_path import RUN_UP_RAD, PathPlan, path_rates, plan_path
+from cellapp.estimation.calibration.evaluation import summarise
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.ground.results import ErrorSummary
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+from cellapp.robot.paths.cartesian import CartesianPath
+from cellapp.robot.paths.lag import Lag, lag, rehearsed
+from cellapp.robot.paths.timing import Trajectory
+from drivers.arms.protocol import FollowedPath, PathFollower
+from drivers.trackers.protocol import StreamingTracker, TrackerError
+
+_INTERVAL_S = 0.01
+"""Of points measured while the arm moves: 1 mm at 100 mm/s."""
+_FEWEST_AT_REST = 12
+_AT_REST_EVERY_M = 0.05
+"""Places along a path at which it is measured at rest: this far apart, and at least so many."""
+
+
+def follow(
+    profile: Profile,
+    model: CellModel,
+    plans: Sequence[PathPlan],
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    verify: bool,
+    rehearse: bool = False,
+    judge: Judge | None = None,
+    confirm: Confirm | None = None,
+    opened: Callable[[Cell], object] = lambda cell: None,
+) -> list[tuple[PathPlan, DrivenPath | None]]:
+    """Drive every path that is not refused, the other arms at home; with ``verify`` measure it.
+
+    ``rehearse`` drives each path once before, and corrects it by how the joints were seen to follow.
+    A path is planned again where the arm's controller has another rate. ``opened`` is called with the open cell before
+    anything moves; what it raises ends the job. ``confirm`` is asked before the first motion. ``judge`` decides on
+    tolerances; left out, by what the profile alone says.
+
+    Raises
+    ------
+    InputError
+        If no path can be driven at all.
+    HardwareError
+        If an arm or the tracker fails; all arms have been stopped.
+    Stopped, Aborted
+        On request; the arms have been braked.
+    """
+    control = control or JobControl()
+    if all(plan.refusal for plan in plans):
+        raise InputError(f"follow: none of the paths can be driven: {plans[0].refusal}")
+    homes = home_positions(profile)
+    found: list[tuple[PathPlan, DrivenPath | None]] = []
+    with attended_cell(profile, control) as (cell, reaction):
+        opened(cell)
+        if verify:
+            cell.require_tracker()
+        mover = Mover(profile, cell, cell_bodies(profile, model), reaction)
+        mover.confirm_first(homes, confirm)
+        mover.speed = profile.collection.slow_start.speed if profile.moves_hardware else 1.0
+        mover.go_home()
+        for done, plan in enumerate(plans):
+            hold_while_paused(cell, control, reaction)
+            listener(Progress("follow", done, len(plans), plan.spec.name))
+            plan = _at_rate_of_arm(profile, model, plan, cell)
+            driver = _Driver(profile, mover, cell, reaction, model, plan.spec, judge or Judge(profile))
+            found.append((plan, None if plan.refusal else driver.drive(plan, verify=verify, rehearse=rehearse)))
+            mover.go_home()
+    listener(Progress("follow", len(plans), len(plans), "done"))
+    return found
+
+
+def _at_rate_of_arm(profile: Profile, model: CellModel, plan: PathPlan, cell: Cell) -> PathPlan:
+    """The plan with samples at the rate of the arm's controller."""
+    arm = cell.arms[plan.spec.arm]
+    if plan.refusal:
+        return plan
+    if not isinstance(arm, PathFollower):
+        return replace(plan, refusal=f"arm {plan.spec.arm}: its driver cannot follow a stream of joint positions")
+    if plan.trajectory is not None and plan.trajectory.period_s == arm.path_period_s:
+        return plan
+    return plan_path(profile, model, plan.spec, arm.path_period_s)
+
+
+@dataclass(frozen=True)
+class _Driver:
+    """Drives the paths of one arm in an open cell."""
+
+    profile: Profile
+    mover: Mover
+    cell: Cell
+    reaction: StopReaction
+    model: CellModel
+    spec: PathSpec
+    judge: Judge
+
+    def drive(self, plan: PathPlan, *, verify: bool, rehearse: bool) -> DrivenPath:
+        """Drive one path; with ``verify`` also at rest, and as the published geometry drives it."""
+        assert plan.path is not None
+        assert plan.nominal_path is not None
+        assert plan.trajectory is not None
+        notes: list[str] = []
+        try:
+            trajectory = self._rehearsed(plan.trajectory, plan.path, notes) if rehearse else plan.trajectory
+            points, followed = self._run(trajectory, plan.path, measure=verify)
+        except (MotionRefused, TrackerError) as error:
+            return DrivenPath(note=str(error))
+        found = lag(self.model.arms[self.spec.arm], plan.trajectory, followed.time_s, followed.q)
+        driven = DrivenPath(lag=_lag_record(found), rehearsed=trajectory is not plan.trajectory, note="; ".join(notes))
+        return self._verified(plan, driven, points) if verify else driven
+
+    def _rehearsed(self, trajectory: Trajectory, path: CartesianPath, notes: list[str]) -> Trajectory:
+        """The positions to send after the path was driven once; a note says where they would exceed a limit."""
+        _, followed = self._run(trajectory, path, measure=False)
+        rates = path_rates(self.profile, self.spec)
+        corrected = rehearsed(trajectory, followed.time_s, followed.q, rates)
+        if corrected is None:
+            notes.append("its rehearsal is not used: the corrected joints would exceed their limits")
+            return trajectory
+        return corrected
+
+    def _verified(self, plan: PathPlan, driven: DrivenPath, points: Array | None) -> DrivenPath:
+        """What was driven, with its distances from the path, also at rest and by the published geometry."""
+        assert plan.path is not None
+        assert plan.nominal_path is not None
+        assert plan.trajectory is not None
+        notes, nominal, at_rest = [driven.note] if driven.note else [], None, None
+        try:
+            at_rest = _summary(plan.path, self._at_rest(plan.trajectory))
+            if plan.nominal is None:
+                notes.append("the published geometry cannot be driven along this path")
+            else:
+                there, _ = self._run(plan.nominal, plan.nominal_path, measure=True)
+                there = self._at_rest(plan.nominal) if there is None else there
+                nominal = _summary(plan.nominal_path, there)
+        except (MotionRefused, TrackerError) as error:
+            notes.append(str(error))
+        if points is None:
+            notes.append("this tracker's driver cannot measure a moving SMR yet; the path was verified at rest")
+        moving = None if points is None else _summary(plan.path, points)
+        judged = moving or at_rest
+        value = None if judged is None else judged.p95
+        places_M = plan.path.positions(np.linspace(0.0, float(plan.trajectory.s[-1]), _FEWEST_AT_REST))
+        farthest_M = places_M[np.argmax(np.linalg.norm(places_M, axis=1))]
+        expanded = self.judge.expanded_mm({self.spec.arm: farthest_M}, {})
+        return driven.model_copy(
+            update={
+                "moving": moving,
+                "at_rest": at_rest,
+                "nominal": nominal,
+                "judged": "" if judged is None else "moving" if moving is not None else "at rest",
+                "expanded_mm": None if judged is None else expanded,
+                "rule": self.judge.rule,
+                "verdict": self.judge.verdict(value, expanded, self.spec.tolerance * 1e3),
+                "note": "; ".join(notes),
+            }
+        )
+
+    def _run(self, trajectory: Trajectory, path: CartesianPath, *, measure: bool) -> tuple[Array | None, FollowedPath]:
+        """Go to the beginning and along the path; return the points (n, 3) measured meanwhile, if any can be."""
+        self._go(run_up(trajectory.q))
+        self._go(trajectory.q[0])
+        start_M = path.positions(np.zeros(1))[0] if measure else None
+        return follow_and_track(self.cell, self.mover, self.reaction, self.spec.arm, trajectory, start_M)
+
+    def _at_rest(self, trajectory: Trajectory) -> Array:
+        """Points (n, 3) measured at rest at places along the path, each reached from the side of the path's motion."""
+        length = float(trajectory.s[-1])
+        count = max(_FEWEST_AT_REST, int(np.ceil(length / _AT_REST_EVERY_M)) + 1)
+        rows = np.clip(np.searchsorted(trajectory.s, np.linspace(0.0, length, count)), 1, len(trajectory.s) - 1)
+        points = []
+        for row in np.unique(rows):
+            self._go(run_up(trajectory.q[row - 1 :]))
+            self._go(trajectory.q[row])
+            points.append(self.mover.measure(self.spec.arm, trajectory.q[row]).p_M)
+        return np.array(points)
+
+    def _go(self, q: Array) -> None:
+        """Move straight, or via home where the gate refuses that."""
+        self.mover.go_home_unless_clear(self.spec.arm, q)
+        self.mover.move({self.spec.arm: q})
+
+
+def follow_and_track(
+    cell: Cell, mover: Mover, reaction: StopReaction, name: str, trajectory: Trajectory, start_M: Array | None
+) -> tuple[Array | None, FollowedPath]:
+    """Let an arm at the beginning of a path follow it; return the points (n, 3) [m] that were measured meanwhile.
+
+    ``start_M`` (3,) is where its SMR is [m]. None, and no points: nothing is measured, or the tracker's driver cannot
+    measure a moving SMR. A beam that breaks stops all arms. Raises as ``Mover.follow`` and ``StreamingTracker``.
+    """
+    tracker = cell.tracker
+
+    def beam_lost(error: TrackerError) -> None:
+        reaction.trigger(StopCause("tracker", str(error)))
+
+    streaming = tracker if start_M is not None and isinstance(tracker, StreamingTracker) else None
+    if streaming is not None and start_M is not None:
+        streaming.start_track(start_M, _INTERVAL_S, beam_lost)
+    began_s = cell.clock.now_s()
+    followed = mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
+    if streaming is None:
+        return None, followed
+    track = streaming.end_track()
+    within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
+    return track.p_M[within], followed
+
+
+def run_up(q: Array) -> Array:
+    """A place (N,) before the first row of ``q`` (m, N) [rad], from which joints come on the side of their motion."""
+    moved = np.abs(q - q[0]) > 1e-5
+    first = np.argmax(moved, axis=0)
+    ahead = q[first, np.arange(q.shape[1])] - q[0]
+    return np.asarray(q[0] - RUN_UP_RAD * np.where(ahead < 0.0, -1.0, 1.0))
+
+
+def _lag_record(found: Lag | None) -> PathLag | None:
+    if found is None:
+        return None
+    return PathLag(delay_ms=found.delay_s * 1e3, late_mm=found.late_m * 1e3, cut_mm=found.cut_m * 1e3)
+
+
+def _summary(path: CartesianPath, points: Array) -> ErrorSummary | None:
+    return summarise(path.distances(points)) if len(points) else None

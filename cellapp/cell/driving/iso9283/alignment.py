@@ -1,0 +1,121 @@
+"""Base and SMR of an arm in the tracker frame from a few measured positions, with the published geometry.
+
+Without a calibration nothing says where the arm's base frame is, and an accuracy against it could not be stated. The
+six parameters of the base and the three of the SMR's offset are fitted to positions that are no poses of the test. What
+the published geometry has wrong remains in the residuals; they give the covariance of the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.cell.safety.gate import CellBodies
+from cellapp.cell.targets.choice import liked_configurations
+from cellapp.estimation.calibration.identification import identify, start_from_nominal
+from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.discovery.plan_forecast import nominal_model
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, parameter_names
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.nominal import nominal_arm
+
+ALIGNMENT_POSITIONS = 20
+"""Sixty coordinates for nine parameters."""
+FEWEST_POSITIONS = 6
+_KNOWN_BEFORE = 1e-4
+"""Information before the first position, relative to the best of one: it keeps the criterion finite."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """An arm found by measuring.
+
+    Attributes
+    ----------
+    arm : ArmModel
+        The published chain with the fitted base and SMR offset; it has no other model.
+    columns : tuple of int
+        The fitted parameters, as indices into ``parameter_names``.
+    covariance : array, shape (9, 9)
+    rms_m : float
+        Root mean square distance of the measured from the fitted positions [m].
+    n : int
+        Positions.
+    """
+
+    arm: ArmModel
+    columns: tuple[int, ...]
+    covariance: Array
+    rms_m: float
+    n: int
+
+    def position_covariance(self, q: Array) -> Array:
+        """Covariance (n, 3, 3) [m^2] that the fit gives to positions commanded with ``q`` (n, N) [rad]."""
+        _, J = jacobian(self.arm.geometry, JointAngles.of(q), self.columns)
+        return np.asarray(np.einsum("akn,kl,bln->nab", J, self.covariance, J))
+
+
+def published_cell(profile: Profile, found: Mapping[str, Alignment]) -> CellModel:
+    """The published chains, their bases where they were found; the others where the profile says they stand.
+
+    Raises ``InputError`` if the profile does not say where arms and tracker stand, or an arm has no home position.
+    """
+    return CellModel(
+        {name: found[name].arm if name in found else nominal_model(profile, name) for name in profile.arms}
+    )
+
+
+def base_and_tool(joints: int) -> tuple[int, ...]:
+    """The parameters that are fitted, rotations of the base first."""
+    count = len(parameter_names(joints))
+    return (*range(3, 6), *range(3), *range(count - 3, count))
+
+
+def alignment_configurations(
+    cell: CellBodies, homes: Mapping[str, Array], name: str, geometry: Geometry, seed: int
+) -> Array:
+    """Configurations (n, N) [rad] that tell most about base and SMR, clear and seen, the other arms at home.
+
+    Chosen one by one for the determinant of the information (D-optimal).
+    """
+    liked = liked_configurations(cell, homes, name, seed)
+    if not len(liked):
+        return liked
+    _, J = jacobian(geometry, JointAngles.of(liked), base_and_tool(geometry.joints))
+    J = J.transpose(2, 0, 1)
+    scale = np.sqrt(np.einsum("nak,nak->k", J, J) / len(J))
+    J = J / np.where(scale > 0.0, scale, 1.0)
+    information = _KNOWN_BEFORE * np.eye(J.shape[2])
+    left = np.ones(len(liked), dtype=bool)
+    chosen: list[int] = []
+    while len(chosen) < min(ALIGNMENT_POSITIONS, len(liked)):
+        gain = np.linalg.slogdet(np.eye(3) + J @ np.linalg.solve(information, J.transpose(0, 2, 1)))[1]
+        best = int(np.argmax(np.where(left, gain, -np.inf)))
+        chosen.append(best)
+        left[best] = False
+        information = information + J[best].T @ J[best]
+    return np.asarray(liked[chosen])
+
+
+def align(profile: Profile, name: str, q: Array, p_M: Array) -> Alignment:
+    """Fit base and SMR offset of an arm to positions ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad].
+
+    Raises ``InputError`` for fewer than six positions.
+    """
+    if len(q) < FEWEST_POSITIONS:
+        raise InputError(
+            f"iso9283: arm {name}: {len(q)} positions were measured to find its base and SMR, at least"
+            f" {FEWEST_POSITIONS} are needed; look for a covered SMR, or calibrate the cell first"
+        )
+    arm = profile.arms[name]
+    start = start_from_nominal(nominal_arm(arm), q, p_M, tool_unknown=arm.smr.offset == "unknown")
+    columns = base_and_tool(start.joints)
+    found = identify(start, q, p_M, parameter_set=ParameterSet("base and SMR", start.joints, columns))
+    model = replace(nominal_model(profile, name), geometry=found.geometry, nominal=found.geometry)
+    rms_m = float(np.sqrt(np.mean(np.sum(found.residuals**2, axis=1))))
+    return Alignment(model, columns, found.estimated_covariance, rms_m, len(q))

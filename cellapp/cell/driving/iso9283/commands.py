@@ -1,0 +1,73 @@
+"""What an arm is commanded to for the poses of its cube: by the published geometry, or by the calibrated model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cellapp.cell.driving.iso9283.alignment import Alignment
+from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
+from cellapp.cell.driving.iso9283.programme import ArmProgramme, legs
+from cellapp.cell.targets.choice import LARGEST_CORRECTION
+from cellapp.cell.targets.invert import invert, with_approach
+from cellapp.cell.targets.working_conditions import beside
+from cellapp.estimation.iso9283.records import IsoCommands
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.model import CellModel
+
+
+def arm_programme(
+    model: CellModel,
+    name: str,
+    cube: ChosenCube,
+    commands: IsoCommands,
+    homes: Mapping[str, Array],
+    *,
+    rested_s: float,
+    payload_kg: float,
+    alignment: Alignment | None = None,
+) -> ArmProgramme | str:
+    """The commands of one arm for all positions of the tests, or why the model cannot command them.
+
+    Calibrated commands are for an arm that has rested for ``rested_s`` [s] and comes from the position before, the
+    other arm of a pair at home.
+    """
+    arm, names = model.arms[name], list(cube.q)
+    position_B, q = np.array([cube.position_B[one] for one in names]), np.array([cube.q[one] for one in names])
+    if commands == "nominal":
+        wanted_M = apply(arm.nominal.T_M_B(), position_B)
+        at = dict(zip(names, q, strict=True))
+        sent = {(position, before): at[position] for position, before in legs()}
+    else:
+        T_M_B = arm.geometry.T_M_B()
+        wanted_M = apply(T_M_B, position_B)
+        rotation_M = np.broadcast_to(T_M_B[:3, :3] @ cube.rotation_B, (len(names), 3, 3))
+        conditions = _conditions(model, name, homes, len(names), rested_s, payload_kg)
+        found = invert(arm, wanted_M, rotation_M, q, conditions)
+        if not (found.reached & (np.abs(found.q - q).max(axis=1) <= LARGEST_CORRECTION)).all():
+            missed = int(np.argmin(found.reached))
+            return f"the calibrated model does not reach {names[missed]} near the nominal joint positions"
+        at = dict(zip(names, found.q, strict=True))
+        row = conditions.take(np.array([0]))
+        sent = {(position, before): with_approach(arm, at[position], at[before], row) for position, before in legs()}
+    frame = np.zeros((len(names), 3, 3)) if alignment is None else alignment.position_covariance(q)
+    return ArmProgramme(
+        name=name,
+        commands=commands,
+        position_M=dict(zip(names, wanted_M, strict=True)),
+        frame=dict(zip(names, frame, strict=True)),
+        q=sent,
+    )
+
+
+def _conditions(
+    model: CellModel, name: str, homes: Mapping[str, Array], n: int, rested_s: float, payload_kg: float
+) -> MeasurementConditions:
+    """Conditions of n commands: payload, rest until the middle of the measurement, the other arm of a pair at home."""
+    stated = MeasurementConditions(payload_kg=np.full(n, payload_kg), dwell_s=np.full(n, rested_s))
+    others = [other for other in model.arms if other != name]
+    if len(others) != 1:
+        return stated
+    return beside(stated, model.arms[others[0]], np.tile(homes[others[0]], (n, 1)), None)

@@ -1,0 +1,158 @@
+"""What was found while the tests were driven, and the result that it makes, complete or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellapp.cell.driving.iso9283.alignment import Alignment
+from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
+from cellapp.cell.driving.iso9283.programme import ArmProgramme, Place
+from cellapp.estimation.iso9283.evaluate import (
+    Measurements,
+    PathRuns,
+    cooperative_characteristics,
+    directional_characteristics,
+    distance_characteristics,
+    drift_characteristics,
+    path_characteristics,
+    pose_characteristics,
+)
+from cellapp.estimation.iso9283.records import (
+    ArmIso9283,
+    BaseAlignment,
+    CommandedTests,
+    IsoCommands,
+    IsoTest,
+    PairIso9283,
+)
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array, xyz_of
+from cellapp.robot.model import CellModel
+
+_ENDED = "the job ended before"
+_NO_PAIR = "there are no two poses at which both arms are clear and seen together"
+
+
+@dataclass(eq=False)
+class IsoFindings:
+    """What was found so far."""
+
+    model: CellModel | None = None
+    measured: Measurements = field(default_factory=Measurements)
+    alignments: dict[str, Alignment] = field(default_factory=dict)
+    cubes: dict[str, ChosenCube] = field(default_factory=dict)
+    programmes: dict[tuple[str, IsoCommands], ArmProgramme] = field(default_factory=dict)
+    pairs: dict[tuple[str, str], list[tuple[str, str]]] = field(default_factory=dict)
+    refused: dict[str, dict[IsoTest, str]] = field(default_factory=dict)
+    wanted: dict[Place, int] = field(default_factory=dict)
+    missed: dict[Place, str] = field(default_factory=dict)
+    paths: list[PathRuns] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def refuse(self, name: str, tests: Iterable[IsoTest], reason: str) -> None:
+        """Keep why tests of an arm are not made, or not all of them."""
+        reasons = self.refused.setdefault(name, {})
+        for test in tests:
+            reasons[test] = f"{reasons[test]}; {reason}" if test in reasons else reason
+
+
+def arm_results(
+    profile: Profile, found: IsoFindings, arms: Sequence[str], rng: np.random.Generator
+) -> dict[str, ArmIso9283]:
+    """Cube, base and characteristics of each arm that was to be tested."""
+    results = {}
+    for name in arms:
+        kinds = [kind for arm, kind in found.programmes if arm == name]
+        tests = {kind: _commanded(found, name, kind, rng) for kind in kinds}
+        results[name] = ArmIso9283(
+            payload_kg=profile.arms[name].payload.mass,
+            cube=found.cubes[name].record() if name in found.cubes else None,
+            base=_base(found, name),
+            tests={kind: one for kind, one in tests.items() if one != CommandedTests()},
+            refused=found.refused.get(name, {}),
+        )
+    return results
+
+
+def pair_results(found: IsoFindings, rng: np.random.Generator) -> tuple[PairIso9283, ...]:
+    """Characteristics of each pair of arms whose cooperative test was asked for."""
+    return tuple(_pair(found, pair, rng) for pair in found.pairs)
+
+
+def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ...]:
+    """Places and paths with too few cycles, arms and pairs that could not be tested at all, each with its reason.
+
+    ``tests`` are those that were asked for. A test that a cell cannot make, among others that it can, is refused, not
+    missing.
+    """
+    words = []
+    for place, wanted in found.wanted.items():
+        groups = found.measured.groups(place) or [0]
+        n = min(len(found.measured.at(place, group)) for group in groups)
+        if n < wanted:
+            words.append(f"{place}: {n} of {wanted} cycles: {found.missed.get(place, _ENDED)}")
+    for runs in found.paths:
+        if (n := len(runs.tracks_M)) < runs.wanted:
+            where = f"path of {runs.arm}, {runs.commands} commands, {runs.name}"
+            words.append(f"{where}: {n} of {runs.wanted} cycles: {'; '.join(runs.problems) or _ENDED}")
+    for name, refused in found.refused.items():
+        if set(tests) - {"cooperative"} <= set(refused):
+            words += [f"arm {name}: {reason}" for reason in dict.fromkeys(refused.values())]
+    words += [f"cooperative of {' and '.join(pair)}: {_NO_PAIR}" for pair, poses in found.pairs.items() if not poses]
+    return tuple(words)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.Generator) -> CommandedTests:
+    arm, measured, base_M = found.programmes[name, kind], found.measured, _base_rotation(found, name, kind)
+    return CommandedTests(
+        pose=pose_characteristics(arm, measured, base_M, rng),
+        multidirectional=directional_characteristics(arm, measured, base_M, rng),
+        distance=distance_characteristics(arm, measured, rng),
+        drift=drift_characteristics(arm, measured, base_M, rng),
+        path=tuple(
+            one
+            for runs in found.paths
+            if (runs.arm, runs.commands) == (name, kind) and (one := path_characteristics(runs, rng)) is not None
+        ),
+    )
+
+
+def _base_rotation(found: IsoFindings, name: str, kind: IsoCommands) -> Array:
+    """Rotation (3, 3) of the base in M that the commands assume."""
+    assert found.model is not None
+    arm = found.model.arms[name]
+    return np.asarray((arm.nominal if kind == "nominal" else arm.geometry).T_M_B()[:3, :3])
+
+
+def _base(found: IsoFindings, name: str) -> BaseAlignment | None:
+    alignment = found.alignments.get(name)
+    if alignment is None:
+        return None
+    frames = [frame for (arm, _), one in found.programmes.items() if arm == name for frame in one.frame.values()]
+    variance = float(np.mean([np.trace(frame) / 3.0 for frame in frames])) if frames else 0.0
+    return BaseAlignment(
+        n=alignment.n,
+        rms_mm=alignment.rms_m * 1e3,
+        uncertainty_mm=float(np.sqrt(variance)) * 1e3,
+        smr_offset_mm=xyz_of(alignment.arm.geometry.tool * 1e3),
+    )
+
+
+def _pair(found: IsoFindings, pair: tuple[str, str], rng: np.random.Generator) -> PairIso9283:
+    first, second = pair
+    vector, distance = {}, {}
+    for (name, kind), programme in found.programmes.items():
+        other = found.programmes.get((second, kind))
+        if name != first or other is None:
+            continue
+        vectors, lengths = cooperative_characteristics((programme, other), found.measured, rng)
+        if vectors:
+            vector[kind], distance[kind] = vectors, lengths
+    return PairIso9283(arms=pair, vector=vector, distance=distance, refused="" if found.pairs[pair] else _NO_PAIR)

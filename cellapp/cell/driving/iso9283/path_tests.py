@@ -1,0 +1,110 @@
+"""Drive the test paths of ISO 9283 while the tracker follows the moving SMR."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.following import follow_and_track, run_up
+from cellapp.cell.driving.iso9283.findings import IsoFindings
+from cellapp.cell.driving.iso9283.paths import path_specs, places_along
+from cellapp.cell.driving.motion import MotionRefused, Mover
+from cellapp.cell.driving.reaction import StopReaction
+from cellapp.cell.targets.path_file import PathSpec
+from cellapp.cell.targets.plan_path import PathPlan, plan_path
+from cellapp.estimation.discovery.plan_forecast import tracker_covariance
+from cellapp.estimation.iso9283.evaluate import PathRuns
+from cellapp.estimation.iso9283.records import IsoCommands
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+from cellapp.robot.paths.cartesian import CartesianPath
+from cellapp.robot.paths.timing import Trajectory
+from drivers.arms.protocol import PathFollower
+from drivers.trackers.protocol import StreamingTracker, TrackerError
+
+
+@dataclass(frozen=True, eq=False)
+class PathTests:
+    """Drives the paths of one arm after the other in an open cell; ``hold`` is called between motions."""
+
+    profile: Profile
+    model: CellModel
+    cell: Cell
+    mover: Mover
+    reaction: StopReaction
+    findings: IsoFindings
+    hold: Callable[[], None]
+    speed_share: float
+    cycles: int
+
+    def drive(self, name: str, commands: tuple[IsoCommands, ...]) -> None:
+        """Drive both paths of an arm with each kind of commands; why one cannot be driven is kept."""
+        refusal = self._refusal(name)
+        specs = refusal or path_specs(name, self.findings.cubes[name], self.speed_share)
+        if isinstance(specs, str):
+            self.findings.refuse(name, ["path"], specs)
+            return
+        arm = self.cell.arms[name]
+        assert isinstance(arm, PathFollower)
+        for spec in specs:
+            plan = plan_path(self.profile, self.model, spec, arm.path_period_s)
+            for kind in commands:
+                reason = self._drive(spec, plan, kind)
+                if reason:
+                    self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {reason}")
+
+    def _refusal(self, name: str) -> str:
+        """Why no path of an arm can be measured; empty if they can."""
+        if not isinstance(self.cell.tracker, StreamingTracker):
+            return "this tracker's driver cannot measure a moving SMR"
+        if not isinstance(self.cell.arms[name], PathFollower):
+            return f"the driver of arm {name} cannot follow a stream of joint positions"
+        return ""
+
+    def _drive(self, spec: PathSpec, plan: PathPlan, kind: IsoCommands) -> str:
+        """Drive one path over all cycles; return why not, empty if it was driven."""
+        if plan.refusal:
+            return plan.refusal
+        trajectory, path = plan.trajectory, plan.path
+        if kind == "nominal":
+            trajectory, path = plan.nominal, plan.nominal_path
+        if trajectory is None or path is None:
+            return "the published geometry cannot be driven along it"
+        if plan.unseen_m is not None:
+            return f"the tracker does not see the SMR at {plan.unseen_m * 1e3:.0f} mm"
+        commanded, tangents = places_along(path)
+        programme = self.findings.programmes.get((spec.arm, kind))
+        runs = PathRuns(
+            arm=spec.arm,
+            commands=kind,
+            name=spec.name,
+            speed=spec.speed,
+            length=path.length,
+            commanded_M=commanded,
+            tangents_M=tangents,
+            tracks_M=[],
+            tracker=tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0],
+            frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
+            wanted=self.cycles,
+        )
+        self.findings.paths.append(runs)
+        try:
+            for _ in range(self.cycles):
+                self.hold()
+                runs.tracks_M.append(self._run(spec.arm, trajectory, path))
+        except (MotionRefused, TrackerError) as error:
+            runs.problems.append(str(error))
+        return ""
+
+    def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> Array:
+        for q in (run_up(trajectory.q), trajectory.q[0]):
+            self.mover.go_home_unless_clear(name, q)
+            self.mover.move({name: q})
+        start_M = path.positions(np.zeros(1))[0]
+        points, _ = follow_and_track(self.cell, self.mover, self.reaction, name, trajectory, start_M)
+        assert points is not None
+        return points

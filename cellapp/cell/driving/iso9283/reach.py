@@ -1,0 +1,273 @@
+"""The largest test cube of an arm: reached with one orientation, clear, and seen by the tracker.
+
+Seeds are clear configurations that the tracker sees, each turned so that its SMR faces the tracker. From each, joint
+positions are continued over a lattice of positions along the axes of the arm's base, with the rotation of the seed, as
+far as every constraint holds: so all poses lie on one branch of the inverse, whatever the chain.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.safety.gate import CellBodies, visible, with_margin_for_ways
+from cellapp.cell.targets.choice import clear_with_others, liked_configurations
+from cellapp.cell.targets.invert import invert
+from cellapp.estimation.iso9283.cube import lattice_cube
+from cellapp.robot.kinematics.chain import flange_poses, frame_poses
+from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector
+from cellapp.robot.kinematics.transforms import invert as inverse_transform
+from cellapp.robot.model import ArmModel
+
+_SEEDS = 16
+"""Orientations and branches that are tried."""
+_STEPS_ALONG = 12
+"""Lattice steps along the length of the stretched arm: some 100 mm for the arms of a calibration cell."""
+_LARGEST_STEP_RAD = 0.6
+"""A joint that turns more from one lattice position to the next passes near a singularity."""
+_LIMIT_MARGIN_RAD = 0.05
+"""Kept from joint limits: calibrated commands differ from nominal ones by up to some 20 mrad."""
+_FACING_SHARE = 0.2
+"""Share of the seen configurations, those that face the tracker best, from which seeds are taken."""
+_FINER = 4
+"""The chosen cube is grown in steps of the lattice's over this."""
+_WITHIN = np.linspace(-0.5, 0.5, 3)
+"""Places along each edge at which a grown cube is looked at."""
+REACH, LIMITS, BODIES, VIEW = "out of reach", "joint limits", "clearance", "not seen by the tracker"
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """What an arm reaches with one orientation.
+
+    Attributes
+    ----------
+    nominal : ArmModel
+        The published chain, its base in M.
+    rotation_M : array, shape (3, 3)
+        Of the flange; NaN for arms with fewer than six joints, whose rotation follows from the position.
+    origin_B : array, shape (3,)
+        SMR of the seed in the arm's base [m].
+    step : float
+        Of the lattice [m].
+    q : mapping
+        Lattice position -> joint positions (N,) [rad], where all constraints hold.
+    refused : mapping
+        Lattice position beside them -> the constraint that does not hold there.
+    """
+
+    nominal: ArmModel
+    rotation_M: Array
+    origin_B: Array
+    step: float
+    q: Mapping[tuple[int, int, int], Array]
+    refused: Mapping[tuple[int, int, int], str]
+
+
+@dataclass(frozen=True, eq=False)
+class FoundCube:
+    """The largest cube: edge [m], centre (3,) [m] in B, joint positions there, what a larger one offends."""
+
+    region: Region
+    edge: float
+    centre_B: Array
+    q: Array
+    limited_by: str
+
+    def configurations(self, position_B: Array) -> Array:
+        """Joint positions (n, N) [rad] at positions (n, 3) [m] in the cube, continued from its centre; NaN if not."""
+        n = len(position_B)
+        at = np.tile(self.q, (n, 1))
+        for share in (0.25, 0.5, 0.75, 1.0):
+            places = self.centre_B + share * (position_B - self.centre_B)
+            at, reached = _solve(self.region, places, at)
+            at[~reached] = np.nan
+        return at
+
+
+@dataclass(frozen=True, eq=False)
+class CubeSearch:
+    """Searches the cube of one arm of a cell, the others at home.
+
+    ``arm`` is the model whose published chain is driven; ``cell`` has the bodies that the gate knows.
+    """
+
+    cell: CellBodies
+    homes: Mapping[str, Array]
+    name: str
+    arm: ArmModel
+    seed: int
+
+    def cubes(self) -> list[FoundCube]:
+        """The largest cube of each orientation, the largest first; empty if no configuration is clear and seen."""
+        found = []
+        for q, rotation_M in self._seeds():
+            region = self._region(q, rotation_M)
+            if region is not None:
+                found.append(self._on_lattice(region))
+        largest = max((one.edge for one in found), default=0.0)
+        grown = [self._enlarged(one) if one.edge > largest - one.region.step else one for one in found]
+        return sorted(grown, key=lambda one: -round(one.edge, 6))
+
+    def holds(self, q: Array) -> list[str]:
+        """For configurations (n, N) [rad] the first constraint that does not hold; empty where all do."""
+        low, high = self.cell.arms[self.name].limits.T
+        n = len(q)
+        words = np.full(n, LIMITS, dtype=object)
+        rows = np.flatnonzero(np.all((q >= low + _LIMIT_MARGIN_RAD) & (q <= high - _LIMIT_MARGIN_RAD), axis=1))
+        words[rows] = BODIES
+        if len(rows):
+            rows = rows[clear_with_others(with_margin_for_ways(self.cell), self.homes, {self.name: q[rows]})]
+        words[rows] = VIEW
+        if len(rows):
+            others = {other: np.tile(at, (len(rows), 1)) for other, at in self.homes.items() if other != self.name}
+            words[rows[visible(self.cell, self.name, q[rows], others)]] = ""
+        return [str(word) for word in words]
+
+    @property
+    def nominal(self) -> ArmModel:
+        """The published chain alone, its base in M."""
+        return replace(self.arm, geometry=self.arm.nominal, effects=(), network=None, posterior=None)
+
+    def _seeds(self) -> list[tuple[Array, Array]]:
+        """Configurations (N,) far apart from each other, and rotations (3, 3) in which their SMRs face the tracker."""
+        liked = liked_configurations(self.cell, self.homes, self.name, self.seed)
+        if not len(liked):
+            return []
+        rotations, origins = flange_poses(self.nominal.geometry, liked)
+        normal = rotations @ self.cell.arms[self.name].normal_F
+        to_tracker = -(origins + rotations @ self.nominal.geometry.tool)
+        to_tracker /= np.linalg.norm(to_tracker, axis=1, keepdims=True)
+        facing = np.argsort(-np.einsum("na,na->n", normal, to_tracker), kind="stable")
+        best = facing[: max(_SEEDS, int(_FACING_SHARE * len(liked)))]
+        chosen = [int(best[0])]
+        away = np.full(len(best), np.inf)
+        while len(chosen) < min(_SEEDS, len(best)):
+            away = np.minimum(away, np.abs(liked[best] - liked[chosen[-1]]).max(axis=1))
+            chosen.append(int(best[np.argmax(away)]))
+        return [(liked[k], _turned(normal[k], to_tracker[k]) @ rotations[k]) for k in chosen]
+
+    def _region(self, q: Array, rotation_M: Array) -> Region | None:
+        """What is reached from a seed with its rotation; None if the seed itself offends something."""
+        nominal = self.nominal
+        geometry = nominal.geometry
+        rotations, origins = flange_poses(geometry, q[None])
+        origin_B = apply(inverse_transform(geometry.T_M_B()), origins + rotations @ geometry.tool)[0]
+        if geometry.joints < 6:
+            rotation_M = np.full((3, 3), np.nan)
+        step = _arm_length(nominal) / _STEPS_ALONG
+        region = Region(nominal, rotation_M, origin_B, step, {}, {})
+        start, reached = _solve(region, origin_B[None], q[None])
+        if not reached[0] or self.holds(start)[0]:
+            return None
+        known: dict[tuple[int, int, int], Array] = {(0, 0, 0): start[0]}
+        refused: dict[tuple[int, int, int], str] = {}
+        frontier = [(0, 0, 0)]
+        while frontier:
+            frontier = self._step(region, known, refused, frontier)
+        return replace(region, q=known, refused=refused)
+
+    def _step(
+        self,
+        region: Region,
+        known: dict[tuple[int, int, int], Array],
+        refused: dict[tuple[int, int, int], str],
+        frontier: list[tuple[int, int, int]],
+    ) -> list[tuple[int, int, int]]:
+        """Continue to the lattice positions beside ``frontier``; return those where all constraints hold."""
+        new: dict[tuple[int, int, int], Array] = {}
+        for place in frontier:
+            for axis, sign in product(range(3), (-1, 1)):
+                beside = list(place)
+                beside[axis] += sign
+                key = (beside[0], beside[1], beside[2])
+                if key not in known and key not in refused and key not in new:
+                    new[key] = known[place]
+        if not new:
+            return []
+        keys, starts = list(new), np.array(list(new.values()))
+        q, reached = _solve(region, region.origin_B + region.step * np.array(keys, dtype=np.float64), starts)
+        near = np.abs(q - starts).max(axis=1) <= _LARGEST_STEP_RAD
+        ok_at = (reached & near).tolist()
+        words = self.holds(np.where((reached & near)[:, None], q, 0.0))
+        for key, at, ok, word in zip(keys, q, ok_at, words, strict=True):
+            if ok and not word:
+                known[key] = at
+            else:
+                refused[key] = word if ok else REACH
+        return [key for key in keys if key in known]
+
+    def _on_lattice(self, region: Region) -> FoundCube:
+        """The largest cube of the lattice."""
+        keys = np.array(list(region.q))
+        low = keys.min(axis=0)
+        held: NDArray[np.bool_] = np.zeros(keys.max(axis=0) - low + 1, dtype=np.bool_)
+        held[tuple((keys - low).T)] = True
+        found = lattice_cube(held)
+        assert found is not None
+        steps, first = found
+        corner = np.array(first) + low
+        centre = region.origin_B + region.step * (corner + 0.5 * steps)
+        inside = [key for key in region.q if all(c <= k <= c + steps for c, k in zip(corner, key, strict=True))]
+        middle = min(inside, key=lambda key: float(np.abs(np.array(key) - corner - 0.5 * steps).max()))
+        q, reached = _solve(region, centre[None], region.q[middle][None])
+        at = q[0] if reached[0] else region.q[middle]
+        return FoundCube(region, steps * region.step, centre, at, _limits_beside(region, corner, steps))
+
+    def _enlarged(self, cube: FoundCube) -> FoundCube:
+        """The cube grown by parts of a lattice step, its centre moved by parts of a step too, where all holds."""
+        if cube.edge == 0.0:
+            return cube
+        part = cube.region.step / _FINER
+        shifts = part * np.array(list(product((0.0, 1.0, -1.0), repeat=3)))
+        for grown in range(_FINER - 1, 0, -1):
+            edge = cube.edge + grown * part
+            within = edge * np.array(list(product(_WITHIN, repeat=3)))
+            places = cube.centre_B + shifts[:, None] + within
+            q = cube.configurations(places.reshape(-1, 3))
+            words = self.holds(np.nan_to_num(q))
+            held = np.array([not word for word in words]) & ~np.isnan(q).any(axis=1)
+            fits = np.flatnonzero(held.reshape(len(shifts), -1).all(axis=1))
+            if len(fits):
+                centre = cube.centre_B + shifts[fits[0]]
+                return replace(cube, edge=edge, centre_B=centre, q=cube.configurations(centre[None])[0])
+        return cube
+
+
+def _solve(region: Region, position_B: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Joint positions (n, N) [rad] at positions (n, 3) [m] in B with the region's rotation, and whether they reach."""
+    n = len(position_B)
+    position_M = apply(region.nominal.geometry.T_M_B(), position_B)
+    rotation_M = np.broadcast_to(region.rotation_M, (n, 3, 3))
+    usable: NDArray[np.bool_] = np.asarray(np.isfinite(start).all(axis=1))
+    found = invert(region.nominal, position_M, rotation_M, np.where(usable[:, None], start, 0.0))
+    return found.q, found.reached & usable
+
+
+def _turned(direction: Array, to: Array) -> Array:
+    """The smallest rotation (3, 3) that turns one unit vector into another."""
+    axis = np.cross(direction, to)
+    sine = float(np.linalg.norm(axis))
+    angle = float(np.arctan2(sine, direction @ to))
+    return rotation_from_vector(axis * (angle / sine if sine > 0.0 else 0.0))
+
+
+def _arm_length(arm: ArmModel) -> float:
+    """Length of the stretched arm [m]: the way along the chain does not depend on the joints."""
+    origins = frame_poses(arm.geometry, np.zeros((1, arm.geometry.joints)))[1][:, 0]
+    return float(np.linalg.norm(np.diff(origins, axis=0), axis=1).sum() + np.linalg.norm(arm.geometry.tool))
+
+
+def _limits_beside(region: Region, corner: NDArray[np.intp], steps: int) -> str:
+    """The constraints that do not hold one lattice step around the cube, the most frequent first."""
+    counted = Counter(
+        word
+        for key, word in region.refused.items()
+        if all(c - 1 <= k <= c + steps + 1 for c, k in zip(corner.tolist(), key, strict=True))
+    )
+    return ", ".join(word for word, _ in counted.most_common())

@@ -1,0 +1,374 @@
+"""Drive the tests of ISO 9283: find base and cube of each arm, visit the poses cycle by cycle, measure at rest.
+
+What was measured is kept from visit to visit in an object of the caller, who evaluates it even if the job is stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.driving_targets import Driver
+from cellapp.cell.driving.iso9283.alignment import align, alignment_configurations, published_cell
+from cellapp.cell.driving.iso9283.chosen_cube import choose_cube
+from cellapp.cell.driving.iso9283.commands import arm_programme
+from cellapp.cell.driving.iso9283.findings import IsoFindings
+from cellapp.cell.driving.iso9283.path_tests import PathTests
+from cellapp.cell.driving.iso9283.programme import (
+    Visit,
+    directional_visits,
+    distance_visits,
+    drift_visits,
+    exercise_visits,
+    paired_visits,
+    pose_pairs,
+    pose_visits,
+    wanted_cycles,
+)
+from cellapp.cell.driving.iso9283.reach import CubeSearch
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
+from cellapp.cell.driving.reaction import StopReaction
+from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import CellBodies, Gate
+from cellapp.estimation.iso9283.cube import POSES
+from cellapp.estimation.iso9283.evaluate import Measured
+from cellapp.estimation.iso9283.records import IsoCommands, IsoTest
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import HardwareError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.acceptance import MPE_SHARE
+from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+from drivers.trackers.protocol import NotReady, Point, TrackerError
+
+DWELL_S = 1.0
+"""Rest before each measurement: arms of this size have stopped swinging by then."""
+_MISSED_IN_A_ROW = 3
+"""So many visits without a measurement, one after the other, end the job: something covers the SMR."""
+_GROUPS = 12
+_INTERVAL_S = (300.0, 1800.0)
+"""Groups of a drift test, and the limits of the time from one to the next: a few are in the first hour."""
+
+
+@dataclass(frozen=True, eq=False)
+class IsoTask:
+    """What to test.
+
+    ``profile`` has the tracker of a simulated cell where it stands. ``model`` is the calibrated one; without it base
+    and SMR of each arm are found first. ``cycles`` are asked for, ``speed`` is the share of the profile's speed,
+    ``drift_s`` how long drift is observed.
+    """
+
+    profile: Profile
+    model: CellModel | None
+    commands: tuple[IsoCommands, ...]
+    tests: tuple[IsoTest, ...]
+    arms: tuple[str, ...]
+    cycles: int
+    speed: float
+    drift_s: float
+
+
+def drive_tests(
+    task: IsoTask,
+    findings: IsoFindings,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    confirm: Confirm | None = None,
+    opened: Callable[[Cell], object] = lambda cell: None,
+    open_with: Opened | None = None,
+) -> None:
+    """Make the tests one after the other, one arm at a time and the others at home; cooperative ones with two arms.
+
+    ``findings`` takes each visit as soon as it is measured. ``opened`` is called with the open cell before anything
+    moves; what it raises ends the job. ``confirm`` is asked before the first motion. ``open_with`` opens the cell.
+
+    Raises
+    ------
+    InputError
+        If base and SMR of an arm cannot be found.
+    HardwareError
+        If a device fails, all arms have been stopped then; or if measurements are missing one after the other.
+    Stopped, Aborted
+        On request; the arms have been braked.
+    """
+    control = control or JobControl()
+    profile, homes = task.profile, home_positions(task.profile)
+    with attended_cell(profile, control, open_with) as (cell, reaction):
+        cell = replace(cell, gate=remembered(cell.gate))
+        opened(cell)
+        cell.require_tracker()
+        model = task.model or published_cell(profile, {})
+        session = _Session(task, findings, cell, reaction, control, listener, homes)
+        session.use(cell_bodies(profile, model))
+        session.mover.confirm_first(homes, confirm)
+        began_s = cell.clock.now_s()
+        try:
+            session.mover.go_home()
+            findings.model = task.model or session.aligned()
+            session.use(cell_bodies(profile, findings.model))
+            session.prepare(findings.model)
+            session.run()
+            session.mover.go_home()
+        finally:
+            findings.seconds = cell.clock.now_s() - began_s
+    listener(Progress("iso9283", session.total, session.total, "done"))
+
+
+def remembered(gate: Gate) -> Gate:
+    """A gate that answers for the same bodies, from and to exactly the same positions, as it did before."""
+    known: dict[tuple[object, ...], tuple[CellBodies, str]] = {}
+
+    def answer(cell: CellBodies, start: Mapping[str, Array], end: Mapping[str, Array]) -> str:
+        key = (id(cell), *((name, q.tobytes()) for ends in (start, end) for name, q in ends.items()))
+        if key not in known:
+            known[key] = cell, gate(cell, start, end)  # the bodies are kept, so that no others get their id
+        return known[key][1]
+
+    return answer
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(eq=False)
+class _Session:
+    """Drives and measures in an open cell."""
+
+    task: IsoTask
+    findings: IsoFindings
+    cell: Cell
+    reaction: StopReaction
+    control: JobControl
+    listener: Listener
+    homes: Mapping[str, Vector]
+    total: int = 1
+    _done: int = 0
+    _missed: int = 0
+
+    def use(self, bodies: CellBodies) -> None:
+        """Move with these bodies from now on, slowly in a cell of real arms."""
+        self.bodies = bodies
+        self.mover = Mover(self.task.profile, self.cell, bodies, self.reaction)
+        self.driver = Driver(self.mover, self.homes)
+        slow = self.task.profile.collection.slow_start.speed
+        self.mover.speed = min(slow, self.task.speed) if self.task.profile.moves_hardware else self.task.speed
+
+    # -- before the tests ----------------------------------------------------------------------------------------------
+
+    def aligned(self) -> CellModel:
+        """The published geometry with bases and SMRs as they are found by measuring."""
+        profile = self.task.profile
+        rough = published_cell(profile, {})
+        for name in self.task.arms:
+            geometry = rough.arms[name].geometry
+            q = alignment_configurations(self.bodies, self.homes, name, geometry, profile.seed)
+            reached, points = [], []
+            for done, target in enumerate(q):
+                self.listener(Progress("find base", done, len(q), f"arm {name}"))
+                self._hold()
+                try:
+                    state = self.driver.to([name], _command(target), {})[name]
+                    points.append(self._at_rest(name, state.q).p_M)
+                    reached.append(state.q)
+                except (MotionRefused, TrackerError) as error:
+                    _raise_if_not_ready(error)
+                    self.findings.notes.append(f"arm {name}: a position to find its base: {error}")
+            self.findings.alignments[name] = align(profile, name, np.array(reached), np.array(points))
+            self.mover.go_home([name])
+        return published_cell(profile, self.findings.alignments)
+
+    def prepare(self, model: CellModel) -> None:
+        """Find the cube of each arm and what is commanded in it."""
+        profile, found = self.task.profile, self.findings
+        for number, name in enumerate(self.task.arms):
+            self._hold()
+            self.listener(Progress("find cube", number, len(self.task.arms), f"arm {name}"))
+            chosen = choose_cube(CubeSearch(self.bodies, self.homes, name, model.arms[name], profile.seed))
+            if isinstance(chosen, str):
+                found.refuse(name, self.task.tests, chosen)
+                continue
+            found.cubes[name] = chosen
+            for kind in self.task.commands:
+                programme = arm_programme(
+                    model,
+                    name,
+                    chosen,
+                    kind,
+                    self.homes,
+                    rested_s=DWELL_S + 0.5 * profile.tracker.averaging,
+                    payload_kg=profile.arms[name].payload.mass,
+                    alignment=found.alignments.get(name),
+                )
+                if isinstance(programme, str):
+                    found.notes.append(f"arm {name}: no {kind} commands: {programme}")
+                else:
+                    found.programmes[name, kind] = programme
+        for first, second in combinations(found.cubes, 2) if "cooperative" in self.task.tests else ():
+            q = {name: found.cubes[name].q for name in (first, second)}
+            pairs = found.pairs[first, second] = pose_pairs(self.bodies, self.homes, q)
+            if len(pairs) < len(POSES):
+                found.notes.append(
+                    f"arms {first} and {second}: {len(pairs)} of {len(POSES)} pairs of poses can be measured"
+                )
+
+    # -- the tests -----------------------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """All tests that were asked for; drift first, while the arms are as cold as they will be."""
+        tests = self.task.tests
+        if self.task.profile.moves_hardware:
+            self._rehearse()
+        self.mover.speed = self.task.speed
+        visits = self._visits()
+        self.total = max(len(visits), 1)
+        if "drift" in tests:
+            for name in self.findings.cubes:
+                self._drift(name)
+        for visit in visits:
+            self.listener(Progress("iso9283", self._done, self.total, "" if visit.place is None else str(visit.place)))
+            self._visit(visit)
+            self._done += 1
+        if "path" in tests:
+            self._paths()
+
+    def _paths(self) -> None:
+        """The paths of one arm after the other, the others at home."""
+        model, names = self.findings.model, list(self.findings.cubes)
+        assert model is not None
+        paths = PathTests(
+            profile=self.task.profile,
+            model=model,
+            cell=self.cell,
+            mover=self.mover,
+            reaction=self.reaction,
+            findings=self.findings,
+            hold=self._hold,
+            speed_share=self.task.speed,
+            cycles=wanted_cycles("path", self.task.cycles),
+        )
+        for done, name in enumerate(names):
+            self.listener(Progress("paths", done, len(names), f"arm {name}"))
+            self.mover.go_home()
+            paths.drive(name, self.task.commands)
+        self.listener(Progress("paths", len(names), len(names), "done"))
+
+    def _visits(self) -> list[Visit]:
+        """The visits of all tests that are measured at rest, drift apart."""
+        found: list[Visit] = []
+        makers = {"pose": pose_visits, "multidirectional": directional_visits, "distance": distance_visits}
+        for programme in self.findings.programmes.values():
+            for test, visits in makers.items():
+                if test in self.task.tests:
+                    found += visits(programme, self.task.cycles)
+        if "cooperative" in self.task.tests:
+            found += self._cooperative()
+        for visit in found:
+            if visit.place is not None:
+                self.findings.wanted[visit.place] = self.task.cycles
+        return found
+
+    def _cooperative(self) -> Sequence[Visit]:
+        found: list[Visit] = []
+        for (first, second), pairs in self.findings.pairs.items():
+            for kind in self.task.commands:
+                both = [self.findings.programmes.get((name, kind)) for name in (first, second)]
+                if both[0] is not None and both[1] is not None:
+                    found += paired_visits(both[0], both[1], pairs, self.task.cycles)
+        return found
+
+    def _rehearse(self) -> None:
+        """Every position once, slowly and without measuring: the first motions of real arms are watched."""
+        for programme in self.findings.programmes.values():
+            for visit in (*pose_visits(programme, 1), *directional_visits(programme, 1)):
+                self._visit(replace(visit, place=None))
+
+    def _drift(self, name: str) -> None:
+        """Groups of cycles over the time asked for; in between the arm moves as in the cycles."""
+        kind = next((kind for kind in reversed(self.task.commands) if (name, kind) in self.findings.programmes), None)
+        if kind is None:
+            return
+        programme = self.findings.programmes[name, kind]
+        cycles, limit_s = wanted_cycles("drift", self.task.cycles), self.task.drift_s
+        self.findings.wanted[programme.place("drift", "P1")] = cycles
+        began_s, group = self.cell.clock.now_s(), 0
+        while True:
+            for visit in drift_visits(programme, cycles):
+                self._visit(visit, group)
+            group += 1
+            passed_s = self.cell.clock.now_s() - began_s
+            self.listener(Progress("drift", int(min(passed_s, limit_s) / 60.0), int(limit_s / 60.0), f"arm {name}"))
+            if passed_s >= limit_s and group > 1:
+                return
+            until_s = min(began_s + group * float(np.clip(limit_s / _GROUPS, *_INTERVAL_S)), began_s + limit_s)
+            while self.cell.clock.now_s() < until_s:
+                for visit in exercise_visits(programme):
+                    self._visit(visit)
+
+    # -- one visit -----------------------------------------------------------------------------------------------------
+
+    def _visit(self, visit: Visit, group: int = 0) -> None:
+        """Drive there, and measure if it is a place; what is missing is kept with its reason."""
+        self._hold()
+        names = list(visit.targets)
+        try:
+            states = self.driver.to(names, lambda name, start: visit.targets[name], {})
+            if visit.place is None:
+                return
+            points = {name: self._at_rest(name, states[name].q) for name in names}
+        except (MotionRefused, TrackerError) as error:
+            _raise_if_not_ready(error)
+            self._miss(visit, str(error))
+            return
+        self._missed = 0
+        first, share = points[names[0]], _mpe_factor(self.task.profile)
+        self.findings.measured.visits.append(
+            Measured(
+                place=visit.place,
+                cycle=visit.cycle,
+                p_M={name: point.p_M for name, point in points.items()},
+                covariance_M={name: share * point.covariance_M for name, point in points.items()},
+                time_s=first.time_s,
+                temperature_c=first.temperature_c,
+                group=group,
+            )
+        )
+
+    def _at_rest(self, name: str, q: Vector) -> Point:
+        self.mover.rest(name, DWELL_S, self.control)
+        return self.mover.measure(name, q)
+
+    def _miss(self, visit: Visit, reason: str) -> None:
+        self._missed += 1
+        if visit.place is not None:
+            self.findings.missed.setdefault(visit.place, reason)
+        if self._missed >= _MISSED_IN_A_ROW:
+            raise HardwareError(
+                f"iso9283: {self._missed} visits in a row without a measurement, the last one: {reason}; look for a"
+                " covered SMR or a closed way, then repeat the test"
+            )
+
+    def _hold(self) -> None:
+        hold_while_paused(self.cell, self.control, self.reaction)
+
+
+def _command(target: Vector) -> Callable[[str, Vector], Vector]:
+    return lambda name, start: target
+
+
+def _raise_if_not_ready(error: Exception) -> None:
+    """A tracker that is not ready measures nothing at the next position either."""
+    if isinstance(error, NotReady):
+        raise HardwareError(str(error)) from error
+
+
+def _mpe_factor(profile: Profile) -> float:
+    """What the tracker's covariance is multiplied by: drivers state half of the maximum permissible error as sigma."""
+    return (MPE_SHARE[profile.tolerances.mpe] / MPE_SHARE["half"]) ** 2

@@ -1,0 +1,245 @@
+"""Measure a few SMR points from the tracker's new station, one arm after the other, each predicted better than before.
+
+The station is known roughly only: ``smr_search`` finds the first SMR around its prediction, and the next ones at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.locating_stops import LocatingStops
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
+from cellapp.cell.driving.smr_search import FoundPoint, SmrSearch
+from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.estimation.calibration.station_location import (
+    LEAST_PROBABILITY,
+    ArmPoints,
+    Cause,
+    StationFit,
+    fit_station,
+    possible_causes,
+)
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import HardwareError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+from drivers.arms.protocol import ArmState
+
+DIAGNOSTIC_POINTS = 4
+"""Points of each arm from which a motion of its base, or of its SMR, can be told from that of the tracker."""
+_REPEATS = 5
+"""Measurements of each point: what scatters from one to the next falls below half."""
+_RUN_UP_RAD = np.radians(2.0)
+"""Last motion of each joint to a point: as short as most of a plan, and well beyond any play."""
+_MISSED_AT_FIRST, _MISSED_LATER = 2, 3
+"""So many SMRs that are not found one after the other end the job, before the first one is found and after it."""
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedStation:
+    """The points, the station that explains them best, and if it does not explain them, other motions that might."""
+
+    found: tuple[FoundPoint, ...]
+    points: Mapping[str, ArmPoints]
+    fit: StationFit
+    causes: tuple[Cause, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def explained(self) -> bool:
+        """Whether one motion of the tracker explains all points."""
+        return self.fit.explains
+
+
+@dataclass(frozen=True, eq=False)
+class LocateTask:
+    """What to measure.
+
+    ``model`` is in the tracker frame of its calibration, ``rough_T`` (4, 4) maps that into a guess of the present one,
+    ``candidates`` are as in ``LocatingStops``, ``excess_m`` as in ``fit_station``; ``points`` are wanted of all arms
+    together. Up to ``still_m`` [m] of drift count as no motion.
+    """
+
+    profile: Profile
+    model: CellModel
+    rough_T: Array
+    candidates: Mapping[str, Array]
+    excess_m: Mapping[str, float]
+    points: int
+    still_m: float
+
+
+def locate_station(
+    task: LocateTask,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    confirm: Confirm | None = None,
+    opened: Callable[[Cell], object] = lambda cell: None,
+    open_with: Opened | None = None,
+) -> LocatedStation:
+    """Measure the points, one arm at a time and the others at home; more of them where they do not fit together.
+
+    ``opened`` is called with the open cell before anything moves; what it raises ends the job. ``confirm`` is asked
+    before the first motion. ``open_with`` opens the cell.
+
+    Raises
+    ------
+    HardwareError
+        If a device fails, all arms have been stopped then; or if too few SMRs are found.
+    InputError
+        If the points that were found lie together or on one line.
+    Stopped, Aborted
+        On request; the arms have been braked.
+    """
+    control = control or JobControl()
+    bodies = cell_bodies(task.profile, task.model)
+    with attended_cell(task.profile, control, open_with) as (cell, reaction):
+        opened(cell)
+        cell.require_tracker()
+        mover = Mover(task.profile, cell, bodies, reaction)
+        mover.confirm_first(home_positions(task.profile), confirm)
+        slow = task.profile.collection.slow_start
+        mover.speed = slow.speed if task.profile.moves_hardware else 1.0
+
+        def checkpoint() -> None:
+            hold_while_paused(cell, control, reaction)
+
+        mover.go_home()
+        stops = LocatingStops(task.profile, task.model, bodies, task.candidates)
+        search = SmrSearch(task.profile, task.model, mover, task.rough_T, task.excess_m, _REPEATS, checkpoint)
+        measuring = _Measuring(task, mover, stops, search, checkpoint, listener)
+        fit, causes = _explained(task, measuring)
+        mover.go_home()
+    listener(Progress("locate", len(measuring.found), len(measuring.found), "done"))
+    return LocatedStation(tuple(measuring.found), measuring.search.points(), fit, causes, tuple(measuring.notes))
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _explained(task: LocateTask, measuring: _Measuring) -> tuple[StationFit, tuple[Cause, ...]]:
+    """Measure and fit; where one motion does not explain the points, measure more and see what does."""
+    measuring.measure(_shares(list(task.candidates), task.points))
+    fit = measuring.fit()
+    if fit.explains:
+        return fit, ()
+    measuring.notes.append(
+        f"one motion of the tracker does not explain the {len(measuring.found)} points (probability"
+        f" {fit.probability:.1g}, at least {LEAST_PROBABILITY:g} is asked): more were measured to see what does"
+    )
+    measuring.measure({name: DIAGNOSTIC_POINTS for name in task.candidates})
+    fit = measuring.fit()
+    if fit.explains:
+        return fit, ()
+    points, start = measuring.search.points(), fit.T_new_old
+    return fit, possible_causes(task.model, points, start, excess_m=task.excess_m, still_m=task.still_m)
+
+
+def _shares(names: list[str], points: int) -> dict[str, int]:
+    """Points of each arm, the first ones take what is left over."""
+    return {name: points // len(names) + (k < points % len(names)) for k, name in enumerate(names)}
+
+
+@dataclass(eq=False)
+class _Measuring:
+    task: LocateTask
+    mover: Mover
+    stops: LocatingStops
+    search: SmrSearch
+    checkpoint: Callable[[], None]
+    listener: Listener
+    notes: list[str] = field(default_factory=list)
+    _missed: int = 0
+    _away: str = ""
+
+    def __post_init__(self) -> None:
+        self._homes = home_positions(self.task.profile)
+
+    @property
+    def found(self) -> list[FoundPoint]:
+        """What was found so far."""
+        return self.search.found
+
+    def measure(self, wanted: Mapping[str, int]) -> None:
+        """Measure until every arm has its number of points, or has no more to offer; other arms then measure more."""
+        total = max(sum(wanted.values()), len(self.found))
+        for name, count in wanted.items():
+            self._measure_arm(name, count - self._count(name), total)
+        for name in wanted:
+            self._measure_arm(name, total - len(self.found), total)
+        if len(self.found) < total:
+            self.notes.append(f"{len(self.found)} of {total} points could be measured")
+
+    def fit(self) -> StationFit:
+        """The station from the points alone. Raises ``InputError`` if they do not fix it."""
+        return fit_station(
+            self.task.model,
+            self.search.points(),
+            self.search.T_new_old,
+            excess_m=self.task.excess_m,
+            seed=(self.task.profile.seed,),
+        )
+
+    def _count(self, name: str) -> int:
+        return sum(one.arm == name for one in self.found)
+
+    def _measure_arm(self, name: str, count: int, total: int) -> None:
+        """Measure so many points of one arm, as long as it can be moved to any that the tracker should see."""
+        while count > 0:
+            self.checkpoint()
+            q = self.stops.best(name, self.search.T_new_old)
+            if q is None:
+                self.notes.append(f"arm {name}: no further joint positions are in the tracker's sight and within reach")
+                return
+            self.listener(Progress("locate", len(self.found), total, f"arm {name}"))
+            if self._visit(name, q):
+                count -= 1
+
+    def _visit(self, name: str, q: Vector) -> bool:
+        """Move to joint positions and measure there; a refused motion or an SMR that is not found is noted."""
+        try:
+            state = self._go(name, q)
+        except MotionRefused as error:
+            self.notes.append(f"arm {name}: {error}")
+            return False
+        found = self.search.measure(name, state)
+        if isinstance(found, str):
+            self.notes.append(found)
+            self._missed += 1
+            if self._missed >= (_MISSED_LATER if self.found else _MISSED_AT_FIRST):
+                raise HardwareError(self._lost_words(name))
+            return False
+        self._missed = 0
+        self.stops.measured(name, state.q, self.search.T_new_old)
+        return True
+
+    def _go(self, name: str, q: Vector) -> ArmState:
+        """Move one arm, straight if it can return home from there, else via home; the one that was away goes home.
+
+        Its last motion is short where the gate accepts that: effects that depend on the motion are known for such ones.
+        """
+        if self._away and self._away != name:
+            self.mover.move({self._away: self._homes[self._away]})
+        self._away = name
+        self.mover.go_home_unless_clear(name, q)
+        run_up = q - _RUN_UP_RAD * np.sign(q - self.mover.positions()[name])
+        if not self.mover.refusal({name: run_up}, {name: q}):
+            self.mover.move({name: run_up})
+        return self.mover.move({name: q})[name]
+
+    def _lost_words(self, name: str) -> str:
+        tried = f"{self._missed} SMRs in a row were not found, the last one of arm {name}"
+        if self.found:
+            return f"{tried}, although {len(self.found)} were: look for a covered or missing SMR; {self.notes[-1]}"
+        return (
+            f"{tried}: the tracker stands or looks elsewhere than assumed; give its pose in the cell to about 50 mm and"
+            f" 1 deg with --tracker-pose. {self.notes[-1]}"
+        )

@@ -1,0 +1,414 @@
+"""Motion and measurement in an open cell: the gate checks every motion, and a doubt about one arm stops all arms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.details import motion_ended, vectors
+from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
+from cellapp.cell.driving.together import answers_of_all
+from cellapp.cell.run.in_order import MOVED_RAD
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.cell.safety.gate import CellBodies, predicted_smr
+from cellapp.cell.safety.path_gate import refuse_path
+from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.profile import Arm as ArmProfile
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Detail, MotionBegun
+from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, FollowedPath, MotionStopped, PathFollower
+from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
+
+Vector = NDArray[np.float64]
+
+_MOVE_ALLOWANCE_S = 10.0
+"""Start and settling of a motion, added to twice its ideal duration."""
+_ROUND_S = 1.0
+"""Longest wait for one arm before its speed slider is read: a lowered slider makes a motion longer."""
+_LEAST_FRACTION = 0.01
+"""A lower speed slider counts as 0: the motion would take a hundred times as long."""
+_STANDSTILL_S = 60.0
+"""Longest wait for an arm whose speed slider is at 0."""
+_WRONG_TARGET_M = 0.05
+"""Nominal geometry and base poses predict an SMR better than this; SMRs of two arms are farther apart."""
+_AT_TARGET_RAD = 1e-3
+"""Well above the repeatability of a joint, well below any planned step."""
+_MEASURING_TRIES = 2
+"""A beam that somebody crossed is usually free at the second try."""
+
+
+Confirm = Callable[[Mapping[str, Vector], Mapping[str, Vector]], bool]
+"""Shows a person where the arms are and where the first motion leads, name -> (N,) [rad]; whether it is allowed."""
+
+
+def no_one(detail: Detail) -> None:
+    """Takes details of motions that nobody watches."""
+
+
+def rates(arm: ArmProfile, share: float = 1.0) -> tuple[Vector, Vector]:
+    """Return speeds (N,) [rad/s] and accelerations (N,) [rad/s^2] of motions at a share of the profile's speed."""
+    joints = arm.type.joints
+    speeds = np.array([joint.speed for joint in joints]) * arm.speed_scale * share
+    return speeds, np.array([joint.acceleration for joint in joints]) * arm.speed_scale
+
+
+def motion_s(way: Vector, speeds: Vector, accelerations: Vector) -> float:
+    """Return how long a motion by ``way`` (N,) [rad] takes at most [s]: speed is reached, held and taken away."""
+    return float((np.abs(way) / speeds + speeds / accelerations).max())
+
+
+def _last_signs(q: Vector, before: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Sign of each joint's last motion (N,) along ``q`` (m, N) [rad]; ``before`` for joints that hardly moved."""
+    away = q[-1] - q
+    moved = np.abs(away) > MOVED_RAD
+    last = len(q) - 1 - np.argmax(moved[::-1], axis=0)
+    signs = np.sign(away[last, np.arange(q.shape[1])])
+    return np.where(moved.any(axis=0), signs, before).astype(np.int8)
+
+
+class MotionRefused(CellappError):
+    """The gate refused a motion; nothing has moved."""
+
+    exit_code = 3
+
+
+class Mover:
+    """Moves the arms of one open cell, records the last motion of each joint, and measures.
+
+    Every motion starts from the joint positions that the controllers report. Any doubt triggers ``reaction``, and
+    nothing moves while that is latched. ``emit`` takes the beginning and the end of every motion.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        cell: Cell,
+        bodies: CellBodies,
+        reaction: StopReaction,
+        emit: Callable[[Detail], None] = no_one,
+    ) -> None:
+        self._profile, self._cell, self._bodies, self._reaction = profile, cell, bodies, reaction
+        self._emit = emit
+        self._approach = {name: np.zeros(len(arm.type.joints), dtype=np.int8) for name, arm in profile.arms.items()}
+        self._step: dict[str, Vector] = {}
+        self._rest_since_s: dict[str, float] = {}
+        self._rested_at: dict[str, Vector] = {}
+        self._departure: dict[str, Vector] | None = None
+        self.speed = 1.0
+        """Share of the profile's speed for the next motions."""
+        self.stop: int | None = None
+        """Stop to which the next motions lead; None on other ways."""
+
+    def positions(self) -> dict[str, Vector]:
+        """Return the joint positions (N,) of all arms [rad]. Raises ``CellStopped`` if one is not ready or moves."""
+        positions = {}
+        for name in self._cell.arms:
+            state = self._state(name)
+            if not state.ready or state.moving:
+                raise self.stop_cell(
+                    StopCause(
+                        "fault",
+                        f"arm {name}: not ready: {state.reason or 'it is moving'}; look at the arm, release it there,"
+                        " then continue with --resume",
+                        name,
+                    )
+                )
+            positions[name] = state.q
+        return positions
+
+    def rests_at(self, targets: Mapping[str, Vector]) -> bool:
+        """Return whether all arms of ``targets`` (name -> (N,) [rad]) are there. Raises as ``positions``."""
+        q = self.positions()
+        return all(bool(np.abs(q[name] - target).max() <= _AT_TARGET_RAD) for name, target in targets.items())
+
+    def departure(self) -> dict[str, Vector] | None:
+        """Return where the last motion began, name -> (N,) [rad]: the way back from a motion cut short was checked."""
+        return self._departure
+
+    def refusal(self, *legs: Mapping[str, Vector]) -> str:
+        """Return why the arms must not move to the targets of each leg in turn; empty if they may."""
+        start = self.positions()
+        for targets in legs:
+            end = {**start, **targets}
+            refusal = self._cell.gate(self._bodies, start, end)
+            if refusal:
+                return refusal
+            start = end
+        return ""
+
+    def confirm_first(self, targets: Mapping[str, Vector], confirm: Confirm | None) -> None:
+        """Let a person confirm the first motion, which goes home first if the gate refuses ``targets``.
+
+        Raises ``InputError`` if the person does not allow it; nothing has moved.
+        """
+        if confirm is None:
+            return
+        start = self.positions()
+        first = {**start, **(home_positions(self._profile) if self.refusal(targets) else targets)}
+        if not confirm(start, first):
+            raise InputError("the first motion was not confirmed; nothing was moved")
+
+    def move(self, targets: Mapping[str, Vector]) -> dict[str, ArmState]:
+        """Move to ``targets`` (name -> (N,) [rad]), all arms at once, and wait until they are at rest.
+
+        Raises
+        ------
+        MotionRefused
+            If the gate refuses; nothing has moved.
+        CellStopped
+            If an arm refuses, faults or does not arrive, or a person stopped the cell; all arms brake.
+        """
+        start = self.positions()
+        refusal = self._cell.gate(self._bodies, start, {**start, **targets})
+        if refusal:
+            raise MotionRefused(f"refused to move: {refusal}")
+        self._record_foreign_steps(start)
+        self._departure = start
+        with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
+            self._confirm_links()
+            states = self._drive(start, targets)
+        for name, q in targets.items():
+            self._record_step(name, start[name], q, states[name].q)
+        self._emit(motion_ended(self.stop, states))
+        return states
+
+    def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector]) -> dict[str, ArmState]:
+        """Start all arms and wait until they have settled. The gate has accepted the motion."""
+        allowed = {name: rates(self._profile.arms[name], self.speed) for name in targets}
+        expected_s = max(motion_s(q - start[name], *allowed[name]) for name, q in targets.items())
+        self._emit(
+            MotionBegun(self.stop, vectors({name: start[name] for name in targets}), vectors(targets), expected_s)
+        )
+        for name, q in targets.items():
+            self._reaction.check()
+            try:
+                self._cell.arms[name].start_move(q, *allowed[name])
+            except ArmError as error:
+                raise self.stop_cell(cause_of(name, error)) from error
+        return self._settled(list(targets), 2.0 * expected_s + _MOVE_ALLOWANCE_S)
+
+    def follow(self, name: str, q: Vector, s: Vector, period_s: float) -> FollowedPath:
+        """Let an arm at the beginning of a path follow it, while the others rest, and wait until it is at rest.
+
+        Parameters
+        ----------
+        name : str
+        q : array, shape (m, N)
+            Joint positions [rad], one each ``period_s`` [s].
+        s : array, shape (m,)
+            Arc lengths [m], for the gate's words.
+
+        Raises
+        ------
+        MotionRefused
+            If the gate refuses, or this arm cannot follow a stream; nothing has moved.
+        CellStopped
+            As ``move``.
+        """
+        arm, start = self._cell.arms[name], self.positions()
+        if not isinstance(arm, PathFollower):
+            raise MotionRefused(f"arm {name}: its driver cannot follow a stream of joint positions")
+        others = {other: here for other, here in start.items() if other != name}
+        checked = np.concatenate([start[name][None], q])  # from where the arm really is
+        refusal = refuse_path(self._bodies, name, checked, others, np.append(s[:1], s), self._cell.gate)
+        if refusal:
+            raise MotionRefused(f"refused to follow the path: {refusal}")
+        self._record_foreign_steps(start)
+        self._departure = None  # the way back along a path was not checked
+        expected_s = len(q) * period_s
+        self._emit(MotionBegun(self.stop, vectors({name: start[name]}), vectors({name: q[-1]}), expected_s))
+        with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):
+            self._confirm_links()
+            self._reaction.check()
+            try:
+                arm.start_path(q, period_s)
+            except ArmError as error:
+                raise self.stop_cell(cause_of(name, error)) from error
+            states = self._settled([name], expected_s + _MOVE_ALLOWANCE_S)
+        self._record_step(name, start[name], q[-1], states[name].q)
+        self._approach[name] = _last_signs(q, self._approach[name])
+        self._emit(motion_ended(self.stop, states))
+        return arm.followed()
+
+    def _confirm_links(self) -> None:
+        """Make sure that every link of every arm answers now, also those of arms that stay at rest.
+
+        Raises ``CellStopped`` if one does not: nothing begins beside a doubt.
+        """
+        arms = self._cell.arms
+        _, errors = answers_of_all(self._cell.together, {name: arm.confirm for name, arm in arms.items()})
+        for name, error in errors.items():
+            raise self.stop_cell(cause_of(name, error)) from error
+        self._reaction.check()  # the watch has asked the tracker
+
+    def _tracker_died(self, reason: str) -> None:
+        self._reaction.trigger(StopCause("tracker", reason))
+
+    def _record_foreign_steps(self, start: Mapping[str, Vector]) -> None:
+        """Record motions since the last one of this object that ended: one cut short, or an arm moved by hand."""
+        for name, q in start.items():
+            step = q - self._rested_at.get(name, q)
+            moved = np.abs(step) > MOVED_RAD
+            if moved.any():
+                self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
+
+    def _record_step(self, name: str, start: Vector, commanded: Vector, reached: Vector) -> None:
+        """Record the last motion of each joint. Raises ``CellStopped`` if the arm did not reach its target."""
+        step = commanded - start
+        moved = np.abs(step) > MOVED_RAD
+        self._approach[name] = np.where(moved, np.sign(step), self._approach[name]).astype(np.int8)
+        if moved.any() or name not in self._step:  # an arm that is there already keeps its last motion
+            self._step[name] = np.where(moved, reached - start, 0.0)
+        self._rested_at[name] = reached
+        miss = float(np.abs(reached - commanded).max())
+        if miss > _AT_TARGET_RAD:
+            text = f"arm {name}: it came to rest {np.degrees(miss):.3f} deg from its target"
+            raise self.stop_cell(StopCause("gate", text, name))
+
+    def go_home(self, names: Sequence[str] | None = None) -> None:
+        """Move the arms, or those of ``names``, home one at a time, in an order that the gate accepts.
+
+        Raises as ``move`` does; ``MotionRefused`` if none of the remaining arms can move home.
+        """
+        homes = home_positions(self._profile)
+        waiting = list(homes if names is None else names)
+        while waiting:
+            name = next((name for name in waiting if not self.refusal({name: homes[name]})), waiting[0])
+            self.move({name: homes[name]})
+            waiting.remove(name)
+
+    def go_home_unless_clear(self, name: str, q: Vector) -> None:
+        """Move an arm home, unless the gate accepts the straight way to ``q`` (N,) [rad] and home from there.
+
+        So an arm is never stranded. Raises as ``move`` does.
+        """
+        home = home_positions(self._profile)[name]
+        if self.refusal({name: q}, {name: home}):
+            self.move({name: home})
+
+    def _settled(self, names: Sequence[str], timeout_s: float) -> dict[str, ArmState]:
+        """Wait for the arms in turn, until each of them was at rest in the same round.
+
+        A doubt about any arm brakes all of them, which ends every wait at once.
+        """
+        for name in names:
+            self._rest_since_s.pop(name, None)
+        left_s, standing_s, late = timeout_s, 0.0, ""
+        while left_s > 0.0 and standing_s < _STANDSTILL_S:
+            states, fraction = {}, 1.0
+            for name in names:
+                try:
+                    with self._cell.pulse.waiting(self._cell.oldest_data_s):
+                        states[name] = self._cell.arms[name].wait_settled(_ROUND_S)
+                except ArmTimeout:
+                    late, fraction = name, min(fraction, self._speed_fraction(name))
+                    continue
+                except ArmError as error:
+                    raise self.stop_cell(cause_of(name, error)) from error
+                since_s = states[name].rest_since_s
+                self._rest_since_s.setdefault(name, self._cell.clock.now_s() if since_s is None else since_s)
+            if len(states) == len(names):
+                self._reaction.check()
+                return states
+            self._reaction.check()
+            if fraction < _LEAST_FRACTION:
+                standing_s += _ROUND_S
+            else:
+                left_s -= _ROUND_S * fraction
+        text = f"arm {late}: did not come to rest within {timeout_s:.0f} s"
+        if standing_s >= _STANDSTILL_S:
+            text = f"arm {late}: its speed slider is at 0 %, so that it does not move; raise it on the pendant"
+        raise self.stop_cell(StopCause("fault", text, late))
+
+    def _speed_fraction(self, name: str) -> float:
+        """Return the speed slider of an arm, 1 if its controller does not report it."""
+        fraction = self._state(name).speed_fraction
+        return 1.0 if fraction is None else fraction
+
+    def approach(self, name: str) -> NDArray[np.int8]:
+        """Return the sign of each joint's last motion (N,); 0 if it has not moved yet."""
+        return self._approach[name]
+
+    def step(self, name: str) -> Vector | None:
+        """Return each joint's last motion (N,) with its sign [rad]; None if the arm has not moved yet."""
+        return self._step.get(name)
+
+    def rested_s(self, name: str) -> float | None:
+        """Return how long an arm has been at rest [s]; None if it has not moved yet.
+
+        If its controller does not report when it came to rest, this counts from when it was seen to have settled.
+        """
+        since_s = self._rest_since_s.get(name)
+        return None if since_s is None else self._cell.clock.now_s() - since_s
+
+    def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
+        """Wait until an arm has been at rest for ``dwell_s`` [s]. Raises as soon as the cell is stopped."""
+        left_s = dwell_s - (self.rested_s(name) or 0.0)
+        if left_s > 0.0:
+            with self._cell.pulse.waiting():
+                self._cell.clock.wait(left_s, cancel.wait)
+        self._reaction.check()
+        cancel.check()
+
+    def measure(self, name: str, q: Vector) -> Point:
+        """Measure the SMR of an arm at rest at ``q`` (N,) [rad]; tries twice.
+
+        Raises
+        ------
+        TargetLost, WrongTarget, Unstable
+            If both tries failed.
+        NotReady
+            If the tracker is not ready to measure.
+        CellStopped
+            If the tracker itself fails, or the cell was stopped meanwhile.
+        """
+        return self.measure_at(predicted_smr(self._bodies, name, q[None])[0], f"arm {name}")
+
+    def measure_at(
+        self, expected_M: Vector, what: str, within_m: float | None = None, tries: int = _MEASURING_TRIES
+    ) -> Point:
+        """Measure the SMR of ``what`` at ``expected_M`` (3,) [m], ``within_m`` [m] of it; None: as far as a prediction
+        may be off. Raises as ``measure``."""
+        within_m = _WRONG_TARGET_M if within_m is None else within_m
+        problem: TrackerError = TargetLost("not tried")
+        for _ in range(tries):
+            self._reaction.check()
+            try:
+                with self._cell.pulse.waiting(self._cell.tracker.data_age_s):
+                    point = self._cell.tracker.measure(expected_M, self._profile.tracker.averaging)
+            except (TargetLost, WrongTarget, Unstable) as error:
+                problem = error
+                continue
+            except NotReady:
+                raise
+            except TrackerError as error:
+                if isinstance(error, Halted):
+                    self._reaction.check()
+                raise self.stop_cell(StopCause("tracker", str(error))) from error
+            self._reaction.check()  # the arms may have moved while they braked
+            off = float(np.linalg.norm(point.p_M - expected_M))
+            if off <= within_m:
+                return point
+            problem = WrongTarget(f"{what}: the tracker locked an SMR {off * 1e3:.0f} mm from where this one should be")
+        self._reaction.check()
+        raise problem
+
+    def stop_cell(self, cause: StopCause) -> CellStopped:
+        """Stop the cell; return the exception for its first cause, which may be an earlier one.
+
+        An arm that was braked is the consequence of a cause, not another one.
+        """
+        first = self._reaction.cause
+        if first is None or not isinstance(cause.error, MotionStopped):
+            self._reaction.trigger(cause)
+        return CellStopped(self._reaction.cause or cause)
+
+    def _state(self, name: str) -> ArmState:
+        self._cell.pulse.beat()
+        try:
+            return self._cell.arms[name].state()
+        except ArmError as error:
+            raise self.stop_cell(cause_of(name, error)) from error

@@ -1,0 +1,122 @@
+"""What is watched while stops are measured: the air, and the model that is refitted after each stop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cellapp.cell.driving.suspicions import Suspicions
+from cellapp.estimation.calibration.online import OnlineFit, online_fit
+from cellapp.estimation.readings import Reading, Readings
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import AirReport, StopReport, Suspicion
+from cellapp.robot.kinematics.transforms import Array
+from drivers.sensors.protocol import AirReading, AirSensor, SensorError
+
+Note = Callable[[str, str], None]
+"""Takes a level of the log ("info", "warning") and a sentence."""
+
+
+@dataclass
+class AirTemperature:
+    """Air temperature from the weather station; None while it fails, which is noted once.
+
+    The tracker's own sensor is no substitute: a change of sensor would look like a change of the air. ``heard`` takes
+    every reading.
+    """
+
+    sensor: AirSensor
+    note: Note
+    heard: Callable[[AirReport], None]
+    state: Literal["new", "working", "failed"] = "new"
+
+    def at_stop(self, stop: int) -> float | None:
+        """Read the air temperature [degC]."""
+        reading = self._read(stop)
+        return None if reading is None else reading.temperature_c
+
+    def _read(self, stop: int) -> AirReading | None:
+        try:
+            reading = self.sensor.read()
+        except SensorError as error:
+            if self.state != "failed":
+                self.note("warning", f"stop {stop + 1}: readings go without air temperature: {error}")
+            self.state = "failed"
+            return None
+        if self.state != "working":
+            self.note("info", f"stop {stop + 1}: {reading}")
+        self.state = "working"
+        self.heard(AirReport(reading.temperature_c, reading.pressure_hpa, reading.humidity_percent))
+        return reading
+
+
+class LiveModel:
+    """The models of all arms, refitted after each stop. An arm whose model cannot be fitted is measured without one."""
+
+    def __init__(
+        self, profile: Profile, planned: Mapping[str, Array], stored: Mapping[str, Readings], note: Note
+    ) -> None:
+        """Start with the ``stored`` readings; ``planned`` has the joint positions (n, N) [rad] of all stops by arm."""
+        self._finish = profile.collection.finish
+        self._note = note
+        self._fits: dict[str, OnlineFit] = {}
+        self._latest: dict[str, StopReport] = {}
+        for name, q in planned.items():
+            try:
+                self._fits[name] = online_fit(profile, name, q)
+                if name in stored:
+                    self._add_stored(name, stored[name])
+            except (InputError, np.linalg.LinAlgError) as error:
+                self._drop(name, error)
+        normals = {name: np.array(arm.smr.normal) / math.hypot(*arm.smr.normal) for name, arm in profile.arms.items()}
+        self._suspicions = Suspicions(normals)
+
+    def _add_stored(self, name: str, stored: Readings) -> None:
+        report = self._fits[name].add_all(stored.configuration.tolist(), stored.q, stored.p_M, stored.covariance_M)
+        if report is not None:
+            self._latest[name] = report
+
+    def add(self, stop: int, rows: Mapping[str, Reading]) -> list[StopReport | Suspicion]:
+        """Refit with the readings of a stop; return a report for each arm that has a model, and suspicions."""
+        found: list[StopReport | Suspicion] = []
+        innovations = {}
+        for name, reading in rows.items():
+            fit = self._fits.get(name)
+            if fit is None:
+                continue
+            try:
+                report = fit.add(stop, reading.q, reading.p_M, reading.covariance_M)
+            except np.linalg.LinAlgError as error:
+                self._drop(name, error)
+                continue
+            innovations[name] = fit.innovation
+            if report is not None:
+                self._latest[name] = report
+                found.append(report)
+        return [*found, *self._suspicions.at_stop(stop, innovations)]
+
+    def forget_suspicions(self) -> None:
+        """Start afresh, after a person has looked at the cell."""
+        self._suspicions.forget()
+
+    @property
+    def standard_error_mm(self) -> dict[str, float]:
+        """Standard uncertainty of a predicted SMR position from the parameters, by arm; arms without a model lack."""
+        return {name: report.standard_error_mm for name, report in self._latest.items()}
+
+    def accurate_enough(self, stops_done: int) -> bool:
+        """Whether the asked standard error is reached by every arm, after the least number of stops."""
+        asked = self._finish.standard_error
+        if asked is None or stops_done < self._finish.least_stops or set(self._latest) != set(self._fits):
+            return False
+        return bool(self._fits) and all(error <= asked * 1e3 for error in self.standard_error_mm.values())
+
+    def _drop(self, name: str, error: Exception) -> None:
+        self._fits.pop(name, None)
+        self._latest.pop(name, None)
+        self._note("info", f"arm {name}: measured without a running model: {error}")

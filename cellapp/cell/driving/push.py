@@ -1,0 +1,137 @@
+"""Push compensated targets to the arms; with verification, measure where the SMRs really go, and correct the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.cell_checks import require_same_arms
+from cellapp.cell.driving.driving_targets import Driver
+from cellapp.cell.driving.motion import Confirm, Mover
+from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
+from cellapp.cell.driving.target_visit import TargetVisit
+from cellapp.cell.driving.verification import Agreement, Findings, by_arm, summary_of
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.targets.command import Command
+from cellapp.cell.targets.judging import Judge
+from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.robot.model import CellModel
+
+
+@dataclass
+class Visited:
+    """What was done so far; the caller keeps it if the job is stopped."""
+
+    targets: list[MeasuredTarget] = field(default_factory=list)
+    pairs: list[MeasuredPair] = field(default_factory=list)
+
+    def add(self, found: Findings, judge: Judge, *, verify: bool) -> None:
+        """Take what was found at one target."""
+        self.targets += found.targets(judge)
+        pair = found.pair(judge) if verify else None
+        if pair is not None:
+            self.pairs.append(pair)
+
+    def result(self, stopped: str = "") -> VerifyResult:
+        """The result of what was done; ``stopped`` says why it is not all."""
+        return VerifyResult(
+            arms=by_arm(self.targets),
+            targets=tuple(self.targets),
+            pairs=tuple(self.pairs),
+            cooperative=summary_of(self.pairs),
+            stopped=stopped,
+        )
+
+
+def push(
+    profile: Profile,
+    model: CellModel,
+    commands: Sequence[Command],
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    verify: bool,
+    rounds: int = 0,
+    repeatability_m: Mapping[str, float] | None = None,
+    judge: Judge | None = None,
+    confirm: Confirm | None = None,
+    opened: Callable[[Cell], object] = lambda cell: None,
+    open_with: Opened | None = None,
+    visited: Visited | None = None,
+) -> VerifyResult:
+    """Send every command to its arm, the other arms at home; with ``verify`` both commands, and measure.
+
+    The two arms of a cooperative target go there together and are measured while both rest. ``rounds`` is how often at
+    most the remaining error is measured and corrected. ``repeatability_m`` is the standard deviation of a coordinate
+    of each arm's SMR as measured after repeated motions, below which nothing is corrected; zero where it is not known.
+
+    ``judge`` decides on tolerances; left out, by what the profile alone says. ``opened`` is called with the open cell
+    before anything moves; what it raises ends the job. ``confirm`` is asked before the first motion. ``open_with``
+    opens the cell. ``visited`` takes each target as soon as it is done.
+
+    Raises
+    ------
+    InputError
+        If no target can be commanded at all, or commands, model and profile are of other arms or SMR mounts.
+    HardwareError
+        If an arm or the tracker fails; all arms have been stopped.
+    Stopped, Aborted
+        On request; the arms have been braked.
+    """
+    control, visited = control or JobControl(), visited or Visited()
+    require_same_arms(profile, model, commands)
+    if not any(command.q_compensated is not None for command in commands):
+        raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
+    bodies, homes = cell_bodies(profile, model), home_positions(profile)
+    with attended_cell(profile, control, open_with) as (cell, reaction):
+        opened(cell)
+        cell.require_tracker()
+        mover = Mover(profile, cell, bodies, reaction)
+        mover.confirm_first(homes, confirm)
+        mover.speed = _speed(profile, 0)
+        mover.go_home()
+        visit = TargetVisit(
+            model=model,
+            driver=Driver(mover, homes),
+            control=control,
+            hold=lambda: hold_while_paused(cell, control, reaction),
+            verify=verify,
+            rounds=rounds,
+            repeatability_m=repeatability_m or {},
+        )
+        stopped = _visit_all(visit, judge or Judge(profile), commands, visited, listener)
+        mover.go_home()
+    total = len(dict.fromkeys(command.target.name for command in commands))
+    listener(Progress("push", total, total, "done"))
+    return visited.result(stopped)
+
+
+def _visit_all(
+    visit: TargetVisit, judge: Judge, commands: Sequence[Command], visited: Visited, listener: Listener
+) -> str:
+    """Visit all targets in their order; return why some are left out, because measurements contradict the model."""
+    by_target: dict[str, list[Command]] = {}
+    for command in commands:
+        by_target.setdefault(command.target.name, []).append(command)
+    agreement, total = Agreement(), len(by_target)
+    for done, (name, own) in enumerate(by_target.items()):
+        visit.hold()
+        visit.driver.mover.speed = _speed(judge.profile, done)
+        listener(Progress("push", done, total, name))
+        found = visit.to(own)
+        visited.add(found, judge, verify=visit.verify)
+        agreement.add(found.contradictions())
+        if stopped := agreement.broken(ended=done + 1 == total):
+            return stopped
+    return ""
+
+
+def _speed(profile: Profile, done: int) -> float:
+    """Share of the profile's speed after some targets: the first ones are visited slowly, on real hardware only."""
+    slow = profile.collection.slow_start
+    return slow.speed if profile.moves_hardware and done < slow.stops else 1.0

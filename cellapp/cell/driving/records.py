@@ -1,0 +1,169 @@
+"""Results of the verbs up to the readings: plan, collect, import, export."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import Field
+
+from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.cell.planning.records import PlannedTime
+from cellapp.ground.results import Record, Result
+
+
+class PlanResult(Result):
+    """``plan``: number of planned stops of each arm, and of further ones in reserve.
+
+    ``design`` is what is known of designed stops, ``time`` how long collecting them takes.
+    """
+
+    schema_: Literal["cellapp-plan"] = "cellapp-plan"
+    version: Literal[1] = 1
+    run: str
+    stops: Mapping[str, int]
+    reserves: int = 0
+    design: PlanDesignResult | None = None
+    time: PlannedTime | None = None
+    notes: tuple[str, ...] = ()
+    omitted_when_none = frozenset({"design", "time"})
+
+
+class MissingReading(Record):
+    """An arm has no reading at a planned stop, and why."""
+
+    stop: int
+    arm: str
+    kind: Literal["not measured", "left out", "not tried"]
+    reason: str
+
+
+class ReferenceDrift(Record):
+    """A reference measurement: distance from the first one of the same name, after a number of stops."""
+
+    name: str
+    stops_done: int
+    drift_mm: float
+
+
+class CollectResult(Result):
+    """``collect``: number of stored stops, how the session ended, what is missing, and notes for the operator.
+
+    ``missing_share`` is the share of the asked readings that the run lacks although reserves were measured;
+    ``tolerated_share`` is the profile's. ``standard_error_mm`` maps each arm to the standard uncertainty of a
+    predicted SMR position from its parameters.
+    """
+
+    schema_: Literal["cellapp-collect"] = "cellapp-collect"
+    version: Literal[1] = 1
+    stops: int
+    notes: tuple[str, ...]
+    outcome: Literal["complete", "accurate enough"] = "complete"
+    missing: tuple[MissingReading, ...] = ()
+    missing_share: float = 0.0
+    tolerated_share: float = 1.0
+    references: tuple[ReferenceDrift, ...] = ()
+    standard_error_mm: Mapping[str, float] = Field(default_factory=dict)
+
+    def complaints(self) -> list[str]:
+        """Why this collection does not count as done, in words; empty if it does."""
+        if self.outcome == "accurate enough" or self.missing_share <= self.tolerated_share:
+            return []
+        return [
+            f"{self.missing_share:.1%} of the planned readings are missing, the profile tolerates"
+            f" {self.tolerated_share:.1%} (collection.tolerated)"
+        ]
+
+
+class SessionRequest(Record):
+    """What a person asked in a session, or what suspended or resumed it; ``written`` is UTC."""
+
+    written: str
+    kind: str
+    reason: str
+
+
+class SessionRecord(Record):
+    """One session of collecting; ``ended`` and ``outcome`` are None if the program died in it."""
+
+    number: int
+    began: str
+    ended: str | None
+    outcome: str | None
+    reason: str | None
+    requests: tuple[SessionRequest, ...]
+
+
+class CollectionResult(Result):
+    """``show DIR collection``: sessions, missing readings, reference drift, standard errors reached.
+
+    ``missing_share`` and ``tolerated_share`` are as in ``CollectResult``; ``standard_error_mm`` maps each arm to the
+    standard uncertainty of a predicted SMR position from its parameters.
+    """
+
+    schema_: Literal["cellapp-collection"] = "cellapp-collection"
+    version: Literal[1] = 1
+    run: str
+    sessions: tuple[SessionRecord, ...]
+    missing: tuple[MissingReading, ...]
+    missing_share: float
+    tolerated_share: float
+    references: tuple[ReferenceDrift, ...]
+    drift_limit_mm: float
+    standard_error_mm: Mapping[str, float]
+
+
+class ReplayResult(Result):
+    """``replay``: stops that were visited, readings of each arm, recorded duration, how many times faster it played.
+
+    ``timed`` is False where the readings have no times; the duration is then that of a fixed pace.
+    """
+
+    schema_: Literal["cellapp-replay"] = "cellapp-replay"
+    version: Literal[1] = 1
+    run: str
+    stops: int
+    readings: Mapping[str, int]
+    duration_s: float
+    speed: float
+    timed: bool
+
+
+class RequestResult(Result):
+    """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
+
+    schema_: Literal["cellapp-request"] = "cellapp-request"
+    version: Literal[1] = 1
+    run: str
+    request: Literal["pause", "resume", "stop", "abort"]
+    answer: str
+
+
+class ArmOrder(Record):
+    """What an import in order of measurement derived for one arm.
+
+    Attributes
+    ----------
+    by : str
+        What gave the order: the rows, the column ``sequence``, or the times.
+    approach, step : int
+        Approach signs and steps of single joints that were derived from the reading before.
+    contradicted : int
+        Given approach signs that contradict the motion from the reading before; the steps there are unknown.
+    """
+
+    by: Literal["rows", "sequence", "time"]
+    approach: int
+    step: int
+    contradicted: int = 0
+
+
+class ImportResult(Result):
+    """``import``: number of readings of each arm; ``in_order`` maps arms to what their order of measurement gave."""
+
+    schema_: Literal["cellapp-import"] = "cellapp-import"
+    version: Literal[1] = 1
+    run: str
+    readings: Mapping[str, int]
+    in_order: Mapping[str, ArmOrder] = Field(default_factory=dict)
+    notes: tuple[str, ...]

@@ -1,0 +1,177 @@
+"""Requests of a person to the job that runs in a run's folder, from another process on the same computer: its side.
+
+The job listens on a loopback port; ``ground.asking`` says where that is published. ``watching`` beside this serves those
+who also watch what it does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import json
+import os
+import secrets
+import socketserver
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+
+from cellapp.cell.driving.requests.job_stream import Answer, ending_of
+from cellapp.cell.driving.requests.watching import Watchers
+from cellapp.ground.asking import (
+    DONE,
+    JOB_FILE,
+    LONGEST_LINE,
+    LOOK,
+    PATIENCE_S,
+    VERBS,
+    WATCH,
+    JobAddress,
+    Verb,
+    address_of_job,
+    exchange,
+    this_computer,
+)
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.progress import Listener, Progress, ignore
+
+_POLL_S = 0.05
+"""How often the server looks whether the job has ended."""
+
+
+@contextlib.contextmanager
+def taking_requests(
+    folder: Path, control: JobControl, name: str = "job", listener: Listener = ignore
+) -> Iterator[Listener]:
+    """Let other processes send requests to this job, which runs in ``folder``, while the context is open.
+
+    ``name`` says in a word what the job does. It gives the listener to report to: what it hears, those who watch the
+    job hear after ``listener``.
+
+    Raises
+    ------
+    InputError
+        If another job runs there, or the folder cannot be written.
+    """
+    _refuse_second(folder)
+    token = secrets.token_urlsafe(32)
+    watchers = Watchers(name, control)
+
+    def listen(event: Progress) -> None:
+        listener(event)
+        watchers.publish(event)
+
+    def tell_end(kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        watchers.end(ending_of(error))
+
+    with _Server(control, token, watchers) as server, contextlib.ExitStack() as stack:
+        thread = threading.Thread(target=server.serve_forever, args=(_POLL_S,), name="requests", daemon=True)
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(server.shutdown)
+        stack.push(tell_end)
+        stack.callback(_withdraw, folder, token)
+        _publish(folder, JobAddress(this_computer(), os.getpid(), server.server_address[1], token))
+        yield listen
+
+
+def _refuse_second(folder: Path) -> None:
+    """Raise ``InputError`` if another job runs in a folder, or may run there on another computer."""
+    address = address_of_job(folder)
+    if address is None:
+        return
+    if not address.is_here:
+        raise InputError(
+            f"{folder}: a job on computer '{address.computer}' uses this run; wait for its end. If it has ended, delete"
+            f" {folder / JOB_FILE}"
+        )
+    if exchange(folder, address, LOOK, PATIENCE_S) is not None:
+        raise InputError(f"{folder}: another job runs here; 'cellapp stop {folder}' stops it")
+
+
+class _Server(socketserver.ThreadingTCPServer):
+    """One thread for each request: one that is slow does not delay a stop."""
+
+    daemon_threads = True
+    block_on_close = False
+    request_queue_size = 32
+
+    def __init__(self, control: JobControl, token: str, watchers: Watchers) -> None:
+        super().__init__(("127.0.0.1", 0), _Request)
+        self.control, self.token, self.watchers = control, token, watchers
+
+
+class _Request(socketserver.StreamRequestHandler):
+    """One line, the token and a verb, and one line in answer; or a stream, for those who watch."""
+
+    timeout = PATIENCE_S
+    server: _Server
+
+    def handle(self) -> None:
+        with contextlib.suppress(OSError):  # the asking process went away, or it is silent
+            given, _, asked = self.rfile.readline(LONGEST_LINE).strip().partition(b" ")
+            if not hmac.compare_digest(given, self.server.token.encode()):
+                return
+            verb = asked.decode("utf-8", "replace")
+            if verb == WATCH:
+                self.server.watchers.serve(self.connection, lambda verb: answer_to(self.server.control, verb))
+                return
+            answer = answer_to(self.server.control, verb)
+            self.wfile.write(f"{DONE if answer.carried_out else 'refused'} {answer.text}\n".encode())
+
+
+def answer_to(control: JobControl, verb: str) -> Answer:
+    """Do what is asked, and say so; or why not."""
+    if verb == LOOK:
+        return Answer(LOOK, True, "a job runs here")
+    if verb not in VERBS:
+        return Answer("unknown", False, f"'{verb}' is no request; requests are {', '.join(VERBS)}")
+    if refusal := _refusal(control, verb):
+        return Answer(verb, False, refusal)
+    brake = "all arms brake" if control.has_brakes else "no arm is open"
+    control.ask(verb)
+    match verb:
+        case "pause":
+            text = "pause: the arms rest after the present stop; 'cellapp resume DIR' continues"
+        case "resume":
+            text = "resume: the job continues"
+        case "stop":
+            then = "the job waits for 'resume' or 'abort'" if control.holds else "the job ends and can be resumed later"
+            text = f"stopped: {brake}; {then}"
+        case "abort":
+            text = f"aborted: {brake}; the job ends"
+    return Answer(verb, True, text)
+
+
+def _refusal(control: JobControl, verb: Verb) -> str:
+    """Why a request does not fit the state of the job; empty if it does."""
+    before = control.request
+    if verb in ("pause", "resume") and before == "abort":
+        return "the job was aborted and ends"
+    if verb in ("pause", "resume") and before == "stop" and not control.holds:
+        return "the job was stopped and ends; 'cellapp collect DIR --resume' continues later"
+    if verb == "pause" and before != "none":
+        return "the job is paused already" if before == "pause" else "the job is stopped already"
+    return "the job is neither paused nor stopped" if verb == "resume" and before == "none" else ""
+
+
+def _publish(folder: Path, address: JobAddress) -> None:
+    path = folder / JOB_FILE
+    partial = path.with_name(f"{JOB_FILE}.part")
+    try:
+        partial.unlink(missing_ok=True)
+        handle = os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            json.dump(address._asdict(), file)
+        os.replace(partial, path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}); check the folder's rights") from error
+
+
+def _withdraw(folder: Path, token: str) -> None:
+    address = address_of_job(folder)
+    if address is not None and address.token == token:
+        with contextlib.suppress(OSError):  # a file that stays behind names a port where nobody answers
+            (folder / JOB_FILE).unlink()

@@ -1,0 +1,307 @@
+"""A person's requests and the cell's stops while a job runs: pause, hold after a stop, suspend, resume."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
+from typing import Literal
+
+from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
+from cellapp.ground.control import Aborted, JobControl, Stopped
+from cellapp.ground.errors import CellappError, HardwareError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.collection import Suspend, Suspension
+from cellapp.ground.progress import ArmLive, Cancelled, CellLive, Detail, Halt, StateChange
+from drivers.clock import slept_s
+
+SuspensionKind = Literal["target", "air", "drift", "tracker_warm_up", "host_stall"]
+Record = Callable[[str, str], None]
+"""Records what happened in the run: kind ("pause", "stop", "suspend", "resume", ...) and the reason."""
+
+_POLL_S = 0.1
+"""How soon a resumed job notices; a stop does not wait for this, it brakes in the thread of the person."""
+_FRESH_S = 0.3
+"""Data of an arm that are older say nothing about now."""
+_BY_PERSON = {"stop": "a person stopped the arms", "abort": "a person aborted the job"}
+
+
+Opened = Callable[..., AbstractContextManager[Cell]]
+"""Opens the cell of a profile in place of ``open_cell``; ``watch_clearance`` observes distances in a simulated cell."""
+
+
+def opening(
+    profile: Profile, control: JobControl, opened: Opened | None = None, *, watch_clearance: bool = False
+) -> AbstractContextManager[Cell]:
+    """Return what opens the cell of a profile: ``opened``, else ``open_cell``, which a person's stop ends."""
+    if opened is None:
+        return open_cell(profile, control=control, watch_clearance=watch_clearance)
+    return opened(profile, watch_clearance=watch_clearance) if watch_clearance else opened(profile)
+
+
+@contextmanager
+def attended_cell(
+    profile: Profile, control: JobControl, opened: Opened | None = None
+) -> Iterator[tuple[Cell, StopReaction]]:
+    """Open the cell of a profile and wire it to its brakes. Raises as ``open_cell`` and ``reacting`` do."""
+    with opening(profile, control, opened) as cell, reacting(cell, control) as reaction:
+        yield cell, reaction
+
+
+@contextmanager
+def reacting(cell: Cell, control: JobControl) -> Iterator[StopReaction]:
+    """Wire the doubts of all arms and a person's stop to the brakes of all arms while this context is open.
+
+    Meanwhile ``control.live`` tells what is known of the cell, whatever the job is doing.
+
+    Whatever ends the context with an exception also stops the arms, and they are watched until they rest.
+
+    Raises
+    ------
+    HardwareError
+        If a doubt about a device stopped the cell; the message is the cause, with arms that were not seen at rest.
+    Stopped, Aborted
+        If a person did.
+    """
+    reaction = StopReaction(cell.arms, cell.tracker, cell.together, control.note_halt)
+    brakes = control.brakes(lambda verb: reaction.trigger(_personal(verb, control)))
+    with control.watching(lambda: _live(cell, reaction)), brakes:
+        _settle_earlier_doubts(cell, control)
+        try:
+            yield reaction
+        except BaseException as error:
+            if not isinstance(error, CellStopped):
+                reaction.trigger(StopCause("engine", f"the job ended: {error}"))
+            end = _end_of(error, reaction, control)
+            if end is error:
+                raise
+            raise end from error
+
+
+def _settle_earlier_doubts(cell: Cell, control: JobControl) -> None:
+    """Record that arms rest which an earlier job could not see at rest."""
+    for name, arm in cell.arms.items():
+        live = arm.live()
+        if not live.moving and live.age_s < _FRESH_S:
+            control.note_halt(name, Halt("at rest", "its controller reports that it rests"))
+
+
+def _live(cell: Cell, reaction: StopReaction) -> CellLive:
+    """What is known of an open cell now."""
+    halts, arms = reaction.halts, {name: arm.live() for name, arm in cell.arms.items()}
+    return CellLive(
+        {name: ArmLive(_known(live.age_s), live.moving, halts.get(name)) for name, live in arms.items()},
+        _known(cell.tracker.data_age_s()),
+        cell.pulse.age_s(),
+        tuple(dict.fromkeys(cause.text for cause in reaction.causes)),
+    )
+
+
+def _known(age_s: float) -> float | None:
+    return age_s if math.isfinite(age_s) else None
+
+
+def _end_of(error: BaseException, reaction: StopReaction, control: JobControl) -> BaseException:
+    """The exception that ends a job after ``error``, when the arms rest or were watched for long enough."""
+    unseen = reaction.wait_at_rest()
+    kinds = {cause.kind for cause in reaction.causes}
+    if unseen and isinstance(error, CellappError | Cancelled):
+        return HardwareError("; ".join([str(error), *_watch_out(unseen)]))
+    if isinstance(error, HardwareError) and "abort" in kinds:
+        return Aborted(_BY_PERSON["abort"])
+    if isinstance(error, HardwareError) and "stop" in kinds:
+        return Stopped(_personal("stop", control).text)
+    return HardwareError(str(error)) if isinstance(error, CellStopped) else error
+
+
+def _personal(verb: str, control: JobControl) -> StopCause:
+    """The cause that a person is, who asks for something or goes away."""
+    if verb == "abort":
+        return StopCause("abort", _BY_PERSON[verb])
+    return StopCause("stop", control.left or _BY_PERSON["stop"])
+
+
+def _watch_out(unseen: dict[str, str]) -> list[str]:
+    return [f"NOT SEEN AT REST: {reason}" for reason in unseen.values()]
+
+
+def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -> None:
+    """Hold here, with the arms at rest, while a person pauses. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
+    reaction.check()  # first: what stopped the arms is to be recorded
+    control.check()
+    while control.request in ("pause", "stop"):
+        _attend(cell, control)
+        control.check()
+        reaction.check()
+
+
+def _attend(cell: Cell, control: JobControl) -> None:
+    """Wait a moment for a person, in real time; in a simulated cell, its time passes too."""
+    cell.pulse.beat()
+    control.wait_while("pause", "stop", timeout_s=_POLL_S)
+    cell.clock.wait(_POLL_S, lambda duration_s: None)
+
+
+@dataclass
+class Supervisor:
+    """Holds a job where a person or the cell asks for it. All waits let the cell's clock pass."""
+
+    cell: Cell
+    control: JobControl
+    reaction: StopReaction
+    suspend: Suspend
+    reconnect_tracker: Callable[[], None]
+    record: Record
+    emit: Callable[[Detail], None]
+    after_resume: Callable[[], None]
+    """Called when a job resumes after a stop, a hold or a suspension."""
+    _slept_s: float = field(default_factory=slept_s)
+    _used: Counter[str] = field(default_factory=Counter)
+
+    def checkpoint(self) -> None:
+        """Hold here while paused; the arms rest. Raises ``CellStopped``, ``Stopped`` or ``Aborted``."""
+        paused = self.control.request == "pause"
+        if paused:
+            self._say("pause", StateChange("paused", "paused by a person"))
+        hold_while_paused(self.cell, self.control, self.reaction)
+        if paused:
+            self._say("resume", StateChange("running", "resumed by a person"))
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass with the arms at rest. Raises ``CellStopped`` as soon as the cell is stopped."""
+        with self.cell.pulse.waiting():
+            self.cell.clock.wait(duration_s, self.control.wait)
+        self.reaction.check()
+
+    def recover(self, stopped: CellStopped) -> None:
+        """Hold after a stop of the cell until the arms may move again, then release them. Nothing moves here.
+
+        Raises
+        ------
+        Stopped, Aborted
+            If a person ended the job.
+        HardwareError
+            If the cause needs a person and none attends the job, or an arm was not seen at rest.
+        """
+        unseen = self.reaction.wait_at_rest()
+        known = self.reaction.causes
+        causes = known or (stopped.cause,)
+        kinds = {cause.kind for cause in causes}
+        text = "; ".join([*(cause.text for cause in causes), *_watch_out(unseen)])
+        self._say(causes[0].kind, StateChange("aborted" if "abort" in kinds else "stopped", text))
+        for cause in causes[1:]:
+            if cause.kind in _BY_PERSON:  # under its own name, though another cause came first
+                self.record(cause.kind, cause.text)
+        if unseen and (self.control.cancelled or not self.control.holds):
+            raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
+        self.control.check()
+        if kinds == {"host stalled"} and not unseen and self._resumes_after_stall(causes, text):
+            return
+        if not self.control.holds:
+            raise HardwareError(f"{text}; a stop was sent to all arms") from stopped
+        if kinds != {"stop"}:  # a person may have resumed that stop already, before the other cause came
+            self.control.hold()
+        self._hold_for_person(text, known)
+
+    def _resumes_after_stall(self, causes: Sequence[StopCause], text: str) -> bool:
+        """Resume after a stall of this computer, if the profile allows it and nothing else has happened."""
+        allowed = self.suspend.host_stall
+        if self._asleep_s() > allowed.wait or not self._begin("host_stall", text):
+            return False
+        self.cell.clock.wait(allowed.retry, self.control.wait)
+        self.control.check()
+        if self.control.request != "none":
+            return False
+        try:
+            self.reaction.release(causes)
+        except HardwareError as error:
+            self.record("not released", str(error))
+            return False
+        self._resumed("by itself, as the profile allows: this computer had been silent")
+        return True
+
+    def _asleep_s(self) -> float:
+        """How long this computer slept since the last question [s]: a night in its bag is no stall."""
+        before, self._slept_s = self._slept_s, slept_s()
+        return self._slept_s - before
+
+    def suspended(self, kind: SuspensionKind, reason: str, ready: Callable[[], bool]) -> bool:
+        """Wait with the arms at rest until ``ready``, as the profile allows; return whether it came about.
+
+        ``ready`` is asked every ``retry`` seconds. Raises ``CellStopped`` as soon as the cell is stopped.
+        """
+        if not self._begin(kind, reason):
+            return False
+        allowed: Suspension = getattr(self.suspend, kind)
+        end_s = self.cell.clock.now_s() + allowed.wait
+        while self.cell.clock.now_s() < end_s:
+            self.wait(min(allowed.retry, max(end_s - self.cell.clock.now_s(), 1e-3)))
+            if self.control.request == "pause":
+                self.checkpoint()
+            if ready():
+                self._resumed(f"by itself: {reason}: no longer")
+                return True
+        self._say("give up", StateChange("running", f"{reason}: still, after {allowed.wait:g} s"))
+        return False
+
+    def hold(self, reason: str) -> bool:
+        """Wait for a person to resume, where one attends the job; return whether one did."""
+        if not self.control.holds:
+            return False
+        self.control.hold()
+        self._hold_for_person(reason, self.reaction.causes)
+        return True
+
+    def _hold_for_person(self, reason: str, shown: Sequence[StopCause]) -> None:
+        """Wait until the request to hold is taken back and every arm is ready; only then release the latch.
+
+        ``shown`` are the causes that were recorded. One that comes meanwhile is shown, and needs another ``resume``.
+        """
+        shown = tuple(shown)
+        while True:
+            self.emit(StateChange("stopped", f"{reason}; resume when the cell is clear, or abort"))
+            while self.control.request in ("stop", "pause") and self.reaction.causes == shown:
+                _attend(self.cell, self.control)
+            self.control.check()
+            try:
+                if self.reaction.causes == shown:
+                    self._release(shown)
+                    self._resumed("by a person")
+                    return
+                causes = self.reaction.causes
+                reason = causes[-1].text
+                for cause in causes[len(shown) :]:  # a person's stop too, where a doubt followed it
+                    self.record(cause.kind, cause.text)
+            except HardwareError as error:
+                reason, causes = str(error), self.reaction.causes
+                by_person = (cause.kind for cause in causes if all(cause is not one for one in shown))
+                kind = next((kind for kind in by_person if kind in _BY_PERSON), "not released")
+                self.record(kind, reason)
+            shown = causes
+            self.control.hold()
+
+    def _release(self, known: Sequence[StopCause]) -> None:
+        """Reconnect what the stop cut off. Raises ``HardwareError`` if something is not ready, or a new cause came."""
+        if any(cause.kind == "tracker" for cause in known):
+            self.reconnect_tracker()
+        self.reaction.release(known)
+
+    def _begin(self, kind: SuspensionKind, reason: str) -> bool:
+        """Whether another suspension for this cause is allowed; counts and announces it."""
+        allowed: Suspension = getattr(self.suspend, kind)
+        if self._used[kind] >= allowed.times:
+            return False
+        self._used[kind] += 1
+        self._say("suspend", StateChange("suspended", f"{reason}; waiting at most {allowed.wait:g} s"))
+        return True
+
+    def _resumed(self, how: str) -> None:
+        self.after_resume()
+        self._say("resume", StateChange("running", f"resumed {how}"))
+
+    def _say(self, kind: str, change: StateChange) -> None:
+        self.record(kind, change.reason)
+        self.emit(change)

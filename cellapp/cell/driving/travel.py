@@ -1,0 +1,108 @@
+"""Ways between stops: as planned or around, via home, back out of a motion that was cut short; slow at first on real
+hardware."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from cellapp.cell.driving.motion import MotionRefused, Mover, Vector
+from cellapp.cell.driving.work import Work
+from cellapp.cell.planning.planned_stops import Route, routes
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.ground.profile import Profile
+from drivers.arms.protocol import ArmState
+
+Targets = Mapping[str, Vector]
+"""Arm -> joint positions (N,) [rad]."""
+
+
+class Travel:
+    """Moves the arms of one session to stops and home."""
+
+    def __init__(self, profile: Profile, mover: Mover, work: Work) -> None:
+        self._mover, self._work = mover, work
+        self._settings = profile.collection.slow_start
+        self._real = profile.moves_hardware
+        self._homes: Targets = home_positions(profile)
+        self._slow_stops = 0
+        self.slow_again()
+
+    def slow_again(self) -> None:
+        """Visit the next stops slowly: at the beginning, and after persons were called. On real hardware only."""
+        self._slow_stops = self._settings.stops if self._real else 0
+        self._mover.speed = self._settings.speed if self._slow_stops else 1.0
+
+    def stop_visited(self) -> None:
+        """Count a stop that was visited."""
+        self._slow_stops = max(self._slow_stops - 1, 0)
+        if not self._slow_stops:
+            self._mover.speed = 1.0
+
+    def to_stop(self, stop: int) -> dict[str, ArmState]:
+        """Move to a stop: as planned, straight, one arm after the other, or each of these from home.
+
+        Every way ends with the planned last motion, and begins only if the gate accepts all of its motions.
+
+        Raises
+        ------
+        MotionRefused
+            If the gate accepts no way.
+        """
+        try:
+            return self._by_any(self._routes(stop))
+        except MotionRefused:
+            self.home()
+            return self._by_any(self._routes(stop))
+
+    def first_leg(self, stop: int) -> Targets:
+        """Where the first motion of ``to_stop`` leads from where the arms are."""
+        accepted = (route for route in self._routes(stop) if not self._mover.refusal(*route))
+        return next(accepted, (self._homes,))[0]
+
+    def home(self) -> None:
+        """Move home, one arm after the other.
+
+        If that is refused after a motion that was cut short, the arms move back to where it began first.
+        """
+        try:
+            self._mover.go_home()
+        except MotionRefused:
+            departure = self._mover.departure()
+            if departure is None:
+                raise
+            self._mover.move(departure)
+            self._mover.go_home()
+
+    def home_at_once(self, homes: Targets) -> None:
+        """Move all arms home at once, or one after the other if the gate refuses that."""
+        try:
+            self._mover.move(homes)
+        except MotionRefused:
+            self.home()
+
+    def _routes(self, stop: int) -> list[Route]:
+        """Ways to a stop from where the arms are."""
+        before = self._work.targets(stop - 1) if stop else self._homes
+        planned = bool(self._work.route.legs[stop]) and self._mover.rests_at(before)
+        return list(routes(self._work.route, stop, as_planned=planned))
+
+    def _by_any(self, ways: Sequence[Route]) -> dict[str, ArmState]:
+        """Move along the first way that the gate accepts. Raises ``MotionRefused`` with its reason for the first."""
+        first: MotionRefused | None = None
+        for way in ways:
+            try:
+                return self._along(way)
+            except MotionRefused as error:
+                first = first or error
+        assert first is not None
+        raise first
+
+    def _along(self, way: Route) -> dict[str, ArmState]:
+        """Move along a way. Raises ``MotionRefused`` if the gate refuses one of its motions."""
+        refusal = self._mover.refusal(*way) if len(way) > 1 else ""  # of one motion, ``move`` asks
+        if refusal:
+            raise MotionRefused(f"refused to move: {refusal}")
+        states: dict[str, ArmState] = {}
+        for leg in way:
+            states |= self._mover.move(leg)
+        return states

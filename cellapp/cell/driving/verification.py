@@ -1,0 +1,348 @@
+"""Verifying by measuring: where the SMR was wanted, expected and measured, and whether these belong together."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from cellapp.cell.driving.motion import Mover
+from cellapp.cell.targets.command import Command
+from cellapp.cell.targets.judging import Judge
+from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredTarget
+from cellapp.cell.targets.targets import target_record
+from cellapp.estimation.calibration.evaluation import summarise
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.statics import base_moment
+from cellapp.robot.kinematics.transforms import Array, xyz_of
+from cellapp.robot.model import CellModel
+from drivers.arms.protocol import ArmState
+from drivers.trackers.protocol import Point
+
+CommandKind = Literal["nominal", "compensated"]
+
+_FAR_M = 1e-3
+"""Distance from the prediction that no calibrated arm has, whatever its model states."""
+_FAR_RATIO = 5.0
+"""Multiple of the stated 95 % distance beyond which something else than the model's uncertainty is at work."""
+_FIRST_STREAK, _LATER_STREAK = 2, 5
+"""Targets in a row that disagree before the job ends: while none has agreed yet, and later."""
+_WHAT_NOW = (
+    "the tracker was moved, the SMR was mounted anew, or the arm has changed; the arms went home, and what was measured"
+    " says nothing about the calibration. After moving the tracker run 'cellapp locate DIR'; else measure and calibrate"
+    " again"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One arm at rest with a command, and measured.
+
+    Attributes
+    ----------
+    sent, q : array, shape (N,)
+        Joint positions [rad] that were commanded, and those that were reached.
+    approach : array, shape (N,)
+        Sign of each joint's last motion, 0 where unknown.
+    wanted_M, predicted_M : array, shape (3,)
+        The target, and what the calibrated model expects at ``q`` [m].
+    point : Point
+    repeatability_m : float
+        Standard deviation of a coordinate of the SMR as measured after repeated motions [m]; zero where not known.
+    """
+
+    sent: Array
+    q: Array
+    approach: Array
+    wanted_M: Array
+    predicted_M: Array
+    point: Point
+    repeatability_m: float
+
+    @property
+    def error_M(self) -> Array:
+        """From the target to the measured SMR, (3,) [m]."""
+        return np.asarray(self.point.p_M - self.wanted_M)
+
+    @property
+    def error_m(self) -> float:
+        """Distance of the measured SMR from the target [m]."""
+        return float(np.linalg.norm(self.error_M))
+
+    @property
+    def unexpected_m(self) -> float:
+        """Distance of the measured SMR from the prediction [m]."""
+        return float(np.linalg.norm(self.point.p_M - self.predicted_M))
+
+    @property
+    def noise_M(self) -> Array:
+        """Covariance (3, 3) of the error [m^2]: the tracker's, and what the arm's repeatability adds to it."""
+        tracker = self.point.covariance_M
+        added = max(self.repeatability_m**2 - float(np.trace(tracker)) / 3.0, 0.0)
+        return np.asarray(tracker + added * np.eye(3))
+
+
+def mean_of(measured: Sequence[Measured]) -> Measured:
+    """The mean of n measurements of one arm at the same command, with the covariance of a mean.
+
+    Where they scatter by more than is known of the arm, what they scatter by counts.
+    """
+    first, n = measured[0], len(measured)
+    scatter_m = float(np.sqrt(np.var([one.error_M for one in measured], axis=0, ddof=1).mean())) if n > 1 else 0.0
+    point = replace(
+        first.point,
+        p_M=np.mean([one.point.p_M for one in measured], axis=0),
+        covariance_M=np.mean([one.point.covariance_M for one in measured], axis=0) / n,
+    )
+    return replace(
+        first,
+        q=np.mean([one.q for one in measured], axis=0),
+        predicted_M=np.mean([one.predicted_M for one in measured], axis=0),
+        point=point,
+        repeatability_m=max(first.repeatability_m, scatter_m) / math.sqrt(n),
+    )
+
+
+Rest = Mapping[str, Measured]
+"""Arm -> what was measured, with all arms of a target at rest; without those whose SMR could not be measured."""
+
+
+@dataclass
+class Findings:
+    """What was found at one target.
+
+    Attributes
+    ----------
+    commands : mapping
+        Arm -> its command.
+    corrected : bool
+        Whether what remains was to be corrected.
+    driven : mapping
+        Arm -> joint positions (N,) [rad] that were sent for the model alone, and the signs (N,) of the last motions.
+    nominal : mapping
+        What was measured with the nominal commands.
+    rounds : list
+        What was measured with the model alone, then after each correction.
+    best : int
+        The round whose commands are kept.
+    notes : mapping
+        Arm -> what went wrong there.
+    lost : mapping
+        Arm -> why its SMR was not where it should be.
+    """
+
+    commands: Mapping[str, Command]
+    corrected: bool = False
+    driven: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    nominal: Rest = field(default_factory=dict)
+    rounds: list[Rest] = field(default_factory=list)
+    best: int = 0
+    notes: dict[str, str] = field(default_factory=dict)
+    lost: dict[str, str] = field(default_factory=dict)
+
+    def note(self, names: Sequence[str], text: str) -> None:
+        """Add a note for some arms."""
+        for name in names:
+            before = self.notes.get(name, "")
+            if text not in before:
+                self.notes[name] = f"{before}; {text}" if before else text
+
+    def contradictions(self) -> dict[str, str]:
+        """Arm -> why its measurements contradict the model, empty if they do not; only arms that were to be measured.
+
+        Corrections are left out: they are made to meet the target, not the model.
+        """
+        found = {}
+        for name, command in self.commands.items():
+            measured = [rest[name] for rest in (self.nominal, *self.rounds[:1]) if name in rest]
+            if measured or name in self.lost:
+                found[name] = disagreement(measured, command.within_mm) if measured else self.lost[name]
+        return found
+
+    def targets(self, judge: Judge) -> list[MeasuredTarget]:
+        """The result of each arm."""
+        return [self._target(command, judge) for command in self.commands.values()]
+
+    def pair(self, judge: Judge) -> MeasuredPair | None:
+        """The result of both arms together; None for a target of one arm."""
+        if len(self.commands) != 2:
+            return None
+        names = list(self.commands)
+        first, second = self.commands.values()
+        wanted_mm = None
+        if first.expected_M is not None and second.expected_M is not None:
+            wanted_mm = float(np.linalg.norm(second.expected_M - first.expected_M)) * 1e3
+
+        def off_mm(rest: Rest) -> float | None:
+            return abs(distance_error_m(rest[names[0]], rest[names[1]])) * 1e3 if len(rest) == 2 else None
+
+        notes = [note if note.startswith("arm") else f"arm {name}: {note}" for name, note in self.notes.items()]
+        rounds_mm = [off_mm(rest) for rest in self.rounds]
+        tolerance_mm = first.target.tolerance_mm
+        kept_mm = rounds_mm[self.best] if rounds_mm else None
+        expanded = None if kept_mm is None else self._expanded_mm(self.rounds[self.best], judge)
+        return MeasuredPair(
+            name=first.target.name,
+            arms=(names[0], names[1]),
+            wanted_mm=wanted_mm,
+            nominal_mm=off_mm(self.nominal),
+            compensated_mm=rounds_mm[0] if rounds_mm else None,
+            tolerance_mm=tolerance_mm,
+            expanded_mm=expanded,
+            verdict=judge.verdict(kept_mm, expanded, tolerance_mm),
+            rounds_mm=tuple(off for off in rounds_mm if off is not None) if self.corrected else (),
+            corrected_mm=rounds_mm[self.best] if self.best else None,
+            note="; ".join(dict.fromkeys(notes)),
+        )
+
+    def _expanded_mm(self, rest: Rest, judge: Judge) -> float | None:
+        """Expanded uncertainty [mm] of the error at rest, of two arms of their distance."""
+        parts = {name: None if one.prediction is None else one.prediction.parts for name, one in self.commands.items()}
+        return judge.expanded_mm({name: one.point.p_M for name, one in rest.items()}, parts)
+
+    def _target(self, command: Command, judge: Judge) -> MeasuredTarget:
+        target, name = command.target, command.arm
+        rounds = [rest[name] for rest in self.rounds if name in rest]
+        alone, kept = (rounds[0], rounds[self.best]) if rounds else (None, None)
+        nominal = self.nominal.get(name)
+        corrected = kept if self.best else None
+        expanded = None if kept is None else self._expanded_mm({name: kept}, judge)
+        sent, came = self.driven.get(name, (None, None))
+        return MeasuredTarget(
+            **dict(target_record(target, name)),
+            nominal_mm=_error_mm(nominal),
+            compensated_mm=_error_mm(alone),
+            note=self.notes.get(name, ""),
+            expanded_mm=expanded,
+            verdict=judge.verdict(_error_mm(kept), expanded, target.tolerance_mm),
+            wanted_M=_point(None if alone is None else alone.wanted_M),
+            predicted_M=_point(None if alone is None else alone.predicted_M),
+            measured_M=_point(None if alone is None else alone.point.p_M),
+            q=None if alone is None else tuple(alone.q.tolist()),
+            within_mm=command.within_mm,
+            rounds_mm=tuple(one.error_m * 1e3 for one in rounds) if self.corrected else (),
+            corrected_mm=_error_mm(corrected),
+            q_corrected=None if corrected is None else tuple(corrected.sent.tolist()),
+            q_driven=None if sent is None else tuple(sent.tolist()),
+            approach=None if came is None else tuple(int(sign) for sign in came),
+        )
+
+
+def _error_mm(measured: Measured | None) -> float | None:
+    return None if measured is None else measured.error_m * 1e3
+
+
+def _point(p_M: Array | None) -> tuple[float, float, float] | None:
+    """A point for JSON; None for a prediction that is not finite."""
+    if p_M is None or not np.isfinite(p_M).all():
+        return None
+    return xyz_of(p_M)
+
+
+def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, point: Point) -> Array:
+    """Where the calibrated model expects the SMR of an arm (3,) [m]: at the joint positions that it reached, with the
+    approach, the step, the rest, the payload and the temperatures of this stop, and the other arm where it is.
+
+    Time is taken as now.
+    """
+    step, rested_s = mover.step(name), mover.rested_s(name)
+    moment = other_q = None
+    others = [other for other in model.arms if other != name]
+    if len(others) == 1:
+        arm, other_q = model.arms[others[0]], mover.positions()[others[0]][None]
+        moment = base_moment(arm.geometry, arm.bodies, other_q, arm.up_M)
+    conditions = MeasurementConditions(
+        approach=mover.approach(name)[None],
+        step=None if step is None else step[None],
+        dwell_s=None if rested_s is None else np.array([max(rested_s - 0.5 * point.averaging_s, 0.0)]),
+        payload_kg=None if state.payload_kg is None else np.array([state.payload_kg]),
+        air_c=None if point.temperature_c is None else np.array([point.temperature_c]),
+        joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
+        other_moment_M=moment,
+        other_q=other_q,
+    )
+    return np.asarray(model.arms[name].predict(state.q[None], conditions=conditions)[0])
+
+
+def distance_error_m(first: Measured, second: Measured) -> float:
+    """Measured minus wanted distance between two SMRs [m]."""
+    measured = np.linalg.norm(first.point.p_M - second.point.p_M)
+    return float(measured - np.linalg.norm(first.wanted_M - second.wanted_M))
+
+
+def rms_error_m(rest: Rest) -> float:
+    """Root mean square over the arms of their distances from the target [m]."""
+    return float(np.sqrt(np.mean([one.error_m**2 for one in rest.values()])))
+
+
+# -- agreement with the model -----------------------------------------------------------------------------------------
+
+
+def disagreement(found: Sequence[Measured], within_mm: float | None) -> str:
+    """Why the measurements at one target contradict the model, in words; empty if one of them agrees, or if none can
+    be judged because its prediction is not finite."""
+    allowed_m = max(_FAR_M, _FAR_RATIO * (within_mm or 0.0) * 1e-3)
+    nearest_m = min((one.unexpected_m for one in found if np.isfinite(one.unexpected_m)), default=0.0)
+    if nearest_m <= allowed_m:
+        return ""
+    return f"measured {nearest_m * 1e3:.2f} mm from where the model expects it, at most {allowed_m * 1e3:.2f} mm fits"
+
+
+@dataclass
+class Agreement:
+    """Counts the targets in a row at which an arm contradicts the model, so that the job ends early."""
+
+    _streak: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+    _agreed: set[str] = field(default_factory=set)
+    _latest: dict[str, str] = field(default_factory=dict)
+
+    def add(self, contradictions: Mapping[str, str]) -> None:
+        """Count one target: arm -> why its measurements contradict the model, empty if one of them agrees."""
+        for arm, problem in contradictions.items():
+            self._streak[arm] = self._streak[arm] + 1 if problem else 0
+            self._latest[arm] = problem
+            if not problem:
+                self._agreed.add(arm)
+
+    def broken(self, *, ended: bool = False) -> str:
+        """Why the job ends now, in words; empty if it goes on. At the end of the list, one target is enough where none
+        agreed."""
+        for arm, streak in self._streak.items():
+            limit = _LATER_STREAK if arm in self._agreed else 1 if ended else _FIRST_STREAK
+            if streak >= limit:
+                return f"arm {arm}: {self._latest[arm]}: {_WHAT_NOW}"
+        return ""
+
+
+# -- statistics -------------------------------------------------------------------------------------------------------
+
+
+def by_arm(targets: Sequence[MeasuredTarget]) -> Mapping[str, ArmVerification]:
+    """Error statistics by arm, over the targets that were measured with both commands."""
+    found = {}
+    for name in dict.fromkeys(target.arm for target in targets):
+        summary = summary_of([target for target in targets if target.arm == name])
+        if summary is not None:
+            found[name] = summary
+    return found
+
+
+def summary_of(measured: Sequence[MeasuredTarget | MeasuredPair]) -> ArmVerification | None:
+    """Error statistics over what was measured with both commands; None where nothing was."""
+    both = [one for one in measured if one.nominal_mm is not None and one.compensated_mm is not None]
+    if not both:
+        return None
+
+    def of(error_mm: Callable[[MeasuredTarget | MeasuredPair], float | None]) -> Array:
+        return np.array([error_mm(one) for one in both], dtype=np.float64) * 1e-3
+
+    corrected = any(one.rounds_mm for one in both)
+    return ArmVerification(
+        nominal_mm=summarise(of(lambda one: one.nominal_mm)),
+        compensated_mm=summarise(of(lambda one: one.compensated_mm)),
+        corrected_mm=summarise(of(lambda one: one.final_mm)) if corrected else None,
+    )

@@ -1,0 +1,145 @@
+"""What is left to collect in a run: planned stops, proposed ones, and reserves for those that cannot be measured."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
+from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.run import RunFile
+from cellapp.ground.errors import InputError
+
+
+@dataclass(frozen=True)
+class Work:
+    """The stops to collect.
+
+    Attributes
+    ----------
+    route : PlannedStops
+        All stops of the plan, and how each is reached.
+    stops : tuple of int
+        Numbers of the stops that are not stored, without reserves.
+    reserves : tuple of int
+        Numbers of the reserve stops that are not stored.
+    stored : int
+        Number of stops that are stored.
+    proposed : frozenset of int
+        Numbers of the stops that discovery proposed.
+    split : str or None
+        Split of new readings; None if splits are not drawn yet.
+    earlier_s : float
+        Time of the last stored reading [s]; new readings follow it.
+    """
+
+    route: PlannedStops
+    stops: tuple[int, ...]
+    reserves: tuple[int, ...]
+    stored: int
+    proposed: frozenset[int]
+    split: str | None
+    earlier_s: float
+
+    @property
+    def plan(self) -> Mapping[str, NDArray[np.float64]]:
+        """Joint positions of all stops, arm -> (n, N) [rad]."""
+        return self.route.q
+
+    @property
+    def planned(self) -> int:
+        """Number of rows of the plan, reserves included."""
+        return len(self.route)
+
+    @property
+    def total(self) -> int:
+        """Number of stored stops and stops to collect, without reserves."""
+        return self.stored + len(self.stops)
+
+    def targets(self, stop: int) -> dict[str, NDArray[np.float64]]:
+        """Return the joint positions of a stop by arm."""
+        return self.route.targets(stop)
+
+    def dwell_s(self, stop: int, name: str) -> float:
+        """Return the least rest of an arm before it is measured at a stop [s]."""
+        return float(self.route.dwell_s[name][stop])
+
+
+def remaining_work(run: RunFile, *, resume: bool) -> Work:
+    """Return the work that is left. Raises ``InputError`` without a plan, or if stops are stored and not ``resume``."""
+    route = read_planned_stops(run)
+    if not len(route):
+        raise InputError(f"{run.path}: there is no plan; make one with 'cellapp plan'")
+    done = run.stops_done()
+    if done and not resume:
+        raise InputError(
+            f"{run.path}: {len(done)} stops are stored already; continue with --resume, or start a new run"
+        )
+    total = len(route)
+    readings = [run.readings(name) for name in run.arms()]
+    drawn = any(arm.split is not None for arm in readings)
+    reserves = run.profile.plan.reserves(total)
+    return Work(
+        route=route,
+        stops=tuple(stop for stop in range(total) if stop not in done and stop not in reserves),
+        reserves=tuple(stop for stop in reserves if stop not in done),
+        stored=len(done),
+        proposed=proposed_stops(read_stop_conditions(run)),
+        split="train" if drawn else None,
+        earlier_s=max((float(arm.time_s.max()) for arm in readings), default=0.0) if done else 0.0,
+    )
+
+
+class StopQueue:
+    """The order in which stops are visited; it grows by reserves and by stops that are tried again."""
+
+    def __init__(self, work: Work) -> None:
+        self._waiting = deque(work.stops)
+        self._reserves = deque(work.reserves)
+        self._deferred: set[int] = set()
+        self.finished = work.stored
+        """Stops stored, or given up."""
+        self.total = work.total
+        """Stops that are finished or will be visited."""
+
+    def next(self) -> int | None:
+        """Return the next stop, or None at the end. It stays in the queue until ``done`` or ``defer``."""
+        return self._waiting[0] if self._waiting else None
+
+    def done(self) -> None:
+        """Remove the stop that was visited."""
+        self._waiting.popleft()
+        self.finished += 1
+
+    def defer(self) -> bool:
+        """Visit the stop again at the end, from another neighbour; return False if that was tried already."""
+        stop = self._waiting[0]
+        if stop in self._deferred or len(self._waiting) == 1:
+            return False
+        self._deferred.add(stop)
+        self._waiting.append(self._waiting.popleft())
+        return True
+
+    def replace(self) -> int | None:
+        """Append a reserve in place of a stop that could not be measured; return its number, None if none is left."""
+        if not self._reserves:
+            return None
+        self.total += 1
+        self._waiting.append(self._reserves.popleft())
+        return self._waiting[-1]
+
+    def remove(self, stops: set[int]) -> None:
+        """Remove stops that must not be visited, reserves too."""
+        self.finished += sum(stop in stops for stop in self._waiting)
+        self._waiting = deque(stop for stop in self._waiting if stop not in stops)
+        self._reserves = deque(stop for stop in self._reserves if stop not in stops)
+
+    def close(self) -> None:
+        """Give up the stops that are left: the asked accuracy is reached."""
+        self._waiting.clear()
+        self.total = self.finished

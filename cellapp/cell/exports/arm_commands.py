@@ -1,0 +1,146 @@
+"""The compensated commands of one arm as every export of commands gets them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.cell.targets.compensate import with_approach
+from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
+from cellapp.cell.targets.sides import signs_words
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Arm
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+
+STEP_BACK_RAD = float(np.radians(1.0))
+"""How far a joint steps back to come from the side that its command is for: well beyond any play."""
+
+
+@dataclass(frozen=True)
+class ExportedCommand:
+    """One target's command.
+
+    Attributes
+    ----------
+    record : TargetCommand
+        As it was computed.
+    way : sequence of array (N,)
+        Joint positions [rad] from home to the target, the command last; its joints arrive on it from the side that the
+        command is for. Empty where it must not be driven so.
+    refusal : str
+        Why not; empty otherwise.
+    """
+
+    record: TargetCommand
+    way: tuple[Array, ...]
+    refusal: str
+
+
+@dataclass(frozen=True)
+class ArmCommands:
+    """The commands of one arm.
+
+    ``source`` says which stage of which run they are from; ``speed`` [rad/s] and ``acceleration`` [rad/s^2] are those
+    that every joint may have.
+    """
+
+    name: str
+    arm: Arm
+    source: str
+    home: Array
+    speed: float
+    acceleration: float
+    commands: tuple[ExportedCommand, ...]
+
+
+def exported_commands(
+    records: Sequence[TargetCommand], name: str, model: CellModel, cell: CellBodies, homes: Mapping[str, Array]
+) -> tuple[ExportedCommand, ...]:
+    """The commands of one arm with their ways from home, which the gate has checked with all other arms at home."""
+    found = []
+    for record in records:
+        way, refusal = _way(record, name, model, cell, homes)
+        found.append(ExportedCommand(record, () if refusal else way, refusal))
+    return tuple(found)
+
+
+def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[TargetCommand]) -> tuple[TargetCommand, ...]:
+    """Commands as verification left them: what was sent last, corrected by measuring where that was better.
+
+    Raises
+    ------
+    InputError
+        If a measured target has no command among ``computed``.
+    """
+    by_name = {(record.name, record.arm): record for record in computed}
+    found = []
+    for one in measured:
+        record = by_name.get((one.name, one.arm))
+        if record is None:
+            raise InputError(
+                f"export: target '{one.name}' of arm '{one.arm}' was verified, but other targets were compensated"
+                " since; nothing was written. Leave --stage out, or push these targets again"
+            )
+        found.append(_last_driven(record, one))
+    return tuple(found)
+
+
+_NO_COMMAND = {"q_nominal": None, "q_compensated": None, "approach": None, "holds_for": "", "verdict": "cannot say"}
+"""Of a target that was not driven."""
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _last_driven(record: TargetCommand, one: MeasuredTarget) -> TargetCommand:
+    """What was sent last and measured: it holds for the side from which each joint then came.
+
+    A target that was not driven has no such command. Results of earlier versions do not know what was sent.
+    """
+    if record.refusal:
+        return record
+    sent = one.q_corrected or one.q_driven
+    if sent is None and one.q is None:
+        return record.model_copy(update={"refusal": f"not driven: {one.note or 'no reason is stored'}", **_NO_COMMAND})
+    if sent is None:
+        return record
+    unknown = tuple(condition for condition in record.unknown if condition.condition != "approach")
+    words = ["as driven by 'cellapp push'", *record.holds_for.split("; ")[1:]]
+    if one.approach is not None:
+        words.insert(0, f"joints that arrive with the signs {signs_words(one.approach)}")
+    kept = {"q_compensated": sent, "approach": one.approach, "unknown": unknown, "holds_for": "; ".join(words)}
+    return record.model_copy(update=kept)
+
+
+def _way(
+    record: TargetCommand, name: str, model: CellModel, cell: CellBodies, homes: Mapping[str, Array]
+) -> tuple[tuple[Array, ...], str]:
+    """Way from home to a target, and why it must not be driven (empty if it may).
+
+    The joints arrive from the side that the command is for: straight from home where that is this side, else after a
+    step back.
+    """
+    if record.refusal or record.q_compensated is None:
+        return (), record.refusal or "it has no command"
+    if record.partner:
+        return (), f"cooperative: arm '{record.partner}' must be there too; 'cellapp push' drives both"
+    q = np.array(record.q_compensated)
+    signs = np.zeros(len(q)) if record.approach is None else np.array(record.approach, dtype=np.float64)
+    chosen = any(one.condition == "approach" for one in record.unknown)
+    arrives = bool(np.all((signs == 0.0) | (signs == np.sign(q - homes[name]))))
+    if chosen and not record.holds_for:  # an earlier version's, at the middle of the play
+        way: tuple[Array, ...] = (with_approach(model.arms[name], q, homes[name]),)
+    elif not signs.any() or (chosen and arrives):
+        way = (q,)
+    else:
+        way = (q - STEP_BACK_RAD * signs, q)
+    here = dict(homes)
+    for there in (*way, homes[name]):
+        refusal = refuse_motion(cell, here, {**here, name: there})
+        if refusal:
+            return (), f"refused on the way from home and back: {refusal}"
+        here[name] = there
+    return way, ""

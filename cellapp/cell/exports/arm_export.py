@@ -1,0 +1,110 @@
+"""One calibrated arm as every export gets it, and what no chain of rigid links can hold of its model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.cell.exports.records import PositionLoss
+from cellapp.ground.profile import Arm
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import Geometry, smr_positions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+
+POSES = 1000
+"""Random configurations on which losses are stated: the rms is then known to 2 %."""
+NETWORK = "residual_network"
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Configurations ``q`` (n, N) [rad] of one arm over which losses are stated, and the conditions there."""
+
+    q: Array
+    conditions: MeasurementConditions
+
+
+@dataclass(frozen=True)
+class ArmExport:
+    """A calibrated arm that is to be written for another program.
+
+    Attributes
+    ----------
+    name : str
+    arm : Arm
+        The section of the profile: limits and speeds of the joints.
+    model : ArmModel
+        The model whose geometry is written.
+    source : str
+        Which run and which of its stages the model is from.
+    q : array, shape (n, N)
+        Configurations of the workspace [rad].
+    lost : mapping
+        Effect (or ``residual_network``) -> position error without it, over ``q``.
+    lost_together : PositionLoss or None
+        The position error of the geometry alone; None if the model is no more than that.
+    """
+
+    name: str
+    arm: Arm
+    model: ArmModel
+    source: str
+    q: Array
+    lost: Mapping[str, PositionLoss]
+    lost_together: PositionLoss | None
+
+    @property
+    def geometry(self) -> Geometry:
+        """The identified chain."""
+        return self.model.geometry
+
+
+def workspace(measured_q: Array, conditions: MeasurementConditions, seed: int) -> Workspace:
+    """Random configurations within the joint ranges of ``measured_q`` (n, N) [rad].
+
+    Each has the conditions (approach, payload, temperatures, other arm) of one of the readings.
+    """
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(measured_q.min(axis=0), measured_q.max(axis=0), (POSES, measured_q.shape[1]))
+    return Workspace(q, conditions.take(rng.integers(len(measured_q), size=POSES)))
+
+
+def lost_parts(model: ArmModel, space: Workspace) -> dict[str, PositionLoss]:
+    """Position error without each effect of a model, and without its network."""
+    parts = {
+        slug: replace(model, effects=tuple(term for term in model.effects if term.slug == slug), network=None)
+        for slug in dict.fromkeys(term.slug for term in model.effects)
+    }
+    if model.network is not None:
+        parts[NETWORK] = replace(model, effects=())
+    return {part: lost_by(model.geometry, only, space) for part, only in parts.items()}
+
+
+def lost_by(geometry: Geometry, model: ArmModel, space: Workspace) -> PositionLoss:
+    """Position error of a rigid chain in the place of a model."""
+    return _loss(model.predict(space.q, conditions=space.conditions) - smr_positions(geometry, space.q))
+
+
+def _loss(shift: Array) -> PositionLoss:
+    """Rms and largest length of shifts (n, 3) [m]."""
+    length = np.linalg.norm(shift, axis=1) * 1e3
+    return PositionLoss(rms_mm=float(np.sqrt(np.mean(length**2))), max_mm=float(length.max()))
+
+
+def conversion_mm(export: ArmExport, held: Geometry) -> float:
+    """Largest distance [mm] between SMR positions by ``held``, the chain of a file, and by the model's geometry."""
+    off = smr_positions(held, export.q) - smr_positions(export.geometry, export.q)
+    return float(np.linalg.norm(off, axis=1).max()) * 1e3
+
+
+def millimetres(vector: Array) -> str:
+    """A vector [m] in mm for a comment."""
+    return ", ".join(f"{1e3 * value:.6f}" for value in vector.tolist())
+
+
+def hashed(lines: Sequence[str]) -> str:
+    """Comment lines that begin with ``#``."""
+    return "".join(f"# {line}".rstrip() + "\n" for line in lines)

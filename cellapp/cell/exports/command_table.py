@@ -1,0 +1,70 @@
+"""Commands at targets as CSV: joint positions by the calibrated and by the nominal model, uncertainty, verdict."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+
+from cellapp.cell.exports.arm_commands import ArmCommands
+from cellapp.cell.exports.arm_export import hashed
+from cellapp.cell.exports.export_format import CommandFormat
+from cellapp.cell.targets.sides import signs_words
+
+_NOTES = (
+    "q1..qN are the compensated joint positions [rad], nominal_q1..N those of the published geometry. q1..qN hold for",
+    "what holds_for says: let the last motion of each joint have the sign in approach (0: any side), play or friction",
+    "moves the SMR else. uncertainty_mm is the standard uncertainty of a measured coordinate of the SMR there,",
+    "within_mm what a measured error stays below with 95 % probability: both of geometry, effects, network,",
+    "extrapolation, noise, and conditions that nobody stated. A refused target has no positions.",
+)
+
+
+def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
+    """The CSV text: comment lines, a header row, a row a target; floats in the shortest exact form."""
+    joints = range(1, len(commands.home) + 1)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        [
+            "name",
+            "arm",
+            *(f"q{k}" for k in joints),
+            *(f"nominal_q{k}" for k in joints),
+            "approach",
+            "holds_for",
+            "uncertainty_mm",
+            "within_mm",
+            "tolerance_mm",
+            "verdict",
+            "refusal",
+        ]
+    )
+    for one in (command.record for command in commands.commands):
+        writer.writerow(
+            [
+                one.name,
+                one.arm,
+                *_numbers(one.q_compensated, len(joints)),
+                *_numbers(one.q_nominal, len(joints)),
+                "" if one.approach is None else signs_words(one.approach),
+                one.holds_for,
+                *("" if value is None else repr(value) for value in (one.uncertainty_mm, one.within_mm)),
+                "" if one.tolerance_mm is None else repr(one.tolerance_mm),
+                one.verdict,
+                one.refusal,
+            ]
+        )
+    return hashed([*sentences, *_NOTES]) + text.getvalue()
+
+
+def commanded(commands: ArmCommands) -> int:
+    """Number of targets that have joint positions."""
+    return sum(command.record.q_compensated is not None for command in commands.commands)
+
+
+def _numbers(values: Sequence[float] | None, count: int) -> list[str]:
+    return [""] * count if values is None else [repr(value) for value in values]
+
+
+COMMAND_TABLE = CommandFormat("commands", "compensated commands at targets (CSV)", ".csv", command_table, commanded)

@@ -1,0 +1,36 @@
+"""What the exports for Universal Robots share: the check that an arm has UR's chain, and its calibrated rows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellapp.cell.exports.arm_export import ArmExport
+from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.plain_dh import plain_geometry
+from cellapp.robot.kinematics.transforms import Array
+
+_ALPHA = np.radians([90.0, 0.0, 0.0, 90.0, -90.0, 0.0])
+_A, _D = [1, 2], [0, 3, 4, 5]
+"""Rows with a length a or d. Source: Universal Robots, "DH Parameters for calculations of kinematics and dynamics"."""
+_ROUNDING = 1e-6
+"""A published table may round its right angles: UR's own says 1.570796327."""
+
+
+def ur_rows(export: ArmExport) -> Array:
+    """Calibrated plain D-H rows (6, 4) as the controller computes with: theta, d, a, alpha [rad, m].
+
+    Raises
+    ------
+    InputError
+        If the arm's published table is not that of a UR arm.
+    """
+    rows = export.model.nominal.rows
+    if len(rows) == len(_ALPHA):
+        expected = np.zeros((6, 5))
+        expected[_D, 1], expected[_A, 2], expected[:, 3] = rows[_D, 1], rows[_A, 2], _ALPHA
+    if len(rows) != len(_ALPHA) or not np.allclose(rows, expected, rtol=0.0, atol=_ROUNDING):
+        raise InputError(
+            f"export: arm '{export.name}' ({export.arm.type.model}) does not have the chain of a UR arm: six joints,"
+            " alpha 90, 0, 0, 90, -90, 0 degrees; nothing was written. Take urdf, dh, dh-plain or poe, or give --arm"
+        )
+    return np.asarray(plain_geometry(export.geometry).rows[:, :4])

@@ -1,0 +1,95 @@
+"""URDF: the calibrated chain from the tracker to the SMR, with joint limits and masses.
+
+A joint's ``origin`` is ``trans(xyz) rot_z(yaw) rot_y(pitch) rot_x(roll)`` (ROS wiki, "urdf/XML/joint"); each joint
+turns about z. A URDF needs an effort limit and inertia tensors, which a profile does not have.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from cellapp.cell.exports.arm_export import ArmExport
+from cellapp.cell.exports.export_format import ExportFormat
+from cellapp.cell.exports.joint_origins import dh_frames_in_links, joint_origins
+from cellapp.robot.kinematics.transforms import Array, transform, zyx_angles
+
+_EFFORT = "1000"
+"""Nm; more than any joint of such an arm has: a limit that never acts, for a number that the file must have."""
+_NOTES = (
+    "Effort limits are not known and stand for none. Inertias are those of point masses:",
+    "a simulator of dynamics needs better ones.",
+)
+
+
+def urdf(export: ArmExport, sentences: Sequence[str]) -> str:
+    """The URDF: links ``tracker``, ``NAME_base``, one a joint, ``NAME_flange`` and ``NAME_smr``."""
+    return urdf_text(export.name, [export], sentences)
+
+
+def urdf_text(name: str, exports: Sequence[ArmExport], sentences: Sequence[str]) -> str:
+    """The URDF of a robot of some arms, whose bases are fixed to the link ``tracker``."""
+    robot = Element("robot", name=name)
+    robot.append(ElementTree.Comment(_comment([*sentences, *_NOTES])))
+    SubElement(robot, "link", name="tracker")
+    for export in exports:
+        _add_arm(robot, export)
+    ElementTree.indent(robot)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def _add_arm(robot: Element, export: ArmExport) -> None:
+    name = export.name
+    links = ["tracker", f"{name}_base", *(f"{name}_link_{i + 1}" for i in range(export.geometry.joints))]
+    links += [f"{name}_flange", f"{name}_smr"]
+    tool = transform(np.eye(3), export.geometry.tool)
+    poses = [export.geometry.T_M_B(), *joint_origins(export.geometry), tool]
+    elements = {link: SubElement(robot, "link", name=link) for link in links[1:]}
+    for joint, frame in enumerate(dh_frames_in_links(export.geometry)):
+        _add_mass(elements[f"{name}_link_{joint + 1}"], export, joint, frame)
+    for number, (parent, child, pose) in enumerate(zip(links, links[1:], poses, strict=False)):
+        _add_joint(robot, export, number - 1, parent, child, pose)
+
+
+def _add_joint(robot: Element, export: ArmExport, index: int, parent: str, child: str, pose: Array) -> None:
+    """Add joint ``index`` of the arm; a fixed one where there is no such joint."""
+    turns = 0 <= index < export.geometry.joints
+    name = f"{export.name}_joint_{index + 1}" if turns else f"{child}_fixed"
+    joint = SubElement(robot, "joint", name=name, type="revolute" if turns else "fixed")
+    yaw, pitch, roll = zyx_angles(pose[:3, :3])
+    SubElement(joint, "origin", xyz=_numbers(pose[:3, 3].tolist()), rpy=_numbers([roll, pitch, yaw]))
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
+    if turns:
+        row = export.arm.type.joints[index]
+        low, high = row.limit if export.arm.limits is None else export.arm.limits[index]
+        SubElement(joint, "axis", xyz="0 0 1")
+        SubElement(joint, "limit", lower=repr(low), upper=repr(high), velocity=repr(row.speed), effort=_EFFORT)
+
+
+def _add_mass(link: Element, export: ArmExport, joint: int, dh_frame: Array) -> None:
+    """Add mass and centre of mass of body ``joint``; ``dh_frame`` (4, 4) is its D-H frame in that of the link."""
+    mass = float(export.model.bodies.masses[joint])
+    if mass == 0.0:
+        return
+    center = dh_frame[:3, :3] @ export.model.bodies.centers[joint] + dh_frame[:3, 3]
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "origin", xyz=_numbers(center.tolist()), rpy="0 0 0")
+    SubElement(inertial, "mass", value=repr(mass))
+    SubElement(inertial, "inertia", ixx="0", ixy="0", ixz="0", iyy="0", iyz="0", izz="0")
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _comment(lines: Sequence[str]) -> str:
+    """Lines as the text of an XML comment, which must not contain two hyphens in a row."""
+    return "\n  " + "\n  ".join(re.sub("-(?=-)", "- ", line) for line in lines) + "\n  "
+
+
+URDF = ExportFormat("urdf", "URDF from tracker to SMR, limits, masses", ".urdf", urdf)

@@ -1,0 +1,70 @@
+"""What a person reads of an export, in the file and on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from cellapp.cell.exports.arm_export import POSES
+from cellapp.cell.exports.formats import all_formats
+from cellapp.cell.exports.records import ExportResult, PositionLoss
+
+
+class Form(Protocol):
+    """A format of any kind."""
+
+    @property
+    def name(self) -> str:
+        """As ``--as`` takes it."""
+
+    @property
+    def what(self) -> str:
+        """What the file is."""
+
+
+_TOGETHER = "all that is not rigid"
+
+
+def form_line(form: Form) -> str:
+    """The first line of every file."""
+    plugin = all_formats().plugin(form.name)
+    writer = "cellapp" if plugin is None else f"{plugin.distribution} {plugin.version}, a plug-in of cellapp"
+    return f"{form.what[0].upper()}{form.what[1:]}, by {writer}."
+
+
+def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | None) -> list[str]:
+    """What a file cannot hold, in words."""
+    if together is None:
+        return ["The model of this arm is geometry alone: this file holds all of it."]
+    lines = [
+        "This file does not hold these parts of the model. How far the SMR is off without them,",
+        f"at {POSES} random configurations within the joint ranges of the readings:",
+    ]
+    rows = [*lost.items()] if len(lost) == 1 else [*lost.items(), (_TOGETHER, together)]
+    lines += [f"  {part}: {loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most" for part, loss in rows]
+    return lines
+
+
+def export_lines(result: ExportResult) -> list[str]:
+    """The files that were written and what they do not hold."""
+    lines = [f"arm {name}: {count} readings" for name, count in (result.readings or {}).items()]
+    lines += [f"plan written to {result.plan}"] if result.plan is not None else []
+    lines += [f"written to {file}" for file in (result.csv, result.geometry) if file is not None]
+    for name, rms_mm in (result.ur_lost_rms_mm or {}).items():
+        lines.append(f"arm {name}: the differences of its D-H rows lack the Hayati angles and lose {rms_mm:.3f} mm rms")
+    for name, arm in (result.arms or {}).items():
+        smr = ", ".join(f"{1e3 * value:.4f}" for value in arm.smr_m)
+        lines += [
+            f"arm {name}: written to {arm.file}",
+            f"  its numbers are the identified geometry, {_within(arm.conversion_mm)}",
+            f"  SMR in its last frame [mm]: {smr}",
+            *(f"  {line}" for line in lost_sentences(arm.lost, arm.lost_together)),
+        ]
+    for name, arm_commands in (result.commands or {}).items():
+        refused = f", {arm_commands.refused} left out" if arm_commands.refused else ""
+        lines.append(f"arm {name}: {arm_commands.commands} commands written to {arm_commands.file}{refused}")
+    return [*lines, *result.notes]
+
+
+def _within(conversion_mm: float) -> str:
+    return "unconverted" if conversion_mm == 0.0 else f"converted within {conversion_mm:.1g} mm"

@@ -1,0 +1,198 @@
+"""Pairing and order of the stops of all arms in random blocks: little travel, nothing confounded with time or pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.planning.balance import fair_blocks
+from cellapp.cell.planning.stop_set import Rows, StopSet
+from cellapp.cell.planning.tour import Order, TourTask, best_order
+from cellapp.ground.progress import CancelToken
+from cellapp.robot.kinematics.transforms import Array
+
+_STOPS_PER_BLOCK = 100
+"""Fewer make ways longer, as each block goes through the whole workspace once; more leave too few blocks."""
+_LEAST_BLOCKS, _LEAST_STOPS = 4, 6
+"""Blocks of smaller plans: with fewer than four, time and posture correlate along the way; blocks of fewer than six
+stops are hardly a sample of the workspace."""
+_STEPS_PER_STOP = 40
+"""Steps of the search for each stop; twice as many save half a percent of travel more."""
+_LEAST_STEPS = 1000
+_FORBIDDEN_STEPS = 20.0
+"""Cost of a pair that must not stand together, in usual steps: never worth it."""
+_PAIR_GOAL = 0.1
+"""Correlation of two arms' postures from which on pairs are charged for it: below the largest one that is accepted."""
+_PAIR_WEIGHT = 0.15
+"""Charge of a pair for a correlation that is too large by 1, in usual steps."""
+_DRIFT_GOALS = (0.06, 0.1, 0.1, 0.1)
+"""Correlations with posture that are small enough: of time, and of the other courses of a drift."""
+_DECAY = 2.0
+"""Half the duration of a plan over the time constant of a drift that dies away: a warm arm after a quarter of it."""
+_ORDERS = 2000
+"""Orders and directions of the blocks that are compared."""
+_REPEAT_CANDIDATES = 4
+"""Stops looked at for each that is repeated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """n stops of all arms in their order.
+
+    Attributes
+    ----------
+    rows : array, shape (K, n), int
+        Number of the stop of each arm in the set.
+    block : array, shape (n,), int
+    repeat_of : array, shape (n,), int
+        Place of the stop that is visited again; -1 for none.
+    """
+
+    rows: Rows
+    block: NDArray[np.intp]
+    repeat_of: NDArray[np.intp]
+
+    def taken(self, source: NDArray[np.intp]) -> Arrangement:
+        """The stops in another order, or some of them; ``source`` holds their present places.
+
+        Of two visits the later one is the repeat.
+        """
+        place = np.full(self.rows.shape[1] + 1, -1, dtype=np.intp)
+        place[source] = np.arange(len(source))
+        repeat_of = np.full(len(source), -1, dtype=np.intp)
+        for copy in np.flatnonzero(self.repeat_of >= 0).tolist():
+            first, second = sorted((int(place[copy]), int(place[self.repeat_of[copy]])))
+            if first >= 0:
+                repeat_of[second] = first
+        return Arrangement(self.rows[:, source], self.block[source], repeat_of)
+
+
+def block_count(asked: int | None, stops: int) -> int:
+    """Number of blocks of a plan of some stops; ``asked`` is what the profile says."""
+    if asked is not None:
+        return max(1, min(asked, stops))
+    return max(1, min(max(_LEAST_BLOCKS, round(stops / _STOPS_PER_BLOCK)), stops // _LEAST_STOPS))
+
+
+def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator, cancel: CancelToken) -> Arrangement:
+    """Pair and order the stops; ``repeats`` of them are visited twice."""
+    n = stops.size
+    sizes = np.full(blocks, n // blocks)
+    sizes[rng.permutation(blocks)[: n % blocks]] += 1
+    members = np.stack([_members(fair_blocks(one.values, sizes, rng), sizes) for one in stops.postures])
+    time_s = np.zeros((*members.shape, members.shape[2]))
+    for block, size in enumerate(sizes.tolist()):
+        cancel.check()
+        for arm, of_arm in enumerate(members):
+            time_s[arm, block, :size, :size] = stops.arm_times_s(arm, of_arm[block, :size])
+    task = TourTask(
+        sizes,
+        time_s,
+        _pair_cost(stops, members, sizes),
+        [np.where(of_arm[..., None] >= 0, one.values[of_arm], 0.0) for one, of_arm in zip(stops.postures, members)],
+        _PAIR_GOAL,
+        _PAIR_WEIGHT * stops.usual_step_s,
+    )
+    order = best_order(task, _search_steps(n), rng, cancel)
+    ways = [
+        np.stack([members[arm, block, order[arm, block, :size]] for arm in range(len(members))])
+        for block, size in enumerate(sizes.tolist())
+    ]
+    return _with_repeats(stops, _best_blocks(stops, ways, rng), repeats, rng)
+
+
+def _search_steps(stops: int) -> int:
+    return max(_LEAST_STEPS, _STEPS_PER_STOP * stops)
+
+
+def _members(block: NDArray[np.intp], sizes: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Stops of each block (B, m), -1 beyond its size."""
+    members = np.full((len(sizes), int(sizes.max())), -1, dtype=np.intp)
+    for number, size in enumerate(sizes.tolist()):
+        members[number, :size] = np.flatnonzero(block == number)
+    return members
+
+
+def _pair_cost(stops: StopSet, members: Order, sizes: NDArray[np.intp]) -> Array:
+    """Cost of the stops of two arms that must not stand together (pairs of arms, B, m, m) [s]; 0 of others."""
+    pairs, m = list(stops.arm_pairs()), members.shape[2]
+    cost = np.zeros((len(pairs), len(sizes), m, m))
+    for number, (first, second) in enumerate(pairs):
+        for block, size in enumerate(sizes.tolist()):
+            allowed = stops.go_together(first, second, members[first, block, :size], members[second, block, :size])
+            cost[number, block, :size, :size] = np.where(allowed, 0.0, _FORBIDDEN_STEPS * stops.usual_step_s)
+    return cost
+
+
+def _best_blocks(stops: StopSet, ways: list[Rows], rng: np.random.Generator) -> Arrangement:
+    """The ways through all blocks one after the other: order and directions at random, the best of many.
+
+    Neither time nor other courses of a drift are to correlate with posture, and ways between blocks are to be short.
+    """
+    blocks, n = len(ways), sum(way.shape[1] for way in ways)
+    both_ways = [*ways, *(way[:, ::-1] for way in ways)]  # block k, and turned round as block k + B
+    order = np.argsort(rng.random((_ORDERS, blocks)), axis=1)
+    order += blocks * (rng.random(order.shape) < 0.5)
+    first = np.stack([way[:, 0] for way in both_ways], axis=1)
+    last = np.stack([way[:, -1] for way in both_ways], axis=1)
+    i, k = np.indices((2 * blocks, 2 * blocks)).reshape(2, -1)
+    between_s = stops.step_s(last[:, i], first[:, k]).reshape(2 * blocks, 2 * blocks)
+    cost = between_s[order[:, :-1], order[:, 1:]].sum(axis=1)
+    for goal, largest in zip(_DRIFT_GOALS, _drift_correlations(stops, both_ways, order), strict=True):
+        cost += n * stops.usual_step_s * np.maximum(largest - goal, 0.0)
+    parts = [both_ways[k] for k in order[np.argmin(cost)].tolist()]
+    block = np.repeat(np.arange(blocks), [part.shape[1] for part in parts])
+    return Arrangement(np.concatenate(parts, axis=1), block, np.full(n, -1, dtype=np.intp))
+
+
+def _drift_correlations(stops: StopSet, ways: list[Rows], order: NDArray[np.intp]) -> Array:
+    """Largest correlation of each course of a drift with posture, for orders (r, B) of blocks: (courses, r).
+
+    Blocks count as equally long, which they are but for one stop.
+    """
+    blocks, size = order.shape[1], max(way.shape[1] for way in ways)
+    drift = _drift_courses(blocks * size).reshape(-1, blocks, size)
+    largest = np.zeros((len(drift), len(order)))
+    for arm, posture in enumerate(stops.postures):
+        sums = np.stack([drift[:, :, : way.shape[1]] @ posture.values[way[arm]] for way in ways])
+        correlation = sums.transpose(0, 2, 1, 3)[order, np.arange(blocks)].sum(axis=1) / stops.size
+        largest = np.maximum(largest, np.abs(correlation).max(axis=2, initial=0.0).T)
+    return largest
+
+
+def _drift_courses(n: int) -> Array:
+    """Courses of a drift over n stops, with mean 0 and standard deviation 1: straight, curved twice, dying away."""
+    time = np.linspace(-1.0, 1.0, n)
+    courses = np.stack([time, time**2, time**3 - 0.6 * time, np.exp(-_DECAY * (time + 1.0))])
+    centred = courses - courses.mean(axis=1, keepdims=True)
+    return np.asarray(centred / np.maximum(centred.std(axis=1, keepdims=True), 1e-12))
+
+
+def _with_repeats(stops: StopSet, once: Arrangement, repeats: int, rng: np.random.Generator) -> Arrangement:
+    """Visit some stops of the first half again, at least a third of the plan later, where it costs least time."""
+    n = once.rows.shape[1]
+    early = rng.permutation(max(1, n // 2))
+    behind: dict[int, list[int]] = {}
+    for group in np.array_split(early[: repeats * _REPEAT_CANDIDATES], repeats) if repeats else ():
+        best = (np.inf, 0, 0)
+        for place in group.tolist():
+            slots = np.arange(min(place + n // 3, n - 1), n)
+            row = np.repeat(once.rows[:, place : place + 1], len(slots), axis=1)
+            here, there = once.rows[:, slots], once.rows[:, np.minimum(slots + 1, n - 1)]
+            added = stops.step_s(here, row) + np.where(
+                slots + 1 < n, stops.step_s(row, there) - stops.step_s(here, there), 0.0
+            )
+            added += np.array([1e3 * (slot in behind) for slot in slots.tolist()])
+            least = int(np.argmin(added))
+            best = min(best, (float(added[least]), place, int(slots[least])))
+        behind.setdefault(best[2], []).append(best[1])
+    source = [(place, copy) for place in range(n) for copy in (-1, *behind.get(place, ()))]
+    rows = np.array([place if copy < 0 else copy for place, copy in source], dtype=np.intp)
+    new_place = {place: k for k, (place, copy) in enumerate(source) if copy < 0}
+    return Arrangement(
+        once.rows[:, rows],
+        once.block[[place for place, _ in source]],
+        np.array([-1 if copy < 0 else new_place[copy] for _, copy in source], dtype=np.intp),
+    )

@@ -1,0 +1,140 @@
+"""Designed plans: candidates of each arm, those that tell most, their factors, pairs, order and ways."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.cell.planning.candidates import CandidatePool, draw_pool
+from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
+from cellapp.cell.planning.selection import select_stops
+from cellapp.cell.planning.sequence import nearest_turns, sequenced
+from cellapp.cell.planning.within_reach import within_reach
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import CellBodies, sample_spacing
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.robot.kinematics.transforms import Array
+
+_SEED = 0xDE51
+_SPARE_SHARE = 0.05
+"""In a crowded cell about one chosen stop in fifty cannot be reached."""
+_LEAST_SPARES = 8
+_ROUNDS = 3
+"""In which spares take the places of stops that cannot be reached."""
+_LEAST_CHOICE = 3
+"""Candidates within easy reach for each stop; with fewer there is no choice."""
+
+
+@dataclass(frozen=True, eq=False)
+class DesignedStops:
+    """A designed plan, a sentence on each chosen stop that was given up, and the candidates of each arm."""
+
+    stops: PlannedStops
+    given_up: tuple[str, ...]
+    pools: Mapping[str, CandidatePool]
+
+
+def design_stops(
+    profile: Profile,
+    count: int,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    kept: PlannedStops | None = None,
+) -> DesignedStops:
+    """``count`` stops that tell most, in a safe order, after those that are ``kept``.
+
+    Parameters
+    ----------
+    profile : Profile
+    count : int
+        Number of further stops, reserves included.
+    listener, cancel
+        Progress and cancelling.
+    kept : PlannedStops, optional
+        Stops that are in the plan already: what they tell is known before the first choice.
+
+    Raises
+    ------
+    InputError
+        If an arm has no candidates, or none of them can be reached.
+    Cancelled
+    """
+    cancel = cancel or CancelToken()
+    cell = cell_bodies(profile)
+    # the gate samples ways: a configuration at the very limit could not be reached
+    roomy = replace(cell, clearance=cell.clearance + 0.5 * sample_spacing(cell))
+    before = 0 if kept is None else len(kept)
+    rng = np.random.default_rng([profile.seed, _SEED, before])
+    pools = {}
+    for number, name in enumerate(cell.arms):
+        listener(Progress("candidates", number, len(cell.arms), f"arm {name}"))
+        pools[name] = _pool(profile, roomy, name, count, rng, cancel)
+    rows = select_stops(profile, pools, count + _spares(count), rng, listener, cancel, None if kept is None else kept.q)
+    chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
+    return DesignedStops(*_in_order(profile, cell, chosen, count, kept, rng, listener, cancel), pools)
+
+
+def _spares(count: int) -> int:
+    """Stops that are chosen beside ``count``, for those that cannot be reached from the others."""
+    return max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))
+
+
+def _in_order(
+    profile: Profile,
+    cell: CellBodies,
+    chosen: Mapping[str, Array],
+    count: int,
+    kept: PlannedStops | None,
+    rng: np.random.Generator,
+    listener: Listener,
+    cancel: CancelToken,
+) -> tuple[PlannedStops, tuple[str, ...]]:
+    """The kept stops and ``count`` more, the first ``chosen`` ones first, and a sentence on each that is given up.
+
+    Spares follow in place of those that cannot be reached.
+
+    Raises ``InputError`` if fewer than the asked stops can be reached.
+    """
+    stops = kept
+    given_up: list[str] = []
+    first = 0
+    wanted = count + (0 if kept is None else len(kept))
+    later = profile.plan.model_copy(update={"repeats": 0})
+    for plan in (profile.plan, *[later] * _ROUNDS):
+        missing = wanted - (0 if stops is None else len(stops))
+        part = {name: q[first : first + missing] for name, q in chosen.items()}
+        first += missing
+        if missing and all(len(q) for q in part.values()):
+            here = None if stops is None or not len(stops) else stops.q
+            more = sequenced(profile.model_copy(update={"plan": plan}), cell, part, rng, listener, cancel, here)
+            given_up += more.given_up
+            stops = more.stops if stops is None or not len(stops) else joined_after(stops, more.stops)
+    reached = 0 if stops is None else len(stops)
+    if stops is None or reached < wanted - profile.plan.reserve:
+        raise InputError(
+            f"plan: only {reached} of {wanted} stops can be reached; ask for fewer stops, a smaller plan.clearance, or"
+            f" move bases, tracker or obstacles{_first_of(given_up)}"
+        )
+    return stops, tuple(given_up)
+
+
+def _first_of(given_up: list[str]) -> str:
+    return f". {given_up[0]}" if given_up else ""
+
+
+def _pool(
+    profile: Profile, cell: CellBodies, name: str, count: int, rng: np.random.Generator, cancel: CancelToken
+) -> CandidatePool:
+    """Candidates of an arm within easy reach; others too where these are too few for ``count`` stops."""
+    pool = draw_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
+    q = nearest_turns(profile, cell, name, pool.q)
+    reached = within_reach(cell, name, q, home_positions(profile).get(name))
+    if int(reached.sum()) < _LEAST_CHOICE * count:
+        return replace(pool, q=q)
+    rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}
+    return CandidatePool(q[reached], pool.incidence[reached], pool.drawn, rejected)

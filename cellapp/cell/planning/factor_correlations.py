@@ -1,0 +1,110 @@
+"""Correlations of the planned factors of a plan with posture, time, block and each other; its time against random."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.cell.planning.balance import Columns, posture_functions, standardised, time_and_blocks
+from cellapp.cell.planning.design_records import FactorCorrelation, TravelTime
+from cellapp.cell.planning.duration import home_s, stop_times_of
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
+from cellapp.cell.planning.ways import Way, WayFinder
+from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.cell.safety.gate import CellBodies
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
+
+_SAMPLED_WAYS = 80
+"""Ways between random stops on which detours are looked for: some ten of them need one."""
+_RANDOM_ORDERS = 20
+"""Random orders whose time is averaged: its standard deviation is then a few tenths of a percent."""
+
+
+def correlations(
+    profile: Profile, cell: CellBodies, stops: PlannedStops, start: Configuration | None = None
+) -> tuple[FactorCorrelation, ...]:
+    """The largest correlation of each factor that a plan chooses: of each arm, and of all (arm "all").
+
+    ``start`` is where the arms are before the first stop; None: home. A factor that does not vary has none.
+    """
+    time = stop_times_of(profile, stops, start).measured_s
+    common = time_and_blocks(time, stops.block)
+    postures = {name: posture_functions(profile, cell, name, q) for name, q in stops.q.items()}
+    steps = {name: np.nan_to_num(q - stops.approach_from[name]) for name, q in stops.q.items()}
+    sides = {name: _of_joints("approach side of joint {} of " + name, np.sign(step)) for name, step in steps.items()}
+    sizes = {name: _of_joints("step size of joint {} of " + name, np.abs(step)) for name, step in steps.items()}
+    signed = {name: _of_joints("step of joint {} of " + name, step) for name, step in steps.items()}
+    dwell = standardised(("dwell",), next(iter(stops.dwell_s.values()))[:, None])
+    every_posture = _joined(postures)
+    chosen = common.with_(dwell, *sides.values(), *sizes.values())
+    found = [
+        *_largest("all", common.first(1), every_posture),
+        *_largest("all", dwell, every_posture.with_(common, *sides.values())),
+    ]
+    for name in stops.q:
+        others = [posture for other, posture in postures.items() if other != name]
+        for own in (sides[name], sizes[name]):
+            found += _largest(name, own, every_posture.with_(chosen))
+        found += _largest(name, signed[name], every_posture.with_(common, dwell))
+        if others:
+            found += sorted(
+                _largest(name, postures[name], others[0].with_(*others[1:])), key=lambda one: -abs(one.correlation)
+            )[:1]
+    return tuple(found)
+
+
+def travel_time(
+    profile: Profile, stops: PlannedStops, rng: np.random.Generator, start: Configuration | None = None
+) -> TravelTime:
+    """Time in motion of a plan, and of the same pairs, approaches and dwells in random order.
+
+    In random order too the gate refuses some straight ways: what detours add there is taken from a sample of ways.
+    """
+    straight = replace(stops, legs=((),) * len(stops))
+    random_s = []
+    for _ in range(_RANDOM_ORDERS):
+        order = straight.take(rng.permutation(len(stops)))
+        random_s.append(float(stop_times_of(profile, order, start).moving_s.sum()) + home_s(profile, order))
+    planned_s = float(stop_times_of(profile, stops, start).moving_s.sum()) + home_s(profile, stops)
+    detours_s = len(stops) * _added_by_a_detour_s(profile, stops, rng)
+    return TravelTime(planned_s=planned_s, random_order_s=float(np.mean(random_s)) + detours_s)
+
+
+def _added_by_a_detour_s(profile: Profile, stops: PlannedStops, rng: np.random.Generator) -> float:
+    """Mean time that ways between random stops take longer than straight ones [s]; those not found are left out."""
+    if len(stops) < 2:
+        return 0.0
+    finder = WayFinder(profile, cell_bodies(profile), rng)
+    added = []
+    for _ in range(_SAMPLED_WAYS):
+        here, there = (stops.targets(stop) for stop in rng.choice(len(stops), 2, replace=False).tolist())
+        way = finder.find(here, there)
+        if isinstance(way, Way):
+            added.append(way.seconds - finder.seconds(here, there))
+    return float(np.mean(added)) if added else 0.0
+
+
+def _of_joints(text: str, values: Array) -> Columns:
+    return standardised(tuple(text.format(j + 1) for j in range(values.shape[1])), values)
+
+
+def _joined(columns: Mapping[str, Columns]) -> Columns:
+    first, *others = columns.values()
+    return first.with_(*others)
+
+
+def _largest(arm: str, factors: Columns, others: Columns) -> Iterator[FactorCorrelation]:
+    """The largest correlation of each factor with one of the others that is not itself."""
+    if not others.names:
+        return
+    correlation = factors.values.T @ others.values / max(len(factors.values), 1)
+    for name, row in zip(factors.names, correlation, strict=True):
+        size = np.where(np.array([other == name for other in others.names]), -1.0, np.abs(row))
+        k = int(np.argmax(size))
+        if size[k] >= 0.0:
+            yield FactorCorrelation(
+                arm=arm, factor=name, other=others.names[k], correlation=float(row[k]), can_be_chosen=True
+            )

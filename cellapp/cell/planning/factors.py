@@ -1,0 +1,264 @@
+"""Planned factors of each stop: side and size of each joint's last motion, rest before the measurement.
+
+The last motion of all arms goes at once from ``approach_from``: the stop minus a step of each joint with its sign. The
+levels are balanced, and decorrelated from posture, time, block, the other arms and each other, so that no effect of a
+factor can pass for an effect of another. Repeats of a stop are approached from the other side of every joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.planning.balance import Columns, balanced_levels, posture_functions, standardised, time_and_blocks
+from cellapp.cell.safety.gate import CellBodies
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
+
+_GOAL = 0.06
+"""Correlation at which the search for levels ends: some stops must change theirs later, where the gate refuses."""
+_OTHER_STEPS = 40
+"""Other sides and sizes that are tried for a stop whose last motion the gate refuses."""
+_IMPROVED = 0.08
+"""Largest correlation with which the plan is left: below the one that is accepted, as times are estimates."""
+_IMPROVEMENTS = 300
+"""Most changes of single steps; one takes about a millisecond."""
+_TRIED_CHANGES = 10
+"""Stops at which a change of one factor is tried before it is left."""
+_SMALLEST_RAD = 1e-9
+"""Stands for a spread of 0."""
+_SIDES = np.array([-1.0, 1.0])
+
+
+Accepts = Callable[[int, Mapping[str, Array]], bool]
+"""Takes a stop and other signed steps of its last motion, arm -> (N,) [rad]; whether the gate accepts them."""
+
+
+class FactorPlan:
+    """Levels of the factors of n stops in their order, arm -> q (n, N) [rad]."""
+
+    def __init__(
+        self,
+        profile: Profile,
+        cell: CellBodies,
+        q: Mapping[str, Array],
+        block: NDArray[np.intp],
+        repeat_of: NDArray[np.intp],
+        rng: np.random.Generator,
+    ) -> None:
+        self._profile, self._q, self._rng = profile, q, rng
+        self._limits = {name: cell.arms[name].limits for name in q}
+        self._sizes = np.unique(profile.plan.steps)
+        self._repeat_of = repeat_of
+        self._first = np.flatnonzero(repeat_of < 0)
+        """Stops whose levels are free; those of repeats follow."""
+        time = time_and_blocks(np.arange(len(block), dtype=np.float64), block)
+        self._against = _postures(profile, cell, q).with_(time).values
+
+    def dwell_s(self, step: Mapping[str, Array]) -> dict[str, Array]:
+        """Rest before measuring at each stop, arm -> (n,) [s]: the same for all arms, which wait for each other."""
+        levels = np.unique(self._profile.plan.dwell)
+        n = len(self._repeat_of)
+        steps = _levels_of(np.concatenate(list(step.values()), axis=1))
+        against = _with_constant(np.concatenate([self._against, steps], axis=1))
+        chosen = balanced_levels(levels, np.ones((n, len(levels)), dtype=np.bool_), against, self._rng, _GOAL)
+        return {name: levels[chosen].copy() for name in self._q}
+
+    def approaches(self) -> dict[str, Array]:
+        """Signed steps of the last motions with balanced sides and sizes, arm -> (n, N) [rad]; 0: the joint rests.
+
+        They begin inside the limits; nothing else is regarded.
+        """
+        step = {name: np.zeros_like(q) for name, q in self._q.items()}
+        if len(self._sizes) == 0:
+            return step
+        against = self._against
+        joints = [(name, j) for name, q in self._q.items() for j in range(q.shape[1])]
+        sides: dict[tuple[str, int], Array] = {}
+        for name, j in joints:
+            allowed = self._allowed_sides(name, j)
+            side = _SIDES[self._levels(_SIDES, allowed, against, mirrored=True)]
+            sides[name, j] = self._of_all(np.where(allowed.any(axis=1), side, 0.0), mirrored=True)
+            against = np.column_stack([against, sides[name, j]])
+        for name, j in joints:
+            side = sides[name, j]
+            allowed = self._allowed_sizes(name, j, side)
+            if len(self._sizes) > 1:
+                both = np.concatenate([against, against * side[:, None]], axis=1)
+                size = self._sizes[self._levels(self._sizes, allowed, both, mirrored=False)]
+                against = np.column_stack(
+                    [against, standardised(("",), self._of_all(size, mirrored=False)[:, None]).values]
+                )
+            else:
+                size = np.full(len(self._first), self._sizes[0])
+            step[name][:, j] = side * self._of_all(np.where(allowed.any(axis=1), size, 0.0), mirrored=False)
+        return step
+
+    def other_steps(self, step: Mapping[str, Array], stop: int) -> dict[str, Array]:
+        """Other signed steps of one stop within limits, arm -> (m, N) [rad], best balanced first."""
+        if len(self._sizes) == 0:
+            return {name: np.zeros((0, q.shape[1])) for name, q in self._q.items()}
+        own, q = (np.concatenate([rows[stop] for rows in of_arm.values()]) for of_arm in (step, self._q))
+        low, high = np.concatenate([self._limits[name] for name in self._q]).T
+        shape = _OTHER_STEPS, len(own)
+        drawn = _inside(q, self._rng.choice(_SIDES, shape) * self._rng.choice(self._sizes, shape), low, high)
+        present = np.concatenate(list(step.values()), axis=1)
+        scale = np.maximum(np.sqrt(np.mean(present**2, axis=0)), _SMALLEST_RAD)
+        correlation = self._against.T @ (present / scale) / len(present)
+        change = self._against[stop][:, None] * ((drawn - own) / scale)[:, None, :] / len(present)
+        ranked = drawn[np.argsort(np.sum(_sixth_power(correlation + change), axis=(1, 2)), kind="stable")]
+        ends = np.cumsum([rows.shape[1] for rows in self._q.values()])[:-1]
+        return dict(zip(self._q, np.split(ranked, ends, axis=1), strict=True))
+
+    def improve(self, step: Mapping[str, Array], changeable: NDArray[np.bool_], accepts: Accepts) -> None:
+        """Change steps of single joints until no correlation is larger than wanted, where the gate accepts that.
+
+        Only stops that are ``changeable`` (n,) and are not visited twice get other ones; ``step`` is changed in place.
+        """
+        twice = np.isin(np.arange(len(changeable)), self._repeat_of) | (self._repeat_of >= 0)
+        rows = np.flatnonzero(changeable & ~twice)
+        joints = [(name, j) for name, q in self._q.items() for j in range(q.shape[1])]
+        stuck: set[int] = set()
+        for _ in range(_IMPROVEMENTS if len(self._sizes) and len(rows) else 0):
+            levels = _levels_of(np.concatenate(list(step.values()), axis=1))
+            every, correlation = self._correlations(levels)
+            largest = np.abs(correlation).max(axis=0)
+            largest[list(stuck)] = 0.0
+            column = int(np.argmax(largest))
+            if largest[column] <= _IMPROVED:
+                break
+            name, joint = joints[column % len(joints)]
+            measure = _MEASURES[column // len(joints)]
+            if self._change_one(step, rows, name, joint, measure, every, correlation[:, column], accepts):
+                stuck.clear()
+            else:
+                stuck.add(column)
+
+    def _correlations(self, levels: Array) -> tuple[Array, Array]:
+        """All variables (n, q), and their correlations (q, 3 J) with the ``levels`` (n, 3 J) of the factors.
+
+        Signed steps are compared with posture, time and blocks alone: they follow from sides and sizes.
+        """
+        every = np.concatenate([self._against, levels], axis=1)
+        correlation = every.T @ levels / len(levels)
+        own = correlation[self._against.shape[1] :]
+        np.fill_diagonal(own, 0.0)
+        signed = 2 * levels.shape[1] // 3
+        own[signed:], own[:, signed:] = 0.0, 0.0
+        return every, correlation
+
+    def _change_one(
+        self,
+        step: Mapping[str, Array],
+        rows: NDArray[np.intp],
+        name: str,
+        joint: int,
+        measure: Callable[[Array], Array],
+        every: Array,
+        correlation: Array,
+        accepts: Accepts,
+    ) -> bool:
+        """Change side or size of one joint at the stop where that helps most and is accepted; False if nowhere."""
+        present = step[name][rows, joint]
+        scale = len(every) * max(float(np.std(measure(step[name][:, joint]))), _SMALLEST_RAD)
+        compared, found = np.where(correlation == 0.0, 0.0, every[rows]), []
+        for other in (-present, *(np.sign(present) * size for size in self._sizes.tolist())):
+            change = (measure(other) - measure(present)) / scale
+            after = correlation + change[:, None] * compared
+            total = np.where(change != 0.0, np.sum(_sixth_power(after), axis=1), np.inf)
+            found += list(zip(total.tolist(), rows.tolist(), other.tolist(), strict=True))
+        low, high = self._limits[name][joint]
+        for total_after, stop, value in sorted(found)[:_TRIED_CHANGES]:
+            if total_after >= np.sum(_sixth_power(correlation)):
+                return False
+            steps = {arm: one[stop].copy() for arm, one in step.items()}
+            steps[name][joint] = value
+            if low <= self._q[name][stop, joint] - value <= high and accepts(stop, steps):
+                step[name][stop, joint] = value
+                return True
+        return False
+
+    def _levels(self, levels: Array, allowed: NDArray[np.bool_], against: Array, *, mirrored: bool) -> NDArray[np.intp]:
+        """Levels of the free stops; a repeat has the same one, or the opposite if ``mirrored``."""
+        fold = against[self._first].copy()
+        place = np.searchsorted(self._first, self._repeat_of)
+        for copy in np.flatnonzero(self._repeat_of >= 0).tolist():
+            fold[place[copy]] += -against[copy] if mirrored else against[copy]
+        fold = np.concatenate([_with_constant(fold) if not mirrored else self._with_free_constant(fold)], axis=1)
+        usable = np.where(np.any(allowed, axis=1, keepdims=True), allowed, True)
+        return balanced_levels(levels, usable, fold, self._rng, _GOAL)
+
+    def _with_free_constant(self, values: Array) -> Array:
+        """With a column that is 1 where a stop is not repeated: a repeat balances the side of its stop."""
+        repeated = np.isin(self._first, self._repeat_of)
+        return np.column_stack([values, np.where(repeated, 0.0, 1.0)])
+
+    def _of_all(self, values: Array, *, mirrored: bool) -> Array:
+        """Values of all stops from those of the free ones (m,)."""
+        every = np.zeros(len(self._repeat_of))
+        every[self._first] = values
+        copies = np.flatnonzero(self._repeat_of >= 0)
+        every[copies] = every[self._repeat_of[copies]] * (-1.0 if mirrored else 1.0)
+        return every
+
+    def _allowed_sides(self, name: str, joint: int) -> NDArray[np.bool_]:
+        """Sides (m, 2) from which the largest step is inside the limits; if none is, any step; repeats from both."""
+        low, high = self._limits[name][joint]
+        q = self._q[name][self._first, joint]
+        repeated = np.isin(self._first, self._repeat_of)
+
+        def inside(size: float) -> NDArray[np.bool_]:
+            start = q[:, None] - _SIDES * size
+            fits = (start >= low) & (start <= high)
+            return np.asarray(np.where(repeated[:, None], fits.all(axis=1, keepdims=True), fits))
+
+        largest, smallest = inside(float(self._sizes[-1])), inside(float(self._sizes[0]))
+        return np.asarray(np.where(largest.any(axis=1, keepdims=True), largest, smallest))
+
+    def _allowed_sizes(self, name: str, joint: int, side: Array) -> NDArray[np.bool_]:
+        """Sizes (m, L) with which the steps of a stop and of its repeat begin inside the limits."""
+        low, high = self._limits[name][joint]
+        start = self._q[name][:, joint, None] - side[:, None] * self._sizes
+        fits = (start >= low) & (start <= high) & (side != 0.0)[:, None]
+        for copy in np.flatnonzero(self._repeat_of >= 0).tolist():
+            fits[self._repeat_of[copy]] &= fits[copy]
+        return np.asarray(fits[self._first])
+
+
+def _sixth_power(values: Array) -> Array:
+    """The largest correlations rule a sum of these. By products: general powers take many times as long."""
+    squares = values * values
+    return squares * squares * squares
+
+
+def _inside(q: Array, step: Array, low: Array, high: Array) -> Array:
+    """Steps (m, N) whose start is inside the limits: others are turned round, or left out."""
+    turned = np.where((q - step >= low) & (q - step <= high), step, -step)
+    return np.asarray(np.where((q - turned >= low) & (q - turned <= high), turned, 0.0))
+
+
+def _with_constant(values: Array) -> Array:
+    return np.column_stack([values, np.ones(len(values))])
+
+
+def _postures(profile: Profile, cell: CellBodies, q: Mapping[str, Array]) -> Columns:
+    found = [posture_functions(profile, cell, name, rows) for name, rows in q.items()]
+    return found[0].with_(*found[1:])
+
+
+def _as_it_is(step: Array) -> Array:
+    return step
+
+
+_MEASURES: tuple[Callable[[Array], Array], ...] = (np.sign, np.abs, _as_it_is)
+"""What a signed step is a level of: the side, the size, both."""
+
+
+def _levels_of(step: Array) -> Array:
+    """Sides, sizes and both of signed steps (n, J), (n, 3 J), with mean 0 and standard deviation 1; 0 if constant."""
+    levels = np.concatenate([measure(step) for measure in _MEASURES], axis=1)
+    centred = levels - levels.mean(axis=0)
+    spread = centred.std(axis=0)
+    return np.asarray(np.where(spread > _SMALLEST_RAD, centred / np.maximum(spread, _SMALLEST_RAD), 0.0))

@@ -1,0 +1,315 @@
+"""What each candidate stop of an arm tells: whitened derivatives of its reading by geometry and effects.
+
+The columns are all geometric parameters with the priors of typical arms, the coefficients of the effects that the
+profile lists, and *potential terms*: periodic errors of several cycles a turn that no one asked for, each small by
+prior. A design that ignored them would put its stops where the listed effects are largest and nowhere else, and what
+discovery finds with free forms would stay hidden (Bayesian designs with potential terms: DuMouchel, Jones,
+Technometrics 36 (1994) 37).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.estimation.calibration.parameters import (
+    EXPECTED_SCATTER_M,
+    ParameterSet,
+    estimated_parameters,
+    prior_sds,
+    typical_spreads,
+)
+from cellapp.estimation.discovery.arm_data import whitening
+from cellapp.estimation.discovery.candidates import whitened_displacements
+from cellapp.estimation.discovery.plan_forecast import nominal_model, tracker_covariance
+from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import EFFECTS, EffectColumn, EffectContext, Law, MeasurementConditions
+from cellapp.robot.kinematics.chain import JointAngles, jacobian
+from cellapp.robot.kinematics.statics import base_moment
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import prior_sigmas
+
+EXPECTED_EFFECT_M = 1e-4
+"""Standard deviation of the rms displacement by each coefficient of an effect: what most effects of the library do to
+an arm of this class (10 to 300 um). It matters only for coefficients that hardly any plan determines."""
+POTENTIAL_M = 1e-5
+"""The same of a potential term. Designed stops then show such errors better than random ones (standard errors 0.8 of
+theirs; 1.5 of theirs in the worst case without potential terms), and lose 2 % of what they tell of the rest."""
+POTENTIAL_CYCLES = (3, 4, 5, 6)
+"""Cycles a turn of the potential terms of every joint: the next above those of the listed effects. Higher ones have
+nothing in common with posture, so that any stops show them that leave no gap."""
+_MOST_CYCLES = 2
+"""Columns of effects with more cycles a turn are left to the potential terms."""
+_REGISTRATION = {"m": 5e-3, "rad": 5e-3}
+"""Standard deviation of the parameters of base and SMR that have no prior: where a first registration leaves them."""
+_LEAST_EFFECT_M = 1e-6
+"""A column is left out if it moves the SMR by less than this even at the bound of its coefficient."""
+_INCIDENCE_SCALE = math.radians(10.0)
+"""Incidence beyond the range of full accuracy at which the tracker's standard uncertainty has grown by half again."""
+_INCIDENCE_GROWTH = 0.5
+_SECONDS_A_STOP = 15.0
+"""Time of a stop with its motion: only the shape of a warm-up against the length of the run depends on it."""
+_REFERENCE_STOPS = 400
+"""Candidates at which the laws of effects are set up, and the sizes of their columns are taken."""
+_ROWS_AT_ONCE = 2000
+"""Candidates whose columns are computed together: bounds the memory for the arrays in between."""
+
+
+@dataclass(frozen=True)
+class _EffectPart:
+    """Columns ``names`` of a law of an effect."""
+
+    slug: str
+    law: Law
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class InformationModel:
+    """The p columns of one arm and their sizes; the first are geometry, then effects, then potential terms.
+
+    Attributes
+    ----------
+    profile, name
+        The cell, and the arm in it.
+    model : ArmModel
+    parameters : ParameterSet
+        Geometric parameters.
+    parts : tuple
+        Columns of effects, and last of potential terms.
+    size : array, shape (p,)
+        Prior standard deviation of each parameter or coefficient in its unit.
+    potential : int
+        Number of potential terms.
+    """
+
+    profile: Profile
+    name: str
+    model: ArmModel
+    parameters: ParameterSet
+    parts: tuple[_EffectPart, ...]
+    size: Array
+    potential: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters of geometry, then ``slug: coefficient``."""
+        return (*self.parameters.names, *(f"{part.slug}: {name}" for part in self.parts for name in part.names))
+
+    @property
+    def wanted(self) -> int:
+        """Number of columns whose standard errors count: without the potential terms."""
+        return len(self.size) - self.potential
+
+    def rows(self, q: Array, conditions: MeasurementConditions) -> Array:
+        """Whitened derivatives of readings at ``q`` (n, N) [rad] by parameters in units of ``size``, (n, 3, p)."""
+        return self._rows(q, conditions, weighted=True)
+
+    def prediction_rows(self, q: Array, conditions: MeasurementConditions) -> Array:
+        """Derivatives [m] of the SMR position at ``q`` (n, N) [rad] by parameters in units of ``size``, (n, 3, p)."""
+        return self._rows(q, conditions, weighted=False)
+
+    def _rows(self, q: Array, conditions: MeasurementConditions, *, weighted: bool) -> Array:
+        found = np.empty((len(q), 3, len(self.size)))
+        for first in range(0, len(q), _ROWS_AT_ONCE):
+            part = np.arange(first, min(first + _ROWS_AT_ONCE, len(q)))
+            context = self.model.context(q[part], conditions=conditions.take(part))
+            white = whitening(self._covariance(context)) if weighted else _unit(len(part))
+            found[part] = self._columns(context, white)
+        return found
+
+    def _columns(self, context: EffectContext, white: Array) -> Array:
+        """Columns (n, 3, p) with ``white`` (3, 3, n)."""
+        geometry = self.parameters.columns
+        joints = tuple(6 + 5 * j for j in range(context.joints))
+        _, J = jacobian(self.model.geometry, JointAngles.of(context.q), (*geometry, *joints))
+        J = np.einsum("acn,ckn->kan", white, J)
+        by_joint = J[len(geometry) :].swapaxes(0, 1)
+        columns = [column for part in self.parts for column in _columns_of(part, context)]
+        of_effects = whitened_displacements(columns, by_joint, white).reshape(len(columns), 3, -1)
+        together = np.concatenate([J[: len(geometry)], of_effects])
+        together *= self.size[:, None, None]
+        return together.transpose(2, 1, 0)
+
+    def _covariance(self, context: EffectContext) -> Array:
+        """Expected covariance (n, 3, 3) [m^2] of readings: the tracker's, and the scatter of the arm."""
+        growth = _growth(incidence(context), self.profile.plan.incidence)
+        covariance = tracker_covariance(self.profile.tracker, context.p_M) * growth[:, None, None] ** 2
+        return np.asarray(covariance + EXPECTED_SCATTER_M**2 * np.eye(3))
+
+
+def information_model(
+    profile: Profile, name: str, q: Array, conditions: MeasurementConditions, *, potential: bool = True
+) -> InformationModel:
+    """Choose the columns of an arm from some of its candidates ``q`` (n, N) [rad] under ``conditions``.
+
+    Of each effect the simplest form that a plan can show counts, with the middle one of its laws (of several onsets or
+    time constants), and of this the columns that are no refinements and have at most two cycles a turn.
+
+    Raises
+    ------
+    InputError
+        If the profile lists an effect that is not in the library or that no plan of this cell can show, its parameter
+        set is not for this arm, or it does not describe the cell.
+    """
+    model = nominal_model(profile, name)
+    wanted = profile.calibration.parameter_set
+    stated = prior_sigmas(model.nominal, profile.calibration.priors)
+    try:
+        parameters, _ = estimated_parameters(wanted, model.nominal, stated)
+    except ValueError as error:
+        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
+    priors = prior_sds(parameters, {**typical_spreads(model.nominal.joints), **stated})
+    registered = np.array([_REGISTRATION[unit] for unit in parameters.units])
+    some = np.arange(min(len(q), _REFERENCE_STOPS))
+    context = model.context(q[some], conditions=conditions.take(some))
+    parts, sizes = [], [np.where(np.isfinite(priors), priors, registered)]
+    for part, size in _effect_parts(profile, name, context):
+        parts.append(part)
+        sizes.append(size)
+    terms = _potential_terms(context) if potential else None
+    if terms is not None:
+        parts.append(terms[0])
+        sizes.append(terms[1])
+    number = 0 if terms is None else len(terms[1])
+    return InformationModel(profile, name, model, parameters, tuple(parts), np.concatenate(sizes), number)
+
+
+def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterator[tuple[_EffectPart, Array]]:
+    """The wanted effects of an arm, each with the sizes of its coefficients."""
+    listed = profile.plan.effects
+    unknown = [slug for slug in listed or () if slug not in EFFECTS or slug == UNKNOWN]
+    if unknown:
+        known = ", ".join(slug for slug in EFFECTS if slug != UNKNOWN)
+        refusal = f"; {why}" if (why := EFFECTS.refusal(unknown[0])) else ""
+        raise InputError(f"plan.effects: '{unknown[0]}' is no effect of the library; known are: {known}{refusal}")
+    for slug in EFFECTS if listed is None else dict.fromkeys(listed):
+        if slug == UNKNOWN:
+            continue
+        lacking = EFFECTS[slug].missing_data(context)
+        laws = [] if lacking else EFFECTS[slug].laws(context)
+        if laws:
+            simplest = [law for law in laws if law.form == laws[0].form]
+            yield from _sized(slug, simplest[len(simplest) // 2], context, EXPECTED_EFFECT_M)
+        elif listed is not None:
+            raise InputError(
+                f"plan.effects: '{slug}': no plan of this cell can show it in arm {name} ({lacking}); remove it"
+            )
+
+
+def _potential_terms(context: EffectContext) -> tuple[_EffectPart, Array] | None:
+    """Periodic errors of several cycles a turn of each joint that moves the SMR."""
+    joints = range(1, context.joints + 1)
+    waves = frozenset(f"{wave}{n}q{j}" for j in joints for n in POTENTIAL_CYCLES for wave in ("cos", "sin"))
+    law = EFFECTS[TRANSMISSION_ERROR].law("lines")
+    return next(_sized(TRANSMISSION_ERROR, law, context, POTENTIAL_M, waves), None)
+
+
+def _sized(
+    slug: str, law: Law, context: EffectContext, expected_m: float, names: frozenset[str] | None = None
+) -> Iterator[tuple[_EffectPart, Array]]:
+    """The columns of a law that move the SMR, with coefficients that displace it by ``expected_m`` rms."""
+    chosen, sizes = [], []
+    columns = EFFECTS[slug].columns(context, law, names)
+    displaced = whitened_displacements(columns, _by_joint(context), _unit(len(context)))
+    for column, rms in zip(columns, _rms(displaced, len(context)).tolist(), strict=True):
+        bound = max(abs(column.lower), abs(column.upper))
+        refines = column.refines or (names is None and (column.cycles or 0) > _MOST_CYCLES)
+        if not refines and rms * min(bound, 1.0) > _LEAST_EFFECT_M:
+            chosen.append(column.name)
+            sizes.append(min(expected_m / rms, bound))
+    if chosen:
+        yield _EffectPart(slug, law, tuple(chosen)), np.array(sizes)
+
+
+def _columns_of(part: _EffectPart, context: EffectContext) -> list[EffectColumn]:
+    by_name = {column.name: column for column in EFFECTS[part.slug].columns(context, part.law, frozenset(part.names))}
+    return [by_name[name] for name in part.names]
+
+
+def _by_joint(context: EffectContext) -> Array:
+    """Derivatives of the SMR position by the joints (3, N, n) [m/rad]."""
+    joints = tuple(6 + 5 * j for j in range(context.joints))
+    return jacobian(context.geometry, JointAngles.of(context.q), joints)[1]
+
+
+def _rms(rows: Array, n: int) -> Array:
+    """Rms length (m,) of displacements (m, 3 n)."""
+    return np.asarray(np.sqrt(np.einsum("md,md->m", rows, rows) / n))
+
+
+def _unit(n: int) -> Array:
+    """Whitening (3, 3, n) that changes nothing."""
+    return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
+
+
+def incidence(context: EffectContext) -> Array:
+    """Angle (n,) [rad] between the beam and the SMR's viewing direction; 0 where this is not known."""
+    if context.smr_normal is None:
+        return np.zeros(len(context))
+    normal = context.frames[0][-1] @ context.smr_normal
+    return np.asarray(np.arccos(np.clip(-np.einsum("na,na->n", normal, context.beam[1]), -1.0, 1.0)))
+
+
+def _growth(angle: Array, full_accuracy: float) -> Array:
+    """Factor (n,) by which the tracker's standard uncertainty is larger at an incidence ``angle`` (n,) [rad]."""
+    return 1.0 + _INCIDENCE_GROWTH * np.maximum(angle - full_accuracy, 0.0) / _INCIDENCE_SCALE
+
+
+def even_conditions(
+    profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
+) -> MeasurementConditions:
+    """``drawn_conditions`` in which no stop is better off than another: only signs of steps and of times are drawn.
+
+    Steps have their rms size, times their rms distance from the middle of the run. A choice among stops would else
+    prefer those with large steps at the beginning or at the end of the run, which the plan then changes.
+    """
+    drawn = drawn_conditions(profile, name, q, others, rng)
+    half = 0.5 * _SECONDS_A_STOP * profile.plan.stops
+    time_s = half * (1.0 + rng.choice((-1.0, 1.0), len(q)) / math.sqrt(3.0))
+    step = drawn.step
+    if profile.plan.steps and step is not None:
+        step = np.sign(step) * math.sqrt(float(np.mean(np.square(profile.plan.steps))))
+    return replace(drawn, step=step, time_s=time_s, order=_places(time_s))
+
+
+def drawn_conditions(
+    profile: Profile, name: str, q: Array, others: Mapping[str, Array], rng: np.random.Generator
+) -> MeasurementConditions:
+    """Conditions of readings at ``q`` (n, N) [rad] as factors of a plan that are not decided yet: drawn, independent.
+
+    ``others`` are configurations of the other arms, from which their pose at each stop is drawn.
+    """
+    n, plan = len(q), profile.plan
+    if plan.steps:
+        step = rng.choice(plan.steps, q.shape) * rng.choice((-1.0, 1.0), q.shape)
+    else:  # straight from another stop
+        step = q - q[rng.permutation(n)]
+    time_s = rng.uniform(0.0, _SECONDS_A_STOP * plan.stops, n)
+    moment, other_q = None, None
+    if len(others) == 1:
+        other = next(iter(others))
+        model = nominal_model(profile, other)
+        other_q = others[other][rng.integers(0, len(others[other]), n)]
+        moment = base_moment(model.geometry, model.bodies, other_q, model.up_M)
+    return MeasurementConditions(
+        approach=np.sign(step),
+        step=step,
+        dwell_s=rng.choice(plan.dwell, n),
+        time_s=time_s,
+        order=_places(time_s),
+        payload_kg=np.full(n, profile.arms[name].payload.mass),
+        other_moment_M=moment,
+        other_q=other_q,
+    )
+
+
+def _places(time_s: Array) -> Array:
+    """Places (n,) in the order of time, from 0."""
+    return np.argsort(np.argsort(time_s, kind="stable")).astype(np.float64)

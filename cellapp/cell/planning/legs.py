@@ -1,0 +1,153 @@
+"""Last motions and ways of an arrangement of stops: what the gate refuses gets other sides and steps, or a detour."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.cell.planning.arrangement import Arrangement
+from cellapp.cell.planning.factors import FactorPlan
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, orders
+from cellapp.cell.planning.ways import WayFinder
+from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion
+from cellapp.ground.progress import CancelToken, Report
+from cellapp.robot.kinematics.transforms import Array
+
+_MOST_WAYS = 6
+"""Sides and steps of one stop for which the gate is asked about the way: if all are refused, the stop itself is hard to
+reach, and a detour is sought."""
+_REPORT_EVERY = 10
+"""Stops between two reports of progress."""
+
+Steps = Mapping[str, Array]
+"""Arm -> signed steps of the last motion to one stop (N,) [rad]."""
+
+
+class LegPlanner:
+    """Plans how each stop is reached from the one before it; ``start`` (None: anywhere) is before the first."""
+
+    def __init__(
+        self,
+        cell: CellBodies,
+        q: Mapping[str, Array],
+        arrangement: Arrangement,
+        factors: FactorPlan,
+        finder: WayFinder,
+        start: Configuration | None,
+    ) -> None:
+        self._cell, self._q, self._arrangement = cell, q, arrangement
+        self._factors, self._finder, self._start = factors, finder, start
+        self._step = factors.approaches()
+        self._before: dict[int, Configuration | None] = {}
+        """Where the arms are before each stop that is reached."""
+        self.given_up: list[str] = []
+        """One sentence for each stop that cannot be reached."""
+
+    def plan(self, report: Report, cancel: CancelToken) -> PlannedStops:
+        """The stops that can be reached, in their order."""
+        n = len(self._arrangement.block)
+        legs: dict[int, Route] = {}
+        here = self._start
+        for stop in range(n):
+            cancel.check()
+            if stop % _REPORT_EVERY == 0:
+                report(stop, "ways")
+            way = self._reach(stop, here)
+            if isinstance(way, str):
+                self.given_up.append(f"a stop in block {self._arrangement.block[stop] + 1} has no way to it: {way}")
+                continue
+            legs[stop], self._before[stop] = way, here
+            here = self._at(stop)
+        changeable = np.array([not legs.get(stop, ({},)) for stop in range(n)], dtype=np.bool_)
+        self._factors.improve(self._step, changeable, self._accepts)
+        whole = PlannedStops(
+            q=self._q,
+            approach_from={name: _begin(q, self._step[name]) for name, q in self._q.items()},
+            dwell_s=self._factors.dwell_s(self._step),
+            legs=((),) * n,
+            block=self._arrangement.block,
+            repeat_of=self._arrangement.repeat_of,
+            frozen=np.zeros(n, dtype=np.bool_),
+        )
+        return replace(whole.take(list(legs)), legs=tuple(legs.values()))
+
+    def _reach(self, stop: int, here: Configuration | None) -> Route | str:
+        """Legs to a stop, whose steps are changed where the gate refuses them; the reason if there is no way."""
+        own = {name: step[stop] for name, step in self._step.items()}
+        usable, asked = None, 0
+        for steps in (own, *self._others(stop)) if self._last_is_free(stop, own) else self._others(stop):
+            if steps is not own and not self._last_is_free(stop, steps):
+                continue
+            usable, asked = usable or steps, asked + 1
+            if self._way_is_free(stop, here, steps):
+                self._set(stop, steps)
+                return ()
+            if asked == _MOST_WAYS:
+                break
+        if usable is None:  # the last motion comes straight from the stop before
+            usable = {name: np.zeros_like(step) for name, step in own.items()}
+        self._set(stop, usable)
+        if here is None:
+            return ()
+        found = self._finder.find(here, self._begin_of(stop, usable))
+        return found if isinstance(found, str) else found.legs
+
+    def _others(self, stop: int) -> list[Steps]:
+        """Other steps of a stop whose last motion begins where the arms may stand; a repeat has those of its stop."""
+        if self._arrangement.repeat_of[stop] >= 0:
+            return []
+        patterns = self._factors.other_steps(self._step, stop)
+        begins = {name: q[stop] - patterns[name] for name, q in self._q.items()}
+        free = clear_stops(self._cell, begins)
+        return [{name: rows[k] for name, rows in patterns.items()} for k in np.flatnonzero(free).tolist()]
+
+    def _accepts(self, stop: int, steps: Steps) -> bool:
+        """Whether the gate accepts other steps at a stop that is reached straight."""
+        return self._last_is_free(stop, steps) and self._way_is_free(stop, self._before[stop], steps)
+
+    def _last_is_free(self, stop: int, steps: Steps) -> bool:
+        """Whether the gate accepts the last motion, and that of the repeat from the other side."""
+        there = self._at(stop)
+        if refuse_motion(self._cell, self._begin_of(stop, steps), there):
+            return False
+        mirrored = {name: -step for name, step in steps.items()}
+        repeated = np.any(self._arrangement.repeat_of == stop)
+        return not (repeated and refuse_motion(self._cell, self._begin_of(stop, mirrored), there))
+
+    def _way_is_free(self, stop: int, here: Configuration | None, steps: Steps) -> bool:
+        return here is None or not refuse_motion(self._cell, here, self._begin_of(stop, steps))
+
+    def _begin_of(self, stop: int, steps: Steps) -> dict[str, Array]:
+        return {name: q[stop] - steps[name] for name, q in self._q.items()}
+
+    def _at(self, stop: int) -> dict[str, Array]:
+        return {name: q[stop] for name, q in self._q.items()}
+
+    def _set(self, stop: int, steps: Steps) -> None:
+        copies = np.flatnonzero(self._arrangement.repeat_of == stop)
+        for name, step in steps.items():
+            self._step[name][copies] = -step
+            self._step[name][stop] = step
+
+
+def can_end(cell: CellBodies, last: Configuration, home: Configuration | None) -> bool:
+    """Whether the arms can go home from the last stop, at once or one after the other."""
+    if home is None or not refuse_motion(cell, last, home):
+        return True
+    for route in orders(home):
+        here: Configuration = last
+        for targets in route:
+            there = {**here, **targets}
+            if refuse_motion(cell, here, there):
+                break
+            here = there
+        else:
+            return True
+    return False
+
+
+def _begin(q: Array, step: Array) -> Array:
+    """Where the last motions begin (n, N) [rad]; NaN where no joint moves."""
+    return np.where(np.any(step != 0.0, axis=1, keepdims=True), q - step, np.nan)

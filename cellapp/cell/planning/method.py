@@ -1,0 +1,78 @@
+"""The stops of a plan by the method that the profile names, alone or around stops that are kept."""
+
+from __future__ import annotations
+
+from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.cell.planning.design_report import design_result
+from cellapp.cell.planning.designed import design_stops
+from cellapp.cell.planning.plan import further_stops
+from cellapp.cell.planning.planned_stops import PlannedStops, joined_after, straight_stops
+from cellapp.cell.planning.stored_stops import write_planned_stops
+from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Listener, ignore
+
+
+def plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlannedStops:
+    """Plan the stops of a run and store them with what is known of their design.
+
+    Raises
+    ------
+    InputError
+        If not enough stops can be reached.
+    Cancelled
+    """
+    stops, design = make_stops(run.profile, listener, cancel)
+    write_planned_stops(run, stops, design=design)
+    return stops
+
+
+def make_stops(
+    profile: Profile,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    kept: PlannedStops | None = None,
+    add: int | None = None,
+) -> tuple[PlannedStops, PlanDesignResult | None]:
+    """Stops by ``plan.method``, and what is known of their design; None for random ones.
+
+    Parameters
+    ----------
+    profile : Profile
+    listener, cancel
+        Progress and cancelling.
+    kept : PlannedStops, optional
+        Stops that are in the plan already; they stay in their order at its beginning, and what they tell is known.
+    add : int, optional
+        Number of further stops; None: up to those that the profile asks for, reserves included.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to add, or not enough stops can be reached.
+    Cancelled
+    """
+    wanted = profile.plan.stops + profile.plan.reserve
+    if kept is not None and add is None and len(kept) >= wanted:
+        raise InputError(
+            f"plan: {len(kept)} stops are kept, and plan.stops and plan.reserve ask for {wanted}: nothing is left to"
+            " design; ask for more stops, or keep fewer"
+        )
+    count = wanted - (0 if kept is None else len(kept)) if add is None else add
+    if profile.plan.method == "random":
+        return _random(profile, count, listener, cancel, kept), None
+    designed = design_stops(profile, count, listener, cancel, kept)
+    return designed.stops, design_result(profile, designed, listener, cancel)
+
+
+def _random(
+    profile: Profile, count: int, listener: Listener, cancel: CancelToken | None, kept: PlannedStops | None
+) -> PlannedStops:
+    """Random stops with straight ways, after those that are kept."""
+    if kept is None or not len(kept):
+        return straight_stops(further_stops(profile, home_positions(profile), count, (), listener, cancel))
+    here = kept.targets(len(kept) - 1)
+    return joined_after(kept, straight_stops(further_stops(profile, here, count, (len(kept),), listener, cancel)))

@@ -1,0 +1,163 @@
+"""Another order of the stops where the gate refuses a straight way: parts are reversed, shifted or exchanged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.planning.arrangement import Arrangement
+from cellapp.cell.planning.planned_stops import Configuration
+from cellapp.cell.planning.stop_set import StopSet
+from cellapp.cell.planning.tour import Move
+from cellapp.cell.safety.gate import refuse_motion
+from cellapp.ground.progress import CancelToken
+from cellapp.robot.kinematics.transforms import Array
+
+_DETOUR_STEPS = 1.0
+"""What a detour costs, in usual steps: another order that costs more is not taken."""
+_MOST_TRIED = 12
+"""Other orders that are asked of the gate for one refused way: about one in two is free."""
+_ROUNDS = 2
+"""Passes over all ways: a repair may make another one possible."""
+
+_LEAST_GAIN_S = 0.02
+"""Gain for which the ways between blocks, which were made one by one, are joined in another way."""
+
+_LONGEST_PART = 20
+"""Most stops that a move displaces: more would change when the postures of a block are visited."""
+
+_START, _END = -1, -2
+"""Stand for the numbers of the configurations before the first stop and after the last."""
+
+
+def mend_order(
+    stops: StopSet,
+    arrangement: Arrangement,
+    start: Configuration | None,
+    end: Configuration | None,
+    cancel: CancelToken,
+) -> Arrangement:
+    """The same pairs of stops in an order of which the gate refuses few straight ways, or none.
+
+    Stops stay in their blocks. ``start`` and ``end`` are where the arms are before and after (None: anywhere).
+    """
+    ways = _Ways(stops, start, end)
+    for place in _between_blocks(arrangement.block):
+        while (better := _better(ways, arrangement, place, -_LEAST_GAIN_S)) is not None:
+            arrangement = better
+    limit = _DETOUR_STEPS * stops.usual_step_s
+    for _ in range(_ROUNDS):
+        refused = 0
+        for place in range(arrangement.rows.shape[1] + 1):
+            cancel.check()
+            if ways.is_free(arrangement, place - 1, place):
+                continue
+            refused += 1
+            better = _better(ways, arrangement, place, limit)
+            arrangement = arrangement if better is None else better
+        if not refused:
+            break
+    return arrangement
+
+
+def _between_blocks(block: NDArray[np.intp]) -> list[int]:
+    """Places of stops to which the way leads from another block, or from or to the end of the plan."""
+    return [0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]
+
+
+def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangement | None:
+    """Another order in which all ways that are new are free; None if none is found that costs less than ``limit``."""
+    costs: list[tuple[float, int, Move]] = []
+    for move in _moves(now.block, place):
+        added = ways.added_s(now, move)
+        costs += [(float(added[k]), k, move) for k in np.argsort(added, kind="stable")[:_MOST_TRIED].tolist()]
+    costs.sort(key=lambda one: one[:2])
+    positions = np.arange(1, now.rows.shape[1] + 1)
+    for added_s, k, move in costs[:_MOST_TRIED]:
+        if added_s > limit:
+            break
+        chosen = Move(move.kind, move.low[k : k + 1], move.high[k : k + 1], _shift(move, k))
+        if all(ways.is_free(now, int(before[0]) - 1, int(here[0]) - 1) for _, before, here in chosen.steps()):
+            return now.taken(chosen.source(positions) - 1)
+    return None
+
+
+def _shift(move: Move, k: int) -> NDArray[np.intp] | int:
+    return move.shift if isinstance(move.shift, int) else move.shift[k : k + 1]
+
+
+def _moves(block: NDArray[np.intp], place: int) -> Iterator[Move]:
+    """Moves inside a block that change the way to the stop at ``place``; positions count from 1."""
+    here = place + 1
+    if place < len(block):
+        before, later = _beside(block, place)
+        yield from _of_part(np.full_like(later, here), later)
+        yield Move("exchange", before, np.full_like(before, here))
+    if place > 0:
+        before, later = _beside(block, place - 1)
+        yield from _of_part(before, np.full_like(before, place))
+        yield Move("exchange", np.full_like(later, place), later)
+
+
+def _beside(block: NDArray[np.intp], place: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Positions before and after a stop in its block that are not too far from it."""
+    first, end = (int(np.searchsorted(block, block[place], side=side)) for side in ("left", "right"))
+    before = np.arange(max(first, place - _LONGEST_PART) + 1, place + 1)
+    return before, np.arange(place + 2, min(end, place + 1 + _LONGEST_PART) + 1)
+
+
+def _of_part(low: NDArray[np.intp], high: NDArray[np.intp]) -> Iterator[Move]:
+    yield Move("reverse", low, high)
+    yield Move("exchange", low, high)
+    yield Move("shift", low, high, np.ones_like(low))
+    yield Move("shift", low, high, high - low)
+
+
+class _Ways:
+    """The straight ways between stops: their time, and the gate's answers, asked once each."""
+
+    def __init__(self, stops: StopSet, start: Configuration | None, end: Configuration | None) -> None:
+        self._stops, self._start, self._end = stops, start, end
+        self._answers: dict[tuple[tuple[int, ...], tuple[int, ...]], bool] = {}
+
+    def is_free(self, arrangement: Arrangement, before: int, place: int) -> bool:
+        """Whether the gate accepts the straight way between two places; -1 is the start, n the end."""
+        here, there = self._key(arrangement, before), self._key(arrangement, place)
+        q_here, q_there = self._at(here), self._at(there)
+        if q_here is None or q_there is None or here == there:
+            return True
+        if (here, there) not in self._answers:
+            self._answers[here, there] = not refuse_motion(self._stops.cell, q_here, q_there)
+        return self._answers[here, there]
+
+    def added_s(self, now: Arrangement, move: Move) -> Array:
+        """Time that each of the moves adds (n,) [s]."""
+        padded = [self._padded(now, arm) for arm in range(len(now.rows))]
+        added: Array = np.zeros(len(move.low))
+        for position, before, here in move.steps():
+            added += self._time_s(padded, before, here) - self._time_s(padded, position - 1, position)
+        return added
+
+    def _time_s(self, padded: list[Array], before: NDArray[np.intp], here: NDArray[np.intp]) -> Array:
+        seconds = self._stops.way_s([q[here] - q[before] for q in padded])
+        return np.asarray(np.where(np.isfinite(seconds) & (here > 0), seconds, 0.0))
+
+    def _padded(self, now: Arrangement, arm: int) -> Array:
+        """Positions of an arm from start to end, NaN where these are not given."""
+        name = self._stops.names[arm]
+        q = self._stops.q[name][now.rows[arm]]
+        nowhere = np.full(q.shape[1], np.nan)
+        ends = [nowhere if one is None else one[name] for one in (self._start, self._end)]
+        return np.concatenate([ends[0][None], q, ends[1][None]])
+
+    def _key(self, arrangement: Arrangement, place: int) -> tuple[int, ...]:
+        if place < 0:
+            return (_START,)
+        return tuple(arrangement.rows[:, place].tolist()) if place < arrangement.rows.shape[1] else (_END,)
+
+    def _at(self, key: tuple[int, ...]) -> Configuration | None:
+        if key[0] < 0:
+            return self._start if key[0] == _START else self._end
+        return self._stops.at(key)

@@ -1,0 +1,306 @@
+"""A plan as CSV, to be edited by hand: header row, one row per arm for each point of each stop, SI units.
+
+| column | meaning |
+| --- | --- |
+| configuration | number of the stop; stops are measured in the order of their numbers, which may have gaps |
+| arm | name as in the profile |
+| point | ``leg1``, ``leg2``, ... on the way, ``approach`` where the last motion begins, ``stop`` |
+| q1..qN | joint positions [rad]; empty beyond the joints of the arm |
+| dwell_s | least rest before the measurement [s] (optional; 0) |
+| block | part of the run to which the stop belongs, from 0 (optional; 0) |
+| repeat_of | configuration that is visited again (optional) |
+| frozen | ``yes`` for a stop that a new design leaves (optional; ``no``) |
+
+Every arm of the profile has a row ``stop`` for each configuration. A leg has rows of the arms that move on it, and
+without a row ``approach`` the last motion of an arm comes straight from the point before. The last four columns belong
+to rows ``stop``; block, repeat_of and frozen say the same for all arms, or stand for one and are empty for the others.
+Numbers are written in their shortest exact form: reading a file again gives the same plan bit for bit.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, straight_stops
+from cellapp.cell.planning.stop_conditions import LONGEST_DWELL_S
+from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, read_csv_table, short, write_csv
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile import Arm, Profile
+from cellapp.robot.kinematics.transforms import Array
+
+STOP, APPROACH = "stop", "approach"
+_POINT = re.compile(r"stop|approach|leg([1-9][0-9]{0,2})")
+_KEYS = ("configuration", "arm", "point")
+_OF_STOP = ("dwell_s", "block", "repeat_of", "frozen")
+_WORDS = {"": False, "no": False, "yes": True}
+_ROUNDING_RAD = 1e-9
+"""Joint positions may exceed a limit by rounding, as for the safety gate."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanFile:
+    """A plan that was read from a file.
+
+    Attributes
+    ----------
+    path : Path
+    stops : PlannedStops
+        The stops by ascending configuration.
+    configurations : tuple of int
+        Number of each stop in the file.
+    lines : tuple of int
+        Line of the first row of each stop.
+    """
+
+    path: Path
+    stops: PlannedStops
+    configurations: tuple[int, ...]
+    lines: tuple[int, ...]
+
+
+def write_plan_csv(stops: PlannedStops, path: Path, outputs: Outputs = NEW_ONLY) -> None:
+    """Write a plan, which must have stops. Raises ``InputError`` if the file cannot be written, or may not."""
+    joints = max(q.shape[1] for q in stops.q.values())
+    header = [*_KEYS, *(f"q{joint + 1}" for joint in range(joints)), *_OF_STOP]
+    write_csv(Path(path), header, _rows(stops, joints), outputs)
+
+
+def read_plan_csv(path: Path, profile: Profile) -> PlanFile:
+    """Read a plan for the arms of a profile. Whether it is safe and visible is not checked here.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column of what is missing, not a number, repeated, out of limits, or misplaced.
+    """
+    table = read_csv_table(Path(path), "planned stops, as 'cellapp export DIR --plan FILE' writes it")
+    problems = Problems(table.path)
+    _check_header(table, profile, problems)
+    points = _Points(table, profile, problems)
+    problems.check()
+    if not points.by_stop:
+        raise InputError(f"{path}:1: there is a header row but no stop; expected a row per arm and stop")
+    numbers = sorted(points.by_stop)
+    stops = points.planned(numbers)
+    problems.check()
+    return PlanFile(table.path, stops, tuple(numbers), tuple(points.first_line[number] for number in numbers))
+
+
+# -- writing ----------------------------------------------------------------------------------------------------------
+
+
+def _rows(stops: PlannedStops, joints: int) -> Iterator[list[str]]:
+    nothing = [""] * len(_OF_STOP)
+    for stop in range(len(stops)):
+
+        def row(name: str, point: str, q: Array, of_stop: Sequence[str] = nothing, number: int = stop) -> list[str]:
+            cells = [repr(value) for value in q.tolist()]
+            return [str(number), name, point, *cells, *[""] * (joints - len(cells)), *of_stop]
+
+        for place, leg in enumerate(stops.legs[stop], start=1):
+            yield from (row(name, f"leg{place}", q) for name, q in leg.items())
+        yield from (row(name, APPROACH, q) for name, q in stops.approach_starts(stop).items())
+        source = int(stops.repeat_of[stop])
+        for name, q in stops.targets(stop).items():
+            dwell_s = repr(float(stops.dwell_s[name][stop]))
+            repeated = "" if source < 0 else str(source)
+            frozen = "yes" if stops.frozen[stop] else "no"
+            yield row(name, STOP, q, [dwell_s, str(int(stops.block[stop])), repeated, frozen])
+
+
+# -- reading ----------------------------------------------------------------------------------------------------------
+
+
+def _check_header(table: CsvTable, profile: Profile, problems: Problems) -> None:
+    names = table.names
+    if len(names) == 1 and re.search(r"[;\t|]", names[0]):
+        raise InputError(f"{table.path}:1: the header is one column; separate columns by commas, write 0.5, not 0,5")
+    required = [*_KEYS, *_joint_columns(max(len(arm.type.joints) for arm in profile.arms.values()))]
+    known = [*required, *_OF_STOP]
+    for name in dict.fromkeys(name for name in names if names.count(name) > 1):
+        problems.add(1, name or "a column without a name", "the column is there twice; keep one")
+    for name in required:
+        if name not in names:
+            problems.add(1, name, "the column is missing")
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+            hint = f"is '{close[0]}' meant?" if close else f"columns are {', '.join(known)}"
+            problems.add(1, name or "a column without a name", f"the column is unknown; {hint}")
+    problems.check()
+
+
+def _joint_columns(joints: int) -> list[str]:
+    return [f"q{joint + 1}" for joint in range(joints)]
+
+
+@dataclass(frozen=True)
+class _Point:
+    """One row: joint positions, and what belongs to rows ``stop`` only; None where a cell is empty."""
+
+    line: int
+    q: Array
+    dwell_s: float
+    block: int | None
+    repeat_of: int | None
+    frozen: bool | None
+
+
+class _Points:
+    """The rows of a file by configuration, arm and point; notes what is wrong in ``problems``."""
+
+    def __init__(self, table: CsvTable, profile: Profile, problems: Problems) -> None:
+        self._table, self._profile, self._problems = table, profile, problems
+        self.by_stop: dict[int, dict[str, dict[str, _Point]]] = {}
+        self.first_line: dict[int, int] = {}
+        for index, line in enumerate(table.lines):
+            self._add(line, {name: cells[index].strip() for name, cells in table.cells.items()})
+
+    # -- rows ----------------------------------------------------------------------------------------------------------
+
+    def _add(self, line: int, cells: Mapping[str, str]) -> None:
+        before = self._problems.count
+        number = self._whole(line, "configuration", cells["configuration"])
+        name, point = cells["arm"], cells["point"]
+        if name not in self._profile.arms:
+            what = f"arm '{short(name)}' is not in the profile" if name else "the value is missing"
+            self._problems.add(line, "arm", f"{what}; arms are {', '.join(self._profile.arms)}")
+        if not _POINT.fullmatch(point):
+            self._problems.add(line, "point", f"expected leg1, leg2, ..., approach or stop, got '{short(point)}'")
+        if number is None or self._problems.count > before:
+            return
+        q = self._joint_positions(line, cells, name, self._profile.arms[name])
+        of_stop = self._of_stop(line, cells, point)
+        if q is None or of_stop is None:
+            return
+        points = self.by_stop.setdefault(number, {}).setdefault(name, {})
+        self.first_line.setdefault(number, line)
+        if point in points:
+            text = f"{number} of arm {name} has a row '{point}' in line {points[point].line} already; keep one"
+            self._problems.add(line, "configuration", text)
+        else:
+            points[point] = replace(of_stop, q=q)
+
+    def _joint_positions(self, line: int, cells: Mapping[str, str], name: str, arm: Arm) -> Array | None:
+        limits = arm.limits or tuple(joint.limit for joint in arm.type.joints)
+        found = []
+        for joint, (low, high) in enumerate(limits):
+            column = f"q{joint + 1}"
+            value = self._number(line, column, cells[column])
+            if value is not None and not low - _ROUNDING_RAD <= value <= high + _ROUNDING_RAD:
+                text = f"{value:g} rad is outside the limits {low:g} to {high:g} rad of arm {name}"
+                self._problems.add(line, column, text)
+                value = None
+            found.append(value)
+        for column in _joint_columns(len(self._table.names))[len(limits) :]:
+            if cells.get(column):
+                self._problems.add(line, column, f"there is a value, but arm {name} has {len(limits)} joints")
+        return None if None in found else np.array(found, dtype=np.float64)
+
+    def _of_stop(self, line: int, cells: Mapping[str, str], point: str) -> _Point | None:
+        """What a row says of its stop; None if a cell is wrong."""
+        before = self._problems.count
+        for column in _OF_STOP:
+            if point != STOP and cells.get(column):
+                self._problems.add(line, column, f"there is a value, but it belongs to the row '{STOP}' of this arm")
+        dwell, block, repeat, frozen = (cells.get(column, "") for column in _OF_STOP)
+        dwell_s = self._number(line, "dwell_s", dwell) if dwell else 0.0
+        if dwell_s is not None and not 0.0 <= dwell_s <= LONGEST_DWELL_S:
+            self._problems.add(line, "dwell_s", f"expected 0 to {LONGEST_DWELL_S:g} s, got {dwell_s:g}")
+        if frozen.lower() not in _WORDS:
+            self._problems.add(line, "frozen", f"expected yes or no, got '{short(frozen)}'")
+        found = _Point(
+            line=line,
+            q=np.empty(0),
+            dwell_s=dwell_s or 0.0,
+            block=self._whole(line, "block", block) if block else None,
+            repeat_of=self._whole(line, "repeat_of", repeat) if repeat else None,
+            frozen=_WORDS.get(frozen.lower()) if frozen else None,
+        )
+        return found if self._problems.count == before else None
+
+    def _number(self, line: int, column: str, text: str) -> float | None:
+        value = float(text) if NUMBER.fullmatch(text) else math.nan
+        if math.isfinite(value):
+            return value
+        what = f"expected a finite number such as 0.25, got '{short(text)}'" if text else "the value is missing"
+        self._problems.add(line, column, what)
+        return None
+
+    def _whole(self, line: int, column: str, text: str) -> int | None:
+        if WHOLE.fullmatch(text) and int(text) >= 0:
+            return int(text)
+        what = f"expected a whole number from 0, got '{short(text)}'" if text else "the value is missing"
+        self._problems.add(line, column, what)
+        return None
+
+    # -- stops ---------------------------------------------------------------------------------------------------------
+
+    def planned(self, numbers: Sequence[int]) -> PlannedStops:
+        """The stops in this order; notes in ``problems`` what does not make a stop."""
+        before = self._problems.count
+        for number in numbers:
+            self._check_stop(number)
+        if self._problems.count > before:
+            return straight_stops({})
+        place = {number: stop for stop, number in enumerate(numbers)}
+        arms = list(self._profile.arms)
+        rows = {name: [self.by_stop[number][name] for number in numbers] for name in arms}
+        repeats = [self._agreed(number, "repeat_of") for number in numbers]
+        return PlannedStops(
+            q={name: np.array([row[STOP].q for row in rows[name]]) for name in arms},
+            approach_from={name: np.array([_approach(row) for row in rows[name]]) for name in arms},
+            dwell_s={name: np.array([row[STOP].dwell_s for row in rows[name]]) for name in arms},
+            legs=tuple(self._legs(number) for number in numbers),
+            block=np.array([self._agreed(number, "block") or 0 for number in numbers], dtype=np.intp),
+            repeat_of=np.array([-1 if one is None else place[one] for one in repeats], dtype=np.intp),
+            frozen=np.array([bool(self._agreed(number, "frozen")) for number in numbers], dtype=np.bool_),
+        )
+
+    def _check_stop(self, number: int) -> None:
+        arms, line = self.by_stop[number], self.first_line[number]
+        for name in self._profile.arms:
+            if STOP not in arms.get(name, {}):
+                self._problems.add(line, "arm", f"configuration {number} has no row '{STOP}' of arm {name}; add it")
+        legs = {int(point[3:]) for points in arms.values() for point in points if point.startswith("leg")}
+        if legs and max(legs) != len(legs):
+            missing = min(set(range(1, max(legs))) - legs)
+            self._problems.add(
+                line, "point", f"configuration {number} has no leg{missing}; number legs from 1, no gaps"
+            )
+        for column in ("block", "repeat_of", "frozen"):
+            said = {getattr(points[STOP], column) for points in arms.values() if STOP in points} - {None}
+            if len(said) > 1:
+                self._problems.add(line, column, f"the arms of configuration {number} do not say the same")
+        source = self._agreed(number, "repeat_of")
+        if source is not None and (source not in self.by_stop or source == number):
+            text = f"configuration {number} repeats {source}, which is no other configuration of this file"
+            self._problems.add(line, "repeat_of", text)
+
+    def _agreed(self, number: int, column: str) -> int | None:
+        """What the rows of a stop say of it."""
+        said = (getattr(points[STOP], column) for points in self.by_stop[number].values() if STOP in points)
+        return next((one for one in said if one is not None), None)
+
+    def _legs(self, number: int) -> tuple[Configuration, ...]:
+        arms = self.by_stop[number]
+        legs = []
+        for leg in range(1, 1000):
+            rows = {name: arms[name][f"leg{leg}"].q for name in self._profile.arms if f"leg{leg}" in arms[name]}
+            if not rows:
+                break
+            legs.append(rows)
+        return tuple(legs)
+
+
+def _approach(points: Mapping[str, _Point]) -> Array:
+    """Where the last motion of an arm begins (N,); NaN if it is not planned."""
+    return points[APPROACH].q if APPROACH in points else np.full_like(points[STOP].q, np.nan)

@@ -1,0 +1,253 @@
+"""Candidate stops of one arm (poses times approaches), the hypotheses to decide, and the design so far."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.planning.proposal.approaches import Approaches, all_approaches
+from cellapp.cell.planning.proposal.candidate_design import CandidateDesign, joined_context
+from cellapp.cell.planning.proposal.candidate_poses import CandidatePoses, Effort
+from cellapp.cell.planning.proposal.hypotheses import Hypothesis, refitted_discovery
+from cellapp.cell.planning.proposal.open_hypotheses import open_hypotheses
+from cellapp.cell.planning.stop_conditions import StopConditions
+from cellapp.estimation.design.discrimination import HOPELESS, Discrimination, SequentialDesign, joint_gains
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import DriverVariable, MeasurementConditions
+from cellapp.robot.kinematics.statics import base_moment
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel, CellModel
+
+_MEMORY_BYTES = 3e8
+"""For the candidates' columns of one arm: a share that leaves room on a machine of 2 GB."""
+_BYTES_A_COLUMN = 2 * 3 * 8
+"""Three coordinates in double precision of each column at each candidate; a discrimination holds it twice."""
+_LEAST_POSES = 20
+"""Poses that are kept whatever the memory: fewer would leave no choice."""
+_TYPICAL_DWELL_S = 0.7
+"""Rest before a measurement [s] where a run has logged none: the settling time of the profiles' arms."""
+_LAST_READINGS = 5
+"""Readings whose mean stands for the present joint temperatures."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunConditions:
+    """Conditions of further stops of one arm, taken from its run.
+
+    Attributes
+    ----------
+    name : str
+    other : (str, ArmModel), optional
+        Name and model of the other arm.
+    known : MeasurementConditions
+        Of the readings of the run.
+    count : int
+        Number of further stops.
+    """
+
+    name: str
+    other: tuple[str, ArmModel] | None
+    conditions: MeasurementConditions
+    count: int
+
+    def candidates(
+        self,
+        poses: CandidatePoses,
+        approaches: Approaches,
+        pose: NDArray[np.intp],
+        approach: NDArray[np.intp],
+        load_kg: Array | None = None,
+    ) -> tuple[Array, MeasurementConditions]:
+        """Configurations (m, N) [rad] and expected conditions of candidates; ``load_kg`` replaces the payload."""
+        m, conditions = len(pose), self.conditions
+        steps = approaches.steps[pose, approach]
+        moment = other_q = None
+        if self.other is not None:
+            other, model = self.other
+            other_q = poses.q[other][pose]
+            moment = base_moment(model.geometry, model.bodies, other_q, model.up_M)
+        detour = bool(steps.any())
+        dwell_s = None
+        if conditions.dwell_s is not None or approaches.dwells.any():
+            dwell_s = approaches.dwells[approach] + self._shortest_dwell_s()
+        return poses.q[self.name][pose], MeasurementConditions(
+            approach=np.sign(steps) if detour else None,
+            step=steps if detour else None,
+            dwell_s=dwell_s,
+            time_s=self._times(m),
+            payload_kg=last_known(conditions.payload_kg, m) if load_kg is None else load_kg,
+            air_c=last_known(conditions.air_c, m),
+            joints_c=last_known(conditions.joints_c, m),
+            other_moment_M=moment,
+            other_q=other_q,
+            record=conditions.record,
+        )
+
+    def all_candidates(self, poses: CandidatePoses, approaches: Approaches) -> tuple[Array, MeasurementConditions]:
+        """Configurations and expected conditions of all candidates, pose by pose."""
+        pose, approach = (each.ravel() for each in np.indices((len(poses), len(approaches))))
+        return self.candidates(poses, approaches, pose, approach)
+
+    def _shortest_dwell_s(self) -> float:
+        """Rest before a measurement where no more is asked for."""
+        dwell_s = self.conditions.dwell_s
+        if dwell_s is None or not np.isfinite(dwell_s).any():
+            return _TYPICAL_DWELL_S
+        return float(np.nanmin(dwell_s))
+
+    def _times(self, m: int) -> Array | None:
+        """Middle of the time in which the further stops will be measured, at the pace of the run."""
+        time_s = self.conditions.time_s
+        if time_s is None or not np.isfinite(time_s).any():
+            return None
+        ordered = np.sort(time_s[np.isfinite(time_s)])
+        pace = float(np.median(np.diff(ordered))) if len(ordered) > 1 else 0.0
+        return np.full(m, float(ordered[-1]) + pace * (0.5 * self.count + 1.0))
+
+
+def last_known(values: Array | None, m: int) -> Array | None:
+    """The last known value for m stops; of several channels (temperatures) the mean over the last readings."""
+    if values is None:
+        return None
+    rows = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
+    if not len(rows):
+        return None
+    last = rows[-_LAST_READINGS:].mean(axis=0, keepdims=True) if values.ndim > 1 else rows[-1:]
+    return np.repeat(last, m, axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmHypotheses:
+    """Hypotheses for further stops of one arm, the approaches that they need, and the largest number of poses."""
+
+    run: RunConditions
+    hypotheses: tuple[Hypothesis, ...]
+    approaches: Approaches
+    limits: Array
+    affordable_poses: int
+
+    @classmethod
+    def of(
+        cls,
+        profile: Profile,
+        name: str,
+        model: CellModel,
+        readings: Readings,
+        conditions: MeasurementConditions,
+        discovery: Discovery,
+        poses: CandidatePoses,
+        count: int,
+        effort: Effort,
+        rng: np.random.Generator,
+    ) -> ArmHypotheses:
+        """From the outcome of discovery in the arm's readings."""
+        arm = profile.arms[name]
+        rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+        rows = rows[~np.isin(readings.configuration[rows], discovery.left_out)]
+        geometry_only = ArmData.of(profile, model.arms[name], readings.take(rows), conditions.take(rows))
+        data, fit = refitted_discovery(geometry_only, discovery)
+        others = [(other, model.arms[other]) for other in model.arms if other != name]
+        run = RunConditions(name, others[0] if len(others) == 1 else None, conditions, count)
+        approaches = all_approaches(len(poses), readings.joints, rng)
+        joined = joined_context(data, *run.all_candidates(poses, approaches))
+        hypotheses = tuple(open_hypotheses(data, fit, discovery, joined))
+        approaches = approaches.needed_for(frozenset[DriverVariable]().union(*(one.variables for one in hypotheses)))
+        columns = sum(one.columns_a_candidate for one in hypotheses)
+        most = min(int(_MEMORY_BYTES / max(columns * _BYTES_A_COLUMN, 1)), effort.candidates) // len(approaches)
+        limits = np.array(arm.limits or tuple(joint.limit for joint in arm.type.joints))
+        return cls(run, hypotheses, approaches, limits, max(_LEAST_POSES, most))
+
+    @property
+    def variables(self) -> frozenset[DriverVariable]:
+        """All that the hypotheses' models depend on."""
+        return frozenset[DriverVariable]().union(*(one.variables for one in self.hypotheses))
+
+
+@dataclass(eq=False)
+class ArmCandidates:
+    """Candidate stops of one arm (n poses, f approaches) while some of them are chosen.
+
+    Attributes
+    ----------
+    run, approaches
+    allowed : array, shape (n, f)
+        Candidates that may still be chosen.
+    comparisons : list of (Hypothesis, discriminations)
+        Over all candidates.
+    designs : list of (Hypothesis, SequentialDesign)
+        Each discrimination with the candidates chosen so far.
+    """
+
+    run: RunConditions
+    approaches: Approaches
+    allowed: NDArray[np.bool_]
+    comparisons: list[tuple[Hypothesis, list[Discrimination]]]
+    designs: list[tuple[Hypothesis, SequentialDesign]] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, arm: ArmHypotheses, poses: CandidatePoses) -> ArmCandidates:
+        """Set up the discriminations over all candidates; steps must start inside the joint limits."""
+        approaches = arm.approaches.first(len(poses))
+        start = poses.q[arm.run.name][:, None] - approaches.steps
+        low, high = arm.limits.T
+        q, conditions = arm.run.all_candidates(poses, approaches)
+        designs: dict[int, CandidateDesign] = {}
+        comparisons = []
+        for one in arm.hypotheses:
+            if id(one.fit) not in designs:
+                designs[id(one.fit)] = CandidateDesign.of(one.data, one.fit, q, conditions)
+            discriminations = one.discriminations(designs[id(one.fit)])
+            comparisons.append((one, _decidable(discriminations, one.needed, arm.run.count)))
+        return cls(arm.run, approaches, ((start >= low) & (start <= high)).all(axis=2), comparisons)
+
+    @property
+    def name(self) -> str:
+        """Of the arm."""
+        return self.run.name
+
+    def restart(self, chosen: Iterable[tuple[int, int]]) -> None:
+        """Begin the designs anew with some candidates (pose, approach)."""
+        self.designs = [(one, each.start_design()) for one, comparison in self.comparisons for each in comparison]
+        for pose, approach in chosen:
+            self.add(pose, approach)
+
+    def gains(self, stops_left: int) -> Array:
+        """Gain (n, f) of each candidate over all hypotheses, at most 1; -inf where it is not allowed."""
+        if not self.designs:
+            return np.where(self.allowed, 0.0, -math.inf)
+        needed = [one.needed for one, _ in self.designs]
+        gains = joint_gains([design for _, design in self.designs], needed, stops_left)
+        return np.where(self.allowed, gains.reshape(self.allowed.shape), -math.inf)
+
+    def add(self, pose: int, approach: int) -> None:
+        """Add a candidate to the designs; it cannot be chosen again."""
+        for _, design in self.designs:
+            design.add(pose * len(self.approaches) + approach)
+        self.allowed[pose, approach] = False
+
+    def start_of_last_step(self, poses: CandidatePoses, pose: int, approach: int) -> Array | None:
+        """Where the last step to a candidate begins (N,) [rad]; None without one."""
+        step = self.approaches.steps[pose, approach]
+        return poses.q[self.name][pose] - step if step.any() else None
+
+    def stop_conditions(self, poses: CandidatePoses, pose: int, approach: int) -> StopConditions:
+        """Approach and dwell that the collection has to realise at a candidate."""
+        return StopConditions(self.start_of_last_step(poses, pose, approach), float(self.approaches.dwells[approach]))
+
+
+def _decidable(comparison: list[Discrimination], needed: float, count: int) -> list[Discrimination]:
+    """Without laws that contain the effect itself (dry friction is backlash), unless there are no others."""
+    decidable = []
+    for one in comparison:
+        design = one.start_design()
+        most = design.noncentrality + count * float(design.gains().max(initial=0.0))
+        if most > HOPELESS * needed:
+            decidable.append(one)
+    return decidable or comparison

@@ -1,0 +1,133 @@
+"""Results about a plan before it is measured: whether it is safe, how long it takes, what it can show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.estimation.discovery.records import SmallestSize
+from cellapp.ground.results import Estimate, Record, Result
+
+
+class PlanRefusal(Record):
+    """A stop of a plan, or the way to it, that the safety gate refuses.
+
+    ``configuration`` is the stop's number, from 0, None for home after the last one; ``before`` that of the stop
+    before it, None for home. ``detour`` and ``via_home`` say how collection gets there although the gate refuses the
+    planned way: from the stop before, or from home. ``line`` is that of a hand-edited file.
+    """
+
+    configuration: int | None
+    before: int | None
+    what: Literal["stop", "way", "view"]
+    reason: str
+    via_home: bool = False
+    detour: Literal["straight", "one arm after the other"] | None = None
+    line: int | None = None
+    omitted_when_none = frozenset({"detour", "line"})
+
+    @property
+    def is_avoided(self) -> bool:
+        """Whether another way leads there."""
+        return self.via_home or self.detour is not None
+
+
+class PlanCheckResult(Result):
+    """``show DIR plan --check``: the safety gate and the tracker's view, over all stops and ways of a plan.
+
+    ``plan PROFILE --check FILE`` is the same for a hand-edited plan; ``run`` is empty and ``file`` is given then.
+    """
+
+    schema_: Literal["cellapp-plan-check"] = "cellapp-plan-check"
+    version: Literal[1] = 1
+    run: str
+    stops: int
+    ways: int
+    refused: tuple[PlanRefusal, ...] = ()
+    file: str | None = None
+    omitted_when_none = frozenset({"file"})
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether every stop can be measured; a detour is safe."""
+        return all(one.is_avoided for one in self.refused)
+
+
+class JointCoverage(Record):
+    """What a plan uses of the range of one joint (from 1), all [rad].
+
+    ``allowed`` is what stops are drawn from; ``used`` the lowest and the highest position; ``largest_gap`` the largest
+    part of the allowed range without any stop.
+    """
+
+    joint: int
+    allowed: tuple[float, float]
+    used: tuple[float, float]
+    largest_gap: float
+
+    @property
+    def share(self) -> float:
+        """Used range over the allowed one."""
+        return (self.used[1] - self.used[0]) / max(self.allowed[1] - self.allowed[0], 1e-12)
+
+
+class PlannedTime(Record):
+    """Estimated time of collecting a plan [s], by what it is spent on."""
+
+    total_s: float
+    moving_s: float
+    resting_s: float
+    measuring_s: float
+    references_s: float
+    warm_up_s: float
+
+
+class PlannedAccuracy(Record):
+    """Standard errors that measurements at the planned stops give, with ``scatter_mm`` beside the tracker's noise.
+
+    ``standard_error_mm`` is the root mean square over the planned stops of the standard uncertainty of a predicted SMR
+    position, ``largest_mm`` its largest value; ``parameters`` are nominal values with their standard errors.
+    """
+
+    scatter_mm: float
+    standard_error_mm: float
+    largest_mm: float
+    parameters: Mapping[str, Estimate]
+
+
+class PlannedEffect(Record):
+    """Whether a plan can show an effect, and from which sizes on, where noise is the tracker's alone.
+
+    ``smallest_seen`` is by parameter; ``smallest_seen_rms_mm`` the rms displacement of the SMR by the smallest of them,
+    ``with_scatter_rms_mm`` the same with the scatter of arms before anything is known of it.
+    """
+
+    effect: str
+    visible: bool
+    reason: str
+    visible_share: float | None = None
+    smallest_seen: Mapping[str, SmallestSize] = {}
+    smallest_seen_rms_mm: float | None = None
+    with_scatter_rms_mm: float | None = None
+
+
+class ArmForecast(Record):
+    """What the plan of one arm covers and can show; ``noise_rms_mm`` is the rms length of the tracker's noise."""
+
+    stops: int
+    reserves: int
+    noise_rms_mm: float
+    coverage: tuple[JointCoverage, ...]
+    accuracy: tuple[PlannedAccuracy, ...]
+    effects: tuple[PlannedEffect, ...]
+
+
+class PlanForecastResult(Result):
+    """``show DIR plan --forecast``: time, covered joint ranges, expected standard errors, effects that can be seen."""
+
+    schema_: Literal["cellapp-plan-forecast"] = "cellapp-plan-forecast"
+    version: Literal[1] = 1
+    run: str
+    time: PlannedTime
+    arms: Mapping[str, ArmForecast]
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,171 @@
+"""From the chosen stops of each arm to a plan: pairs, order, factors and ways, each motion accepted by the gate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.cell.planning.arrangement import arrange, block_count
+from cellapp.cell.planning.factors import FactorPlan
+from cellapp.cell.planning.joint_draws import joint_ranges
+from cellapp.cell.planning.legs import LegPlanner, can_end
+from cellapp.cell.planning.order_repair import mend_order
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, joined_after
+from cellapp.cell.planning.stop_set import StopSet
+from cellapp.cell.planning.ways import WayFinder
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.robot.kinematics.transforms import Array
+
+_JOB = "order"
+_LARGEST_REPEATED_SHARE = 4
+"""At most every fourth stop is a repeat."""
+_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class Sequenced:
+    """A plan, and one sentence on each chosen configuration or stop that was given up, with the reason."""
+
+    stops: PlannedStops
+    given_up: tuple[str, ...]
+
+
+def distinct_stops(profile: Profile, stops: int) -> int:
+    """Number of different stops of a plan of some stops; the others are repeats."""
+    return stops - min(profile.plan.repeats, stops // _LARGEST_REPEATED_SHARE)
+
+
+def sequenced(
+    profile: Profile,
+    cell: CellBodies,
+    chosen: Mapping[str, Array],
+    rng: np.random.Generator,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    after: Mapping[str, Array] | None = None,
+) -> Sequenced:
+    """Pair the chosen stops of all arms, order them, plan their factors and ways.
+
+    ``plan.stops`` and ``plan.reserve`` stops are planned, reserves last, or fewer if fewer are chosen; further ones
+    stand in for those that no motion reaches, and ``plan.repeats`` stops are visited twice in place of others.
+
+    Parameters
+    ----------
+    profile : Profile
+    cell : CellBodies
+    chosen : mapping
+        Arm -> joint positions (n, N) [rad], the most important first. A joint may be planned whole turns from there.
+    rng : numpy.random.Generator
+    listener, cancel
+        Progress and cancelling.
+    after : mapping, optional
+        Arm -> stops (k, N) that exist already: the way begins at the last one. As many stops are planned as are
+        chosen, without reserves.
+
+    Raises
+    ------
+    InputError
+        If no stop can be reached.
+    Cancelled
+    """
+    homes = home_positions(profile)
+    home: Configuration | None = homes if set(homes) == set(cell.arms) else None
+    begun = after is not None and len(next(iter(after.values()))) > 0
+    start = {name: q[-1] for name, q in after.items()} if begun and after is not None else home
+    job = _Job(profile, cell, home, WayFinder(profile, cell, rng), rng, listener, cancel or CancelToken(), [])
+    q = {name: _reached(profile, cell, name, rows, job.finder, job.given_up) for name, rows in chosen.items()}
+    if not min(map(len, q.values())):
+        raise InputError(f"plan: none of the chosen stops can be reached. {' '.join(job.given_up[:1])}".strip())
+    n = min(map(len, chosen.values()))
+    if after is not None:
+        planned = job.all_of(q, n, 0, start)
+    else:
+        reserve = min(profile.plan.reserve, n - 1)
+        planned = job.all_of(q, min(n - reserve, profile.plan.stops), reserve, start)
+    listener(Progress(_JOB, len(planned), len(planned), "done"))
+    return Sequenced(planned, tuple(job.given_up))
+
+
+def _reached(profile: Profile, cell: CellBodies, name: str, q: Array, finder: WayFinder, given_up: list[str]) -> Array:
+    """Configurations (m, N) that the arm alone can reach, in the turns in which they are planned."""
+    turned = nearest_turns(profile, cell, name, q)
+    reached = finder.roadmaps[name].reaches(turned)
+    if not reached.all():
+        alone, lost = replace(cell, arms={name: cell.arms[name]}), turned[np.argmin(reached)]
+        reason = refuse_motion(alone, {name: finder.roadmaps[name].rest}, {name: lost})
+        given_up.append(
+            f"arm {name}: {np.sum(~reached)} of {len(q)} chosen configurations cannot be reached from home, the first:"
+            f" {reason or 'within the allowance for sampled paths'}"
+        )
+    return turned[reached]
+
+
+def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Array:
+    """The same poses with each joint in the turn nearest to home, within the limits or ``plan.ranges``.
+
+    Many poses whose straight way from home is blocked by the arm itself, or by the floor, are free in another turn.
+    """
+    home = profile.arms[name].home
+    low, high = joint_ranges(cell, profile, name).T if profile.plan.ranges is not None else cell.arms[name].limits.T
+    centre = 0.5 * (low + high) if home is None else np.array(home)
+    near = centre + np.remainder(q - centre + 0.5 * _TURN, _TURN) - 0.5 * _TURN
+    near = np.where(near < low, near + _TURN, np.where(near > high, near - _TURN, near))
+    return np.asarray(np.where((near >= low) & (near <= high), near, q))
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """What the parts of a plan share."""
+
+    profile: Profile
+    cell: CellBodies
+    home: Configuration | None
+    finder: WayFinder
+    rng: np.random.Generator
+    listener: Listener
+    cancel: CancelToken
+    given_up: list[str]
+
+    def all_of(self, q: Mapping[str, Array], asked: int, reserve: int, start: Configuration | None) -> PlannedStops:
+        """Plan ``asked`` stops, with repeats, and reserves after them, as far as there are configurations for them."""
+        usable = min(map(len, q.values()))
+        repeats = asked - distinct_stops(self.profile, asked)
+        distinct = min(asked - repeats, usable)
+        repeats = min(repeats, distinct // (_LARGEST_REPEATED_SHARE - 1))
+        first = self.part({name: rows[:distinct] for name, rows in q.items()}, repeats, start)
+        if not min(reserve, usable - distinct):
+            return first
+        rest = {name: rows[distinct : min(distinct + reserve, usable)] for name, rows in q.items()}
+        second = self.part(rest, 0, first.targets(len(first) - 1))
+        return joined_after(first, second)
+
+    def part(self, q: Mapping[str, Array], repeats: int, start: Configuration | None) -> PlannedStops:
+        """Plan stops that follow ``start``; after the last one the arms can go home."""
+        n = min(map(len, q.values())) + repeats
+
+        def report(done: int, words: str) -> None:
+            self.listener(Progress(_JOB, done, n, words))
+
+        report(0, "pairs and order")
+        least = min(map(len, q.values()))
+        stops = StopSet(self.profile, self.cell, {name: rows[:least] for name, rows in q.items()})
+        arrangement = arrange(stops, block_count(self.profile.plan.blocks, n), repeats, self.rng, self.cancel)
+        arrangement = mend_order(stops, arrangement, start, self.home, self.cancel)
+        at = stops.at(arrangement.rows)
+        factors = FactorPlan(self.profile, self.cell, at, arrangement.block, arrangement.repeat_of, self.rng)
+        legs = LegPlanner(self.cell, at, arrangement, factors, self.finder, start)
+        planned = legs.plan(report, self.cancel)
+        self.given_up.extend(legs.given_up)
+        while len(planned) and not can_end(self.cell, planned.targets(len(planned) - 1), self.home):
+            planned = planned.take(range(len(planned) - 1))
+            self.given_up.append("the last stop has no way home")
+        if not len(planned):
+            reason = legs.given_up[0] if legs.given_up else "the arms cannot go home from it"
+            raise InputError(f"plan: none of the chosen stops can be reached: {reason}")
+        return planned

@@ -1,0 +1,235 @@
+"""Ways that the gate accepts where it refuses the straight one, the shortest in time of those found.
+
+Tried are: one arm after the other; through positions of an arm, in which some joints are still where they began, some
+already where they end and some at home, or on its roadmap; through home; a random tree in the joint space of all arms.
+Every motion of a way has passed ``refuse_motion``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, permutations, product
+
+import numpy as np
+
+from cellapp.cell.planning.duration import motion_s, route_s
+from cellapp.cell.planning.planned_stops import Configuration, Route
+from cellapp.cell.planning.reach import ArmRoadmap
+from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
+
+_MIXTURES = 2500
+"""Most positions looked at for an arm: all combinations of start, end and home for up to seven joints."""
+_LOOKED_AT = 200
+"""Of these the shortest detours are looked at."""
+_PASSED_ON = 12
+"""Positions of an arm that are clear and that the gate is asked about."""
+_MOST_ASKED = 60
+"""Ways of one kind that the gate is asked about: less than a tenth of a second."""
+_MOST_ORDERED = 4
+"""Arms of which all orders are tried."""
+_TREE_NODES = 300
+"""Nodes of a random tree before it is given up: less than a second."""
+_TREE_STEP = 0.6
+"""Longest motion of a joint along an edge of the tree [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Motions that lead to a configuration, without the last one, which ends there; and the time of all [s]."""
+
+    legs: Route
+    seconds: float
+
+
+class WayFinder:
+    """Finds ways in one cell."""
+
+    def __init__(self, profile: Profile, cell: CellBodies, rng: np.random.Generator) -> None:
+        self._profile, self._cell, self._rng = profile, cell, rng
+        self.roadmaps = {name: ArmRoadmap(profile, cell, name, rng) for name in cell.arms}
+        """Of each arm alone."""
+
+    def seconds(self, here: Configuration, there: Configuration) -> float:
+        """Time of a motion of all arms at once [s]."""
+        return route_s(self._profile, here, (there,))
+
+    def find(self, here: Configuration, there: Configuration) -> Way | str:
+        """The shortest way found from ``here`` to ``there`` (all arms); the gate's reason if there is none."""
+        refusal = refuse_motion(self._cell, here, there)
+        if not refusal:
+            return Way((), self.seconds(here, there))
+        if no_standing := refuse_motion(self._cell, there, there):
+            return no_standing
+        for between in (
+            self._one_after_the_other(here, there),
+            self._short_detours(here, there),
+            self._by_home(here, there),
+        ):
+            found = self._first_free(here, there, between)
+            if found is not None:
+                return found
+        tree = random_tree_path(self._cell, here, there, self._rng)
+        return refusal if tree is None else self._way(here, tree, there)
+
+    def _first_free(
+        self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
+    ) -> Way | None:
+        """The shortest way through some of the configurations ``between`` that the gate accepts."""
+        timed = [(self._route_s([here, *through, there]), k, through) for k, through in enumerate(between)]
+        for _, _, through in sorted(timed, key=lambda one: one[:2])[:_MOST_ASKED]:
+            stations = [here, *through, there]
+            if not any(refuse_motion(self._cell, first, second) for first, second in pairwise(stations)):
+                return self._way(here, through, there)
+        return None
+
+    def _way(self, here: Configuration, through: Sequence[Configuration], there: Configuration) -> Way:
+        """The way as legs of the arms that move."""
+        legs = []
+        for before, after in pairwise([here, *through]):
+            legs.append({name: q for name, q in after.items() if not np.array_equal(q, before[name])})
+        return Way(tuple(leg for leg in legs if leg), self._route_s([here, *through, there]))
+
+    def _route_s(self, stations: Sequence[Configuration]) -> float:
+        return sum(self.seconds(before, after) for before, after in pairwise(stations))
+
+    def _one_after_the_other(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
+        """The arms in each order, if there are several and not too many."""
+        if 1 < len(there) <= _MOST_ORDERED:
+            for order in permutations(there):
+                yield [
+                    {name: (there if name in order[: k + 1] else here)[name] for name in there}
+                    for k in range(len(there) - 1)
+                ]
+
+    def _short_detours(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
+        """Through positions of one arm while the others have moved or wait; through positions of all arms."""
+        alone = {name: self._detours_of_arm(name, here[name], there[name]) for name in there}
+        for name, detours in alone.items():
+            others = [other for other in there if other != name]
+            for through in detours:
+                for late in product((False, True), repeat=len(others)):
+                    waiting = {o: (here if waits else there)[o] for o, waits in zip(others, late, strict=True)}
+                    yield [{name: q, **waiting} for q in through]
+        for together in zip(*alone.values(), strict=False) if len(alone) > 1 else ():
+            if len({len(through) for through in together}) == 1:
+                yield [dict(zip(alone, q, strict=True)) for q in zip(*together, strict=True)]
+
+    def _detours_of_arm(self, name: str, start: Array, end: Array) -> list[list[Array]]:
+        """Positions (N,) between two others through which an arm alone is clear; the shortest ones found."""
+        arm, roadmap = self._profile.arms[name], self.roadmaps[name]
+        values, joints = np.stack([start, end, roadmap.rest]), len(start)
+        if 3**joints <= _MIXTURES:
+            choice = np.array(list(product(range(3), repeat=joints)))
+        else:
+            choice = self._rng.integers(3, size=(_MIXTURES, joints))
+        q = np.unique(values[choice, np.arange(joints)], axis=0)
+        seconds = motion_s(arm, q - start) + motion_s(arm, end - q)
+        q = q[np.argsort(seconds, kind="stable")[:_LOOKED_AT]]
+        clear = roadmap.clear_ways(np.broadcast_to(start, q.shape), q) & roadmap.clear_ways(
+            q, np.broadcast_to(end, q.shape)
+        )
+        path = roadmap.path(start, end)
+        return [[one] for one in q[clear][:_PASSED_ON]] + ([path] if path else [])
+
+    def _by_home(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
+        """Through home, there and back at once or one arm after the other; with one arm at home while others move."""
+        home = {name: self.roadmaps[name].rest for name in there}
+        for first in ([], *self._one_after_the_other(here, home)):
+            for second in ([], *self._one_after_the_other(home, there)):
+                yield [*first, home, *second]
+        for name in there:
+            yield [{**here, name: home[name]}, {**there, name: home[name]}]
+
+
+def random_tree_path(
+    cell: CellBodies, here: Configuration, there: Configuration, rng: np.random.Generator
+) -> list[Configuration] | None:
+    """Configurations of all arms between two others along a random tree that grows from both; None if none is found.
+
+    Source: RRT-Connect, Kuffner, LaValle, ICRA 2000.
+    """
+    space = _JointSpace(cell, tuple(there))
+    trees = _Tree(space.vector(here)), _Tree(space.vector(there))
+    low, high = space.limits
+    low, high = np.maximum(low, trees[1].nodes[0] - 2.0 * np.pi), np.minimum(high, trees[1].nodes[0] + 2.0 * np.pi)
+    for number in range(_TREE_NODES):
+        grows, meets = trees[number % 2], trees[1 - number % 2]
+        new = grows.extend(space, rng.uniform(low, high))
+        reached = None if new is None else meets.connect(space, grows.nodes[new])
+        if new is not None and reached is not None:
+            path = [*grows.path(new)[::-1], *meets.path(reached)[1:]]
+            return [space.configuration(q) for q in _shortened(space, path[:: 1 if number % 2 == 0 else -1])[1:-1]]
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _JointSpace:
+    """All joints of all arms as one vector."""
+
+    cell: CellBodies
+    names: tuple[str, ...]
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Lowest and highest position of all joints [rad]."""
+        low, high = np.concatenate([self.cell.arms[name].limits for name in self.names]).T
+        return low, high
+
+    def vector(self, q: Configuration) -> Array:
+        """Joint positions of all arms in a row."""
+        return np.concatenate([q[name] for name in self.names])
+
+    def configuration(self, q: Array) -> dict[str, Array]:
+        """The opposite of ``vector``."""
+        ends = np.cumsum([self.cell.arms[name].geometry.joints for name in self.names])[:-1]
+        return dict(zip(self.names, np.split(q, ends), strict=True))
+
+    def is_free(self, here: Array, there: Array) -> bool:
+        """Whether the gate accepts the straight way."""
+        return not refuse_motion(self.cell, self.configuration(here), self.configuration(there))
+
+
+class _Tree:
+    """Nodes with their parents; the first is the root."""
+
+    def __init__(self, root: Array) -> None:
+        self.nodes, self._parents = [root], [-1]
+
+    def extend(self, space: _JointSpace, towards: Array) -> int | None:
+        """Number of a new node one step from the nearest one; None if the way is not free."""
+        nearest = int(np.argmin(np.abs(np.array(self.nodes) - towards).max(axis=1)))
+        way = towards - self.nodes[nearest]
+        longest = float(np.abs(way).max())
+        new = towards if longest <= _TREE_STEP else self.nodes[nearest] + way * (_TREE_STEP / longest)
+        if not space.is_free(self.nodes[nearest], new):
+            return None
+        self.nodes.append(new)
+        self._parents.append(nearest)
+        return len(self.nodes) - 1
+
+    def connect(self, space: _JointSpace, target: Array) -> int | None:
+        """Number of a node at ``target`` to which the tree grew step by step; None if something is in the way."""
+        while (new := self.extend(space, target)) is not None:
+            if self.nodes[new] is target:
+                return new
+        return None
+
+    def path(self, node: int) -> list[Array]:
+        """From a node to the root."""
+        found = []
+        while node >= 0:
+            found.append(self.nodes[node])
+            node = self._parents[node]
+        return found
+
+
+def _shortened(space: _JointSpace, path: list[Array]) -> list[Array]:
+    """The path without nodes that can be passed by."""
+    kept, here = [path[0]], 0
+    while here < len(path) - 1:
+        here = next(k for k in range(len(path) - 1, here, -1) if k == here + 1 or space.is_free(path[here], path[k]))
+        kept.append(path[here])
+    return kept

@@ -1,0 +1,330 @@
+"""Read a profile from YAML, keeping file and line of every value, or from the JSON that a run stores."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from cellapp.cell.profile.messages import (
+    Document,
+    KeyPath,
+    Place,
+    PlacedError,
+    described,
+    plain,
+    short,
+    validation_message,
+)
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile.arm_types import ARM_TYPES
+from cellapp.ground.profile.schema import VERSION, ArmType, Profile
+
+_MOST_LEVELS = 50
+"""A profile has about eight; more come from an alias that contains itself."""
+_MOST_VALUES = 100_000
+"""A profile has some hundreds; more come from aliases of aliases, which multiply."""
+_LARGEST_INT = 2**63
+"""Larger integers fit neither numpy nor SQLite."""
+_SURROGATES = frozenset(map(chr, range(0xD800, 0xE000)))
+"""Halves of characters: YAML's escapes can write them, UTF-8 cannot store them."""
+
+
+EXPONENT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$")
+"""Numbers such as 1e-8 and 2.5e4, which YAML 1.1 reads as texts."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML's safe loader that also reads numbers with an exponent."""
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
+
+
+def load_profile(path: Path) -> Profile:
+    """Read and check a profile.
+
+    ``type`` of an arm may be the path of an arm-type file, relative to the profile's file, or the name of one that a
+    plug-in brings; a file beside the profile comes first.
+
+    Raises
+    ------
+    InputError
+        One sentence for each of the first few errors, with file, line and key.
+    """
+    path = Path(path)
+    document = load_text(path)
+    read_arm_types(document, (path.parent,))
+    locate_meshes(document, (path.parent,))
+    try:
+        return Profile.model_validate(document.data)
+    except ValidationError as error:
+        raise InputError(validation_message(error, document)) from None
+
+
+def with_sections(profile: Profile, path: Path, names: Sequence[str]) -> Profile:
+    """A profile completed by a YAML file that holds some of its sections; keys of the file come before the profile's.
+
+    Raises
+    ------
+    InputError
+        As ``load_profile``, with file and line; also for a section that is not among ``names``.
+    """
+    document = _parse_yaml(_read_text(path), path)
+    for name in document.data:
+        if name not in names:
+            place = document.places[name,]
+            raise PlacedError(place, f"unknown section; expected {' or '.join(repr(one) for one in names)}")
+    stored = json.loads(profile_to_json(profile))
+    document.data = stored | {name: _completed(stored.get(name), part) for name, part in document.data.items()}
+    try:
+        return Profile.model_validate(document.data)
+    except ValidationError as error:
+        raise InputError(validation_message(error, document)) from None
+
+
+def _completed(stored: Any, given: Any) -> Any:
+    """Keys of ``given`` beside and instead of those that are stored, at every level."""
+    if not isinstance(stored, dict) or not isinstance(given, dict):
+        return given
+    return stored | {key: _completed(stored.get(key), value) for key, value in given.items()}
+
+
+def load_text(path: Path) -> Document:
+    """Return the plain data of a profile's file, as ``read_document``. Raises ``InputError``."""
+    return read_document(_read_text(path), path)
+
+
+def read_document(text: str, path: Path) -> Document:
+    """Return the plain data of a profile's text, whose file is, or will be, ``path``. Raises ``InputError``.
+
+    Types of arms are still the paths of their files.
+    """
+    document = _parse_yaml(text, path)
+    _check_version(document)
+    return document
+
+
+def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
+    """Replace the paths of arm types by what those files hold: the first in ``folders``, else that of a plug-in.
+
+    Raises
+    ------
+    InputError
+        If none has it, or it cannot be read.
+    """
+    arms = document.data.get("arms")
+    for name, arm in (arms if isinstance(arms, dict) else {}).items():
+        if isinstance(arm, dict) and isinstance(arm.get("type"), str):
+            at: KeyPath = ("arms", name, "type")
+            arm_type = _read_arm_type(folders, arm["type"], document.places[at])
+            arm["type"] = arm_type.data
+            document.places |= {at + inside: place for inside, place in arm_type.places.items()}
+
+
+def arm_type_of_text(text: str, path: Path) -> ArmType:
+    """The arm type that a text says, whose file is ``path``. Raises ``InputError`` with file and line."""
+    document = _parse_yaml(text, path)
+    try:
+        return ArmType.model_validate(document.data)
+    except ValidationError as error:
+        raise InputError(validation_message(error, document)) from None
+
+
+def locate_meshes(document: Document, folders: Sequence[Path]) -> None:
+    """Replace the paths of mesh files by absolute ones, in the first of ``folders`` that has the file.
+
+    Raises
+    ------
+    InputError
+        If none has it.
+    """
+    obstacles = document.data.get("obstacles")
+    for name, obstacle in (obstacles if isinstance(obstacles, dict) else {}).items():
+        if isinstance(obstacle, dict) and isinstance(obstacle.get("file"), str):
+            path = _first_file(folders, obstacle["file"])
+            if path is None:
+                raise PlacedError(
+                    document.places["obstacles", name, "file"],
+                    f"file not found: {short(str(folders[0] / obstacle['file']), 200)}; give the path of an STL file"
+                    " relative to the profile's file",
+                )
+            obstacle["file"] = str(path.resolve())
+
+
+def profile_to_json(profile: Profile) -> str:
+    """Return a profile as one JSON text that needs no other file than the meshes of obstacles.
+
+    ``profile_from_json`` returns an equal profile.
+    """
+    return profile.model_dump_json(by_alias=True)
+
+
+def profile_from_json(text: str) -> Profile:
+    """Return the profile that ``profile_to_json`` wrote. Raises ``InputError`` for any other text."""
+    try:
+        return Profile.model_validate_json(text)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(key) for key in first["loc"])
+        hint = "; if a plug-in has that kind, install it" if first["type"] == "union_tag_invalid" else ""
+        raise InputError(f"stored profile: {where or 'text'}: {plain(first['msg'])}{hint}") from None
+
+
+def _check_version(document: Document) -> None:
+    version = document.data.get("version")
+    if isinstance(version, int) and not isinstance(version, bool) and version > VERSION:
+        raise InputError(
+            f"{document.places['version',]}: this profile is of version {version}, this cellapp reads versions up to"
+            f" {VERSION}; install a newer cellapp"
+        )
+
+
+def _read_arm_type(folders: Sequence[Path], name: str, place: Place) -> Document:
+    path = _first_file(folders, name) or ARM_TYPES.get(name)
+    if path is not None:
+        return _parse_yaml(_read_text(path), path)
+    raise PlacedError(
+        place,
+        ARM_TYPES.refusal(name)
+        or f"file not found: {short(str(folders[0] / name), 200)}; give a path relative to the profile's file, or the"
+        " keys here",
+    )
+
+
+def _first_file(folders: Sequence[Path], name: str) -> Path | None:
+    """The path of the first of ``folders`` that has a file of that name; None if none has."""
+    for path in (folder / name for folder in folders):
+        with contextlib.suppress(OSError, ValueError):  # a name too long for the file system, or with a null character
+            if path.is_file():
+                return path
+    return None
+
+
+# -- YAML with its lines ----------------------------------------------------------------------------------------------
+
+
+def is_number(text: str) -> bool:
+    """Whether YAML reads a text without quotes as a number."""
+    return _tag(text) in ("int", "float")
+
+
+def is_word(text: str) -> bool:
+    """Whether YAML reads a text without quotes as that text."""
+    return re.fullmatch(r"[./+-]*\w[\w./+-]*", text, re.ASCII) is not None and _tag(text) == "str"
+
+
+def _tag(text: str) -> str:
+    tag = _Loader("").resolve(yaml.ScalarNode, text, (True, False))  # type: ignore[no-untyped-call]
+    return str(tag).removeprefix("tag:yaml.org,2002:")
+
+
+def _parse_yaml(text: str, path: Path) -> Document:
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        if node is None:
+            raise InputError(f"{path}: the file is empty; expected a mapping of keys to values")
+        if not isinstance(node, yaml.MappingNode):
+            raise InputError(f"{path}:{_line(node)}: expected keys with values at the top, got {described(node)}")
+        document = Document()
+        document.data = _plain_data(node, (), Place(str(path), _line(node), ()), document.places, loader)
+        return document
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f":{mark.line + 1}" if mark else ""
+        problem = error.problem or error.context
+        raise InputError(f"{path}{line}: not YAML: {problem}; check indentation and quotes") from None
+    except yaml.YAMLError as error:
+        position = getattr(error, "position", None)
+        line = f":{text.count(chr(10), 0, position) + 1}" if position is not None else ""
+        raise InputError(f"{path}{line}: not YAML: {getattr(error, 'reason', error)}; remove that character") from None
+    except RecursionError:
+        raise InputError(f"{path}: nested too deeply; a profile has a handful of levels") from None
+
+
+def _read_text(path: Path) -> str:
+    if path.is_fifo():  # reading would wait for a writer, without end
+        raise InputError(f"{path}: is a pipe, not a file; save the profile as a file and give its path")
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path}: file not found; give a profile such as profiles/twin.yaml") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a profile") from None
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}:{line}: not UTF-8 text ({error.reason}); save the file as UTF-8") from None
+
+
+def _plain_data(node: yaml.Node, at: KeyPath, place: Place, places: dict[KeyPath, Place], loader: _Loader) -> Any:
+    """Return a node as dict, list, text, number, bool or None; enter its place and those below it into ``places``."""
+    if len(at) > _MOST_LEVELS:
+        raise InputError(f"{place}: nested too deeply; a profile has a handful of levels")
+    if len(places) > _MOST_VALUES:
+        raise InputError(f"{place.file}: more than {_MOST_VALUES} values; a profile has some hundreds")
+    places[at] = place
+    if isinstance(node, yaml.MappingNode):
+        return _mapping(node, at, place, places, loader)
+    if isinstance(node, yaml.SequenceNode):
+        return [
+            _plain_data(item, (*at, index), Place(place.file, _line(item), (*place.inside, index)), places, loader)
+            for index, item in enumerate(node.value)
+        ]
+    return _scalar(node, place, loader)
+
+
+def _mapping(
+    node: yaml.MappingNode, at: KeyPath, place: Place, places: dict[KeyPath, Place], loader: _Loader
+) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    lines: dict[str, int] = {}
+    for key_node, value_node in node.value:
+        key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
+        if key is None or key_node.tag != "tag:yaml.org,2002:str":
+            text = f"'{short(key)}'" if key is not None else "this"
+            raise InputError(
+                f"{place.file}:{_line(key_node)}: {text} is not a key; a key is a word, or put it in quotes"
+            )
+        here = Place(place.file, _line(key_node), (*place.inside, key))
+        if key in result:
+            raise InputError(f"{here}: duplicate key (first in line {lines[key]}); keep one")
+        lines[key] = here.line
+        result[key] = _plain_data(value_node, (*at, key), here, places, loader)
+    return result
+
+
+def _scalar(node: yaml.Node, place: Place, loader: _Loader) -> str | int | float | bool | None:
+    kind = node.tag.removeprefix("tag:yaml.org,2002:")
+    if kind == "timestamp":
+        return str(node.value)
+    if kind not in ("str", "int", "float", "bool", "null"):
+        raise InputError(f"{place}: '{node.tag}' is not used in profiles; write a number, a text or true/false")
+    try:
+        value: str | int | float | bool | None = loader.construct_object(node)
+    except (ValueError, KeyError):
+        raise InputError(
+            f"{place}: '{short(node.value)}' is not of type {kind}; write a number, a text, true or false"
+        ) from None
+    infinite = isinstance(value, float) and not math.isfinite(value)
+    # an infinite stiffness in the plant's effects means a rigid joint
+    if infinite and (value != math.inf or place.inside[:2] != ("plant", "effects")):
+        raise InputError(f"{place}: expected a finite number, got {node.value}")
+    if isinstance(value, str) and not _SURROGATES.isdisjoint(value):
+        raise InputError(f"{place}: half a character (an escape such as \\ud800); write the whole character")
+    if isinstance(value, int) and abs(value) > _LARGEST_INT:
+        raise InputError(f"{place}: {str(node.value)[:20]}... is too large a number")
+    return value
+
+
+def _line(node: yaml.Node) -> int:
+    return int(node.start_mark.line) + 1

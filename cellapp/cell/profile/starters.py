@@ -1,0 +1,124 @@
+"""Profiles that come with the program: the simulated twin and others, to start from in an empty folder."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from cellapp.cell.profile.files import path_exists, write_new
+from cellapp.cell.profile.loader import load_profile, read_document
+from cellapp.ground.errors import InputError
+
+TWIN = "twin"
+"""The simulated cell that needs nothing but this program."""
+TWIN_SMALL = "twin-small"
+"""The same cell with fewer stops."""
+FOLDER = "profiles"
+"""Folder of a person's profiles, below the folder where they work."""
+READINGS = "readings"
+"""Folder of readings that were recorded elsewhere, beside it."""
+_SENTENCE_END = re.compile(r"(?<=\.)\s+(?=[A-Z])")
+
+
+@dataclass(frozen=True)
+class Starter:
+    """A profile that comes with the program: its name, what it is in one sentence, whether it has arms to move."""
+
+    name: str
+    sentence: str
+    has_device: bool
+
+
+def starters_folder() -> Path:
+    """Folder of the starter profiles: ``starters`` in the installed package, ``profiles`` beside it in the source tree.
+
+    Raises
+    ------
+    InputError
+        If this installation lacks them.
+    """
+    package = Path(str(files("cellapp")))
+    for folder in (package / "starters", package.parent / "profiles"):
+        if (folder / f"{TWIN}.yaml").is_file():
+            return folder
+    raise InputError("this installation of cellapp lacks its starter profiles; install it again with pip")
+
+
+def starter_profiles() -> tuple[Starter, ...]:
+    """Return all starter profiles, the twin first."""
+    paths = sorted(starters_folder().glob("*.yaml"), key=lambda path: (path.stem != TWIN, path.stem))
+    return tuple(_starter(path) for path in paths)
+
+
+def arm_type_files() -> tuple[Path, ...]:
+    """Return the files of the arm types that come with the program."""
+    return tuple(sorted((starters_folder() / "arms").glob("*.yaml")))
+
+
+def write_starter(name: str, folder: Path) -> Path:
+    """Copy a starter profile into ``folder/profiles``; as ``copy_starter``."""
+    return copy_starter(name, folder / FOLDER)
+
+
+def copy_starter(name: str, profiles: Path) -> Path:
+    """Copy a starter profile and the arm types that it names into a folder; return its path.
+
+    Where it names targets, all example lists of targets and paths are copied with it; a measured series brings its
+    readings and their licence, in ``readings`` beside the folder of profiles.
+
+    Raises
+    ------
+    InputError
+        If there is no such starter, a file exists already with another text, or one cannot be written.
+    """
+    known = [starter.name for starter in starter_profiles()]
+    if name not in known:
+        raise InputError(f"'{name}' is no profile that comes with cellapp; there are {', '.join(known)}")
+    source, target = starters_folder() / f"{name}.yaml", profiles / f"{name}.yaml"
+    if path_exists(target):
+        raise InputError(f"{target} exists already; nothing was written. Give another folder, or move it away")
+    text = source.read_text("utf-8")
+    measured = {readings_of(name, profiles).parent / file.name: file.read_text("utf-8") for file in _series_files(name)}
+    write_new({**copies(_named_files(text, source), profiles), **measured, target: text})
+    return target
+
+
+def readings_of(name: str, profiles: Path) -> Path:
+    """Where the readings of a measured series stand that was copied beside the folder ``profiles``."""
+    return profiles.parent / READINGS / name / "readings.csv"
+
+
+def _series_files(name: str) -> tuple[Path, ...]:
+    """The files of a measured series: readings, licence, description; empty for any other profile."""
+    package = Path(str(files("cellapp")))
+    for folder in (package / "starters" / READINGS, package.parent / "tests" / "fixtures"):
+        if (folder / name / "readings.csv").is_file():
+            return tuple(sorted(path for path in (folder / name).iterdir() if path.is_file()))
+    return ()
+
+
+def copies(names: list[str], folder: Path) -> dict[Path, str]:
+    """Return the files below ``folder`` with the texts of the starter files of the same relative ``names``."""
+    return {folder / name: (starters_folder() / name).read_text("utf-8") for name in names}
+
+
+def _named_files(text: str, source: Path) -> list[str]:
+    data = read_document(text, source).data
+    types = [arm["type"] for arm in data["arms"].values() if isinstance(arm["type"], str)]
+    folders = ("targets", "paths") if "targets" in data else ()
+    examples = [f"{name}/{file.name}" for name in folders for file in sorted((source.parent / name).iterdir())]
+    return [*dict.fromkeys(types), *examples]
+
+
+def _starter(path: Path) -> Starter:
+    """Read a starter; the first sentence of the comment at its top says what it is."""
+    comment: list[str] = []
+    for line in path.read_text("utf-8").splitlines():
+        if not line.startswith("# "):
+            break
+        comment.append(line[2:].strip())
+    profile = load_profile(path)
+    sentence = _SENTENCE_END.split(" ".join(comment))[0]
+    return Starter(path.stem, sentence, any(arm.driver.has_device for arm in profile.arms.values()))

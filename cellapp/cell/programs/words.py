@@ -1,0 +1,114 @@
+"""What the correction of a program assumes, and what it says on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from cellapp.cell.programs.correction import READING_EFFECTS, moved_by, true_flange
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
+from cellapp.cell.programs.solving import Workplace
+from cellapp.cell.programs.targets import ReadProgram
+from cellapp.ground.profile import Arm
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
+from cellapp.robot.effects.law import DriverVariable
+from cellapp.robot.kinematics.transforms import invert, rotation_vectors
+from cellapp.robot.model import ArmModel
+
+_UNKNOWN = {
+    DriverVariable.TIME: "as at the end of the run",
+    DriverVariable.AIR_TEMPERATURE: "at the temperature to which the model refers",
+    DriverVariable.JOINT_TEMPERATURE: "at the temperature to which the model refers",
+    DriverVariable.OTHER_ARM: "without the other arm's load",
+    DriverVariable.DWELL: "after a long rest",
+}
+
+
+def assumptions(
+    place: Workplace, settings: Arm, read: ReadProgram, corrected: Sequence[CorrectedTarget]
+) -> Iterator[str]:
+    """The conditions for which the corrected program holds, in words."""
+    arm = place.arm
+    apart = invert(arm.nominal.T_M_B()) @ arm.geometry.T_M_B()
+    turn = float(np.linalg.norm(rotation_vectors(apart[None, :3, :3])[0]))
+    yield (
+        f"controller: computes by the published table of the {settings.type.model}, without a calibration of its own"
+    )
+    yield (
+        "base: poses are in the base frame of the published chain, as it was registered to the readings; the calibrated"
+        f" arm's base is {np.linalg.norm(apart[:3, 3]) * 1e3:.3f} mm and {turn * 1e3:.3f} mrad from it"
+    )
+    tcps = dict.fromkeys(target.tcp for target in read.targets if target.tcp is not None)
+    for tcp in tcps:
+        yield f"TCP: p[{', '.join(f'{value:g}' for value in tcp)}] in the published flange frame"
+    payload = arm.bodies.payload_mass if place.payload_kg is None else place.payload_kg
+    source = "the profile" if place.payload_kg is None else "set_payload in the program"
+    yield f"payload: {payload:g} kg, from {source}"
+    q = np.array([one.q_new for one in corrected if one.q_new is not None])
+    yield from _unknown_conditions(place, q)
+    yield _orientation(arm)
+
+
+def model_notes(arm: ArmModel) -> list[str]:
+    """What of the model is not in a corrected program."""
+    left = [term.slug for term in arm.effects if term.slug in READING_EFFECTS]
+    return [f"not corrected, as it moves only the reading: {', '.join(left)}"] if left else []
+
+
+def correct_lines(result: CorrectResult) -> list[str]:
+    """What was written, what was assumed and what was refused."""
+    done = sum(not one.reason for one in result.targets)
+    refused = result.refused
+    lines = [f"arm {result.arm}: {done} targets corrected, {len(refused)} not"]
+    lines += [f"  assumed {line}" for line in result.assumptions]
+    lines += [f"{result.program}:{line}: {command}: {reason}" for line, command, reason in refused]
+    lines += [
+        f"{result.program}:{one.line}: {one.command}: left, {one.reason}" for one in result.left if not one.refused
+    ]
+    lines += result.notes
+    return [*lines, "nothing was written" if result.out is None else f"written to {result.out}"]
+
+
+def refusal(result: CorrectResult) -> str:
+    """Why nothing was written; empty if something was."""
+    if result.out is not None:
+        return ""
+    lines = ", ".join(dict.fromkeys(str(line) for line, _, _ in result.refused))
+    return (
+        f"{result.program}: nothing was written: targets in line {lines} have no correction."
+        " --partly writes the others and leaves these as they are"
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _unknown_conditions(place: Workplace, q: np.ndarray) -> Iterator[str]:
+    """Conditions that effects of the model depend on and that a program does not say."""
+    arm = moved_by(place.arm)
+    variables = {variable for term in arm.effects for variable in EFFECTS[term.slug].variables}
+    if DriverVariable.APPROACH in variables and len(q):
+        sides = [
+            true_flange(arm, q, MeasurementConditions(approach=np.full(q.shape, side)))[:, :3, 3]
+            for side in (-1.0, 1.0)
+        ]
+        most = np.linalg.norm(sides[1] - sides[0], axis=1).max() * 0.5e3
+        yield f"approach: unknown, taken at the middle; coming from one side moves the flange by up to {most:.3f} mm"
+    for variable, words in _UNKNOWN.items():
+        slugs = [term.slug for term in arm.effects if variable in EFFECTS[term.slug].variables]
+        if slugs:
+            yield f"{variable.value}: {', '.join(dict.fromkeys(slugs))} taken {words}"
+
+
+def _orientation(arm: ArmModel) -> str:
+    """What the readings can tell of the flange's orientation."""
+    text = (
+        "orientation: readings of one point tell where the last joint's axis points, not how the flange sits on it:"
+        " its turn about that axis and its tilt"
+    )
+    last = arm.geometry.joints - 1
+    places = [6 + 5 * last + place for place in (0, 3)]
+    if arm.posterior is not None and set(places) <= set(arm.posterior.columns):
+        return f"{text} are known as well as the published table is; the stated uncertainties hold that"
+    return f"{text} are those of the published table, and the stated uncertainties do not hold their errors"

@@ -1,0 +1,67 @@
+"""Which arm a run measured: by serial numbers where they are known, else by names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+
+from cellapp.cell.run.file import RunFile
+from cellapp.estimation.monitoring.fleet.records import IdentityBasis
+
+CONTROLLERS_RESULT = "controllers"
+"""Name of the stored result: arm -> identity of its controller."""
+
+
+class _Controller(BaseModel):
+    """The part of a recorded controller that tells arms apart."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+    serial: str = ""
+
+
+_CONTROLLERS = TypeAdapter(dict[str, _Controller])
+
+
+@dataclass(frozen=True)
+class ArmIdentity:
+    """``key`` is the same in all runs of one arm; ``serial`` is empty where only names are known."""
+
+    key: str
+    known_by: IdentityBasis
+    serial: str = ""
+
+    def is_other_than(self, other: ArmIdentity) -> bool:
+        """Whether serial numbers prove two arms to be different ones."""
+        return self.known_by == other.known_by and bool(self.serial) and self.serial != other.serial
+
+
+def arm_identities(run: RunFile) -> Mapping[str, ArmIdentity]:
+    """Identity of every arm of the run's profile: serial of its controller, of the arm in the profile, or names.
+
+    A simulated arm has no serial number of its own: all of them report the same one.
+    """
+    controllers = _recorded(run)
+    found = {}
+    for name, arm in run.profile.arms.items():
+        controller = controllers.get(name)
+        given = run.profile.traceability.arms.get(name)
+        names = ArmIdentity(f"{run.profile.name}, {name} ({arm.type.model})", "names")
+        if controller is not None and controller.serial and not arm.driver.needs_plant:
+            found[name] = ArmIdentity(controller.serial, "controller", controller.serial)
+        elif given is not None and given.serial:
+            found[name] = ArmIdentity(given.serial, "profile", given.serial)
+        else:
+            found[name] = names
+    return found
+
+
+def _recorded(run: RunFile) -> Mapping[str, _Controller]:
+    """Controllers by arm; none where the record is missing or damaged: names identify the arms then."""
+    text = run.read_result(CONTROLLERS_RESULT)
+    try:
+        return {} if text is None else _CONTROLLERS.validate_json(text)
+    except ValidationError:
+        return {}

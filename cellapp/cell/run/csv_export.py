@@ -1,0 +1,68 @@
+"""Readings to CSV, in the columns of ``columns.COLUMNS``; see ``csv_import`` for the format."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from cellapp.cell.run.csv_import import is_known
+from cellapp.cell.run.csv_text import write_csv
+from cellapp.cell.run.file import RunFile
+from cellapp.estimation.readings.columns import COLUMNS
+from cellapp.estimation.readings.readings import Readings
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+
+
+def write_readings_csv(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) -> None:
+    """Write all readings of a run, ordered by configuration, numbers in the shortest form that is exact.
+
+    The file is written completely or not at all; ``outputs`` says whether an existing one is replaced.
+
+    Raises
+    ------
+    InputError
+        If there are no readings, or the file cannot be written.
+    """
+    path = Path(path)
+    arms = {arm: run.readings(arm) for arm in run.arms()}
+    if not arms:
+        raise InputError(f"{run.path} holds no readings yet; there is nothing to export")
+    names = _header(arms, run.columns)
+    rows = sorted(
+        itertools.chain.from_iterable(
+            zip(readings.configuration.tolist(), itertools.repeat(order), _rows(arm, readings, names))
+            for order, (arm, readings) in enumerate(arms.items())
+        )
+    )
+    write_csv(path, names, (row for _, _, row in rows), outputs)
+
+
+def _header(arms: Mapping[str, Readings], imported: Sequence[str]) -> list[str]:
+    """Columns that any arm has values for and columns of the imported file; unknown ones last."""
+    joints = max(readings.joints for readings in arms.values())
+    names: list[str] = []
+    for column in COLUMNS:
+        given = column.required or any(column.is_given(getattr(readings, column.name)) for readings in arms.values())
+        names += [name for name in column.csv_names(joints) if given or name in imported]
+    names.insert(1, "arm")
+    extras = [name for name in imported if not is_known(name)]
+    extras += [name for readings in arms.values() for name in readings.extras]
+    return [*names, *dict.fromkeys(extras)]
+
+
+def _rows(arm: str, readings: Readings, names: Sequence[str]) -> list[tuple[str, ...]]:
+    """The cells of one arm's readings in the columns ``names``; empty where it has no value."""
+    n = len(readings)
+    texts: dict[str, Sequence[str]] = {"arm": [arm] * n, **readings.extras}
+    for column in COLUMNS:
+        values = getattr(readings, column.name)
+        if isinstance(values, tuple):
+            texts[column.csv[0]] = [word or "" for word in values]
+        elif values is not None:
+            matrix = column.matrix(values)
+            for place, name in enumerate(column.csv_names(readings.joints)):
+                texts[name] = ["" if number != number else repr(number) for number in matrix[:, place].tolist()]
+    empty = [""] * n
+    return list(zip(*(texts.get(name, empty) for name in names), strict=True))

@@ -1,0 +1,344 @@
+"""Readings from CSV: header row, SI units, one row per arm per stop. The one door for readings measured elsewhere.
+
+Columns are those of ``columns.COLUMNS``: ``configuration``, ``arm``, ``q1`` ... ``qN`` and ``x_m, y_m, z_m`` have a
+value in every row; the others are optional and an empty cell is a missing value, but a covariance has all six numbers
+or none. A file without times gives NaN as time: the order of rows is not a clock. Whether it is the order of
+measurement, which gives each joint's last motion, the caller says (``in_order``). Unknown columns are kept as text.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.driving.records import ArmOrder
+from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, check_names, read_csv_table, short
+from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, Values, beyond_limits
+from cellapp.estimation.readings.readings import Readings, readings_from_columns
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+
+_NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
+
+
+def read_readings_csv(
+    path: Path,
+    joint_counts: Mapping[str, int],
+    *,
+    in_order: bool = False,
+    limits: Mapping[str, NDArray[np.float64]] | None = None,
+) -> tuple[dict[str, Readings], list[str]]:
+    """Read and check a file of readings.
+
+    Parameters
+    ----------
+    path : Path
+        UTF-8, comma-separated.
+    joint_counts : mapping
+        Number of joints of each arm that may occur, by name.
+    in_order : bool
+        The rows of an arm stand in the order in which they were measured (with ``time_s``, the order is by time):
+        approach and step that the file does not give follow from the row before, see ``in_measured_order``.
+    limits : mapping, optional
+        Joint limits (N, 2) [rad] of each arm. Joint positions further beyond them than a revolution are refused.
+
+    Returns
+    -------
+    readings : dict
+        Readings of each arm that occurs, ordered by configuration. Unknown columns are in ``extras``.
+    notes : list of str
+        Unknown columns and arms that do not occur.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column of values that are missing, not numbers, repeated or implausible.
+    """
+    readings, _, notes = _read(read_csv_table(Path(path)), joint_counts, in_order, limits or {})
+    return readings, notes
+
+
+def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> RunFile:
+    """Make a run from a file of readings, after the whole file was read and checked.
+
+    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
+    run then keeps what was derived.
+
+    Raises
+    ------
+    InputError
+        As ``read_readings_csv`` and ``RunFile.create`` do, and if an arm of the profile has no readings. No run is
+        made then.
+    """
+    table = read_csv_table(Path(csv))
+    joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
+    readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
+    missing = [name for name in profile.arms if name not in readings]
+    if missing:
+        raise InputError(
+            f"{csv}: arm: no reading of arm {', '.join(missing)} of the profile; add its readings, or remove the arm"
+            " from the profile"
+        )
+
+    def fill(run: RunFile) -> None:
+        run.keep_columns(table.names)
+        for arm, rows in readings.items():
+            run.add_readings(arm, rows)
+        count = ", ".join(f"{len(rows)} of arm {arm}" for arm, rows in readings.items())
+        run.log("info", f"imported {csv}: {count}")
+        if orders:
+            write_in_order(run, orders)
+        for note in notes:
+            run.log("note", note)
+
+    return RunFile.create(folder, profile, fill)
+
+
+def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
+    """Limits (N, 2) [rad] of each arm's joints: of its type, which no cell widens."""
+    return {name: np.array([joint.limit for joint in arm.type.joints]) for name, arm in profile.arms.items()}
+
+
+def is_known(name: str) -> bool:
+    """Whether a CSV column is one of ``COLUMNS`` or the arm."""
+    return name == "arm" or _per_joint(name) is not None or any(name in column.csv for column in _not_per_joint())
+
+
+def _not_per_joint() -> list[Column]:
+    return [column for column in COLUMNS if column.shape != "joints"]
+
+
+def _per_joint(name: str) -> tuple[str, int] | None:
+    """Stem and number of a column that belongs to one joint."""
+    match = re.fullmatch(r"(\w*?)([1-9][0-9]*)", name)
+    if match and any(column.shape == "joints" and column.csv == (match.group(1),) for column in COLUMNS):
+        return match.group(1), int(match.group(2))
+    return None
+
+
+def _read(
+    table: CsvTable,
+    joint_counts: Mapping[str, int],
+    in_order: bool,
+    limits: Mapping[str, NDArray[np.float64]],
+) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
+    """Readings, what their order of measurement gave, and notes."""
+    problems = Problems(table.path)
+    _check_header(table, problems)
+    names = [name.strip() for name in table.cells["arm"]]
+    for line, name in zip(table.lines, names, strict=True):
+        if not name:
+            problems.add(line, "arm", f"the value is missing; arms are {', '.join(joint_counts)}")
+        elif name not in joint_counts:
+            problems.add(line, "arm", f"arm '{name}' is not in the profile; arms are {', '.join(joint_counts)}")
+    problems.check()
+    readings: dict[str, Readings] = {}
+    orders: dict[str, ArmOrder] = {}
+    for arm in joint_counts:
+        rows = [index for index, name in enumerate(names) if name == arm]
+        cells = _ArmCells(table, rows, problems)
+        result = _read_arm(cells, arm, joint_counts[arm], limits.get(arm)) if rows else None
+        if result is None:
+            continue
+        fault = order_fault(result) if in_order else None
+        if fault is not None:
+            cells.refuse(*fault)
+        elif in_order:
+            result, orders[arm] = in_measured_order(result)
+        readings[arm] = result.take(np.argsort(result.configuration, kind="stable"))
+    problems.check()
+    return readings, orders, [*_notes(table, joint_counts, readings), *order_sentences(orders)]
+
+
+def _check_header(table: CsvTable, problems: Problems) -> None:
+    path, names = table.path, table.names
+    check_names(table, problems)
+    unknown = [name for name in names if not is_known(name)]
+    required = [name for column in COLUMNS if column.required for name in column.csv_names(1)]
+    for name in ("arm", *required):
+        if name not in names:
+            close = difflib.get_close_matches(name, unknown, n=1, cutoff=0.6)
+            hint = f"; is '{close[0]}' meant? Its name and unit must be as written here" if close else ""
+            problems.add(1, name, f"the column is missing{hint}")
+    for column in _not_per_joint():
+        if not column.required and any(name in names for name in column.csv):
+            for name in column.csv:
+                if name not in names:
+                    problems.add(1, name, f"the column is missing; give all six ({', '.join(column.csv)}) or none")
+    problems.check()
+    if not table.lines:
+        raise InputError(f"{path}:1: there is a header row but no reading; expected a row per arm per stop")
+
+
+@dataclass(frozen=True)
+class _ArmCells:
+    """The rows of one arm, column by column; notes what is wrong in ``problems``."""
+
+    table: CsvTable
+    rows: Sequence[int]
+    problems: Problems
+
+    def texts(self, name: str) -> list[str]:
+        cells = self.table.cells[name]
+        return [cells[row] for row in self.rows]
+
+    def line(self, index: int) -> int:
+        return self.table.lines[self.rows[index]]
+
+    def refuse(self, index: int, name: str, text: str) -> None:
+        self.problems.add(self.line(index), name, text)
+
+    def numbers(self, name: str, *, required: bool) -> NDArray[np.float64]:
+        """A column as (n,), NaN for an empty cell that is not required; notes its first wrong cell."""
+        texts = [text.strip() for text in self.texts(name)]
+        # float() accepts more than decimal numbers (nan, 1_000, digits of other scripts); one search over the whole
+        # column is much faster than one over each cell.
+        if all(texts) and not _NOT_NUMBERS.search(" ".join(texts)):
+            try:
+                values = np.array([float(text) for text in texts])
+            except ValueError:
+                pass
+            else:
+                if np.all(np.isfinite(values)):
+                    return values
+        result = np.full(len(texts), np.nan)
+        for index, text in enumerate(texts):
+            if not text:
+                if not required:
+                    continue
+                self.refuse(index, name, "the value is missing")
+                break
+            value = float(text) if NUMBER.fullmatch(text) else math.nan
+            if not math.isfinite(value):
+                self.refuse(index, name, f"expected a finite number such as 0.25, got '{short(text)}'")
+                break
+            result[index] = value
+        return result
+
+    def whole_numbers(self, name: str) -> NDArray[np.int64]:
+        """A column of integers as (n,); not by way of floats, which would round large ones."""
+        texts = [text.strip() for text in self.texts(name)]
+        for index, text in enumerate(texts):
+            if not WHOLE.fullmatch(text):
+                what = f"expected a whole number, got '{short(text)}'" if text else "the value is missing"
+                self.refuse(index, name, what)
+                return np.zeros(len(texts), dtype=np.int64)
+        return np.array([int(text) for text in texts], dtype=np.int64)
+
+    def words(self, column: Column) -> tuple[str | None, ...] | None:
+        """A column of words; None for an empty cell, and for the column if all are empty or the file lacks it."""
+        (name,) = column.csv
+        if name not in self.table.cells:
+            return None
+        words = [text.strip() for text in self.texts(name)]
+        for index, word in enumerate(words):
+            if word and column.allowed and word not in column.allowed:
+                self.refuse(index, name, f"expected {column.expected}, got '{short(word)}'")
+                break
+        return tuple(word or None for word in words) if any(words) else None
+
+    def matrix(self, column: Column, joints: int) -> NDArray[Any] | None:
+        """A column as (n, w), NaN where a value is missing; None where the file has none of it."""
+        names = column.csv_names(joints)
+        if names[0] not in self.table.cells:
+            return None
+        if column.dtype is np.int64:
+            return np.column_stack([self.whole_numbers(name) for name in names])
+        matrix = np.column_stack([self.numbers(name, required=column.required) for name in names])
+        if column.allowed:
+            for row, place in np.argwhere(~np.isnan(matrix) & ~np.isin(matrix, column.allowed))[:1].tolist():
+                self.refuse(row, names[place], f"expected {column.expected}, got {matrix[row, place]:g}")
+        return None if np.all(np.isnan(matrix)) else matrix
+
+    def check(self, column: Column, matrix: NDArray[Any], joints: int, limits: NDArray[np.float64] | None) -> None:
+        """Note the first implausible value; of joint positions the first of each joint."""
+        fault = None if column.check is None else column.check(matrix)
+        faults = [] if fault is None else [fault]
+        if column.name == "q" and limits is not None and fault is None:
+            faults = beyond_limits(matrix, limits)
+        for fault in faults:
+            names = column.csv_names(joints)
+            name = f"{names[0]}..{names[-1]}" if fault.place is None else names[fault.place]
+            self.refuse(fault.row, name, fault.text)
+
+
+def _read_arm(cells: _ArmCells, arm: str, joints: int, limits: NDArray[np.float64] | None) -> Readings | None:
+    """The readings of one arm in the order of the rows; None if a problem was found."""
+    problems, before = cells.problems, cells.problems.count
+    _check_joint_columns(cells, arm, joints)
+    if problems.count > before:
+        return None
+    matrices = {column.name: (column, cells.matrix(column, joints)) for column in COLUMNS if column.dtype is not str}
+    words = {column.name: cells.words(column) for column in COLUMNS if column.dtype is str}
+    if problems.count > before:
+        return None
+    values: dict[str, Values | None] = {**words}
+    for name, (column, matrix) in matrices.items():
+        if matrix is not None:
+            cells.check(column, matrix, joints, limits)
+        values[name] = column.missing(len(cells.rows), joints) if matrix is None else column.from_matrix(matrix)
+    configuration = cells.whole_numbers(CONFIGURATION.name)
+    _check_once(cells, configuration, arm)
+    if problems.count > before:
+        return None
+    extras = {name: tuple(cells.texts(name)) for name in cells.table.names if not is_known(name)}
+    return readings_from_columns(values, extras)
+
+
+def _check_joint_columns(cells: _ArmCells, arm: str, joints: int) -> None:
+    """Check that a quantity per joint has a column for each joint of the arm and no value for any other."""
+    numbered: dict[str, set[int]] = {column.csv[0]: set() for column in COLUMNS if column.shape == "joints"}
+    for name in cells.table.names:
+        per_joint = _per_joint(name)
+        if per_joint is not None:
+            numbered[per_joint[0]].add(per_joint[1])
+    wanted = set(range(1, joints + 1))
+    for stem, numbers in numbered.items():
+        if numbers:
+            for number in sorted(wanted - numbers):
+                cells.problems.add(1, f"{stem}{number}", f"the column is missing; arm {arm} has {joints} joints")
+        for number in sorted(numbers - wanted):
+            name = f"{stem}{number}"
+            filled = [index for index, text in enumerate(cells.texts(name)) if text.strip()]
+            if filled:
+                cells.refuse(filled[0], name, f"there is a value, but arm {arm} has {joints} joints in the profile")
+
+
+def _check_once(cells: _ArmCells, configuration: NDArray[np.int64], arm: str) -> None:
+    first: dict[int, int] = {}
+    for index, number in enumerate(configuration.tolist()):
+        if number in first:
+            line = cells.line(first[number])
+            cells.refuse(
+                index, "configuration", f"{number} of arm {arm} was given in line {line} already; give one row per stop"
+            )
+            return
+        first[number] = index
+
+
+def _notes(table: CsvTable, joint_counts: Mapping[str, int], readings: Mapping[str, Readings]) -> list[str]:
+    notes = []
+    known = sorted({"arm", *(name for column in _not_per_joint() for name in column.csv)})
+    most = max(joint_counts.values())
+    for name in table.names:
+        per_joint = _per_joint(name)
+        if per_joint is not None and per_joint[1] > most:
+            notes.append(f"{table.path}: column '{name}' is empty and no arm has that joint; it is not imported")
+        if not is_known(name):
+            close = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
+            hint = f" (is '{close[0]}' meant?)" if close else ""
+            notes.append(f"{table.path}: column '{name}' is unknown{hint}; it is kept and not used")
+    for arm in joint_counts:
+        if arm not in readings:
+            notes.append(f"{table.path}: arm '{arm}' of the profile has no readings in this file")
+    return notes

@@ -1,0 +1,143 @@
+"""A CSV file as text: cells by column, with the line of each row, and the problems found in it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+
+WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
+"""A whole number; ``int`` would accept more (1_000, digits of other scripts)."""
+NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+"""A decimal number; ``float`` would accept more (nan, 1_000)."""
+_SHOWN = 5
+"""Problems per message: enough to see a pattern, few enough to read."""
+_LONGEST_SHOWN = 40
+"""Characters of a wrong cell that a message shows."""
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """The cells of a file by column; ``lines`` are the numbers of the lines in which the rows end."""
+
+    path: Path
+    names: tuple[str, ...]
+    lines: tuple[int, ...]
+    cells: dict[str, tuple[str, ...]]
+
+
+@dataclass
+class Problems:
+    """Problems of one file, reported together in the order of lines, so that they can be corrected in one go."""
+
+    path: Path
+    found: dict[tuple[int, str], str] = field(default_factory=dict)
+    count: int = 0
+
+    def add(self, line: int, column: str, text: str) -> None:
+        """Note a problem; only the first is kept of several with one cell (a column that both arms lack)."""
+        self.count += 1
+        self.found.setdefault((line, column), f"{self.path}:{line}: {column}: {text}")
+
+    def check(self) -> None:
+        """Raise ``InputError`` with the first problems if there are any."""
+        if self.found:
+            texts = [self.found[where] for where in sorted(self.found, key=lambda where: where[0])]
+            more = [f"and {len(texts) - _SHOWN} more"] if len(texts) > _SHOWN else []
+            raise InputError("\n".join(texts[:_SHOWN] + more))
+
+
+def short(text: str) -> str:
+    """A wrong cell as a message shows it."""
+    return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
+
+
+def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]], outputs: Outputs = NEW_ONLY) -> None:
+    """Write a file completely or not at all.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written, or may not.
+    """
+    outputs.write_text(path, table_text(header, rows))
+
+
+def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table as CSV."""
+    text = io.StringIO(newline="")
+    # The writer quotes a carriage return within a text only if the line terminator contains one.
+    writer = csv.writer(text, lineterminator="\r\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def read_csv_table(path: Path, what: str = "readings", row: str = "a row per arm per stop") -> CsvTable:
+    """Read a UTF-8, comma-separated file; blank rows are skipped.
+
+    ``what`` it should hold, and what a ``row`` is, is said in messages.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, is not CSV in UTF-8, is empty, or a row differs in length from the header.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            return _parse(path, file, row)
+    except FileNotFoundError:
+        raise InputError(f"{path}: file not found; give a CSV file of {what}") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}; give a CSV file of {what}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: not UTF-8 text ({error.reason}); save the file as CSV in UTF-8") from None
+
+
+def check_names(table: CsvTable, problems: Problems) -> None:
+    """Note columns without a name, and names that are there twice."""
+    for number, name in enumerate(table.names, start=1):
+        if not name:
+            problems.add(1, f"column {number}", "has no name; name it or remove it")
+    for name in dict.fromkeys(name for name in table.names if name and table.names.count(name) > 1):
+        problems.add(1, name, "the column is there twice; keep one")
+
+
+def _parse(path: Path, file: Iterable[str], expected: str) -> CsvTable:
+    reader = csv.reader(file, strict=True)
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    names: tuple[str, ...] | None = None
+    line = 0
+    try:
+        for row in reader:
+            line = reader.line_num
+            if not any(row):
+                continue
+            if names is None:
+                names = tuple(name.strip() for name in row)
+                if len(names) == 1 and re.search(r"[;\t|]", names[0]):
+                    raise InputError(
+                        f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
+                    )
+                continue
+            if len(row) != len(names):
+                column = names[len(row)] if len(row) < len(names) else f"column {len(names) + 1}"
+                hint = "; write 0.5, not 0,5, and texts with commas in quotes" if len(row) > len(names) else ""
+                raise InputError(
+                    f"{path}:{line}: {column}: the row has {len(row)} cells, the header has {len(names)}{hint}"
+                )
+            rows.append(row)
+            lines.append(line)
+    except csv.Error as error:
+        raise InputError(f"{path}:{line + 1}: not CSV: {error}; correct the line") from None
+    if names is None:
+        raise InputError(f"{path} is empty; expected a header row and {expected}")
+    columns = zip(*rows, strict=True) if rows else [()] * len(names)
+    return CsvTable(path, names, tuple(lines), dict(zip(names, columns, strict=True)))

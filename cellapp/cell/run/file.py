@@ -1,0 +1,486 @@
+"""A run is a folder with ``run.sqlite``: the profile, the plan, every reading, the log and the results.
+
+A write returns only after its transaction is on disk (write-ahead log, ``synchronous=FULL``): a stop that was reported
+as stored survives a power failure. Closing merges the log into the one file, so that it can be copied.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sqlite3
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.profile import profile_from_json, profile_to_json
+from cellapp.cell.run.collection_rows import (
+    Outcome,
+    ReferenceRow,
+    Session,
+    SessionEnd,
+    delete_outcomes,
+    end_session,
+    insert_outcome,
+    insert_reference,
+    insert_request,
+    insert_session,
+    select_outcomes,
+    select_references,
+    select_sessions,
+)
+from cellapp.cell.run.plan_table import changed_stops, check_plan, replace_plan, select_plan
+from cellapp.cell.run.readings_table import (
+    check_readings,
+    check_splits,
+    count_splits,
+    insert_readings,
+    mean_temperatures,
+    select_readings,
+)
+from cellapp.cell.run.rows import Document, Event, StageRow, insert_document, utc_now
+from cellapp.cell.run.schema import SCHEMA_VERSION, create_tables, read_meta, schema_version, upgrade
+from cellapp.cell.run.sqlite_file import (
+    APPLICATION_ID,
+    FILE_NAME,
+    UNFINISHED,
+    check_header,
+    check_integrity,
+    connect,
+    damage_as_sentence,
+    make_empty_folder,
+    sentences,
+    sync_folder,
+)
+from cellapp.estimation.readings.readings import Reading, Readings
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.plugins import program_of
+
+
+class RunFile:
+    """One run, made with ``create`` or ``open``; a context manager that closes it.
+
+    All threads may use it; a lock serialises their calls. Every method raises ``InputError`` if the file cannot be read
+    or written (disk full, locked by another program, removed).
+    """
+
+    def __init__(
+        self, folder: Path, connection: sqlite3.Connection, profile: Profile, writable: bool, journal: str
+    ) -> None:
+        """For ``create`` and ``open`` only."""
+        self.folder = folder
+        self.profile = profile
+        self.writable = writable
+        self._connection = connection
+        self._lock = threading.RLock()
+        self._journal = journal
+
+    @property
+    def path(self) -> Path:
+        """The SQLite file."""
+        return self.folder / FILE_NAME
+
+    # -- create, open, close -----------------------------------------------------------------------------------------
+
+    @classmethod
+    def create(cls, folder: Path, profile: Profile, fill: Callable[[RunFile], None] | None = None) -> RunFile:
+        """Make a run in ``folder``, which is created if missing and must be empty otherwise.
+
+        ``fill`` writes the first content (a plan, an import). The file gets its final name after that: a run exists
+        completely or not at all.
+
+        Raises
+        ------
+        InputError
+            If the folder holds a run or anything else, or cannot be made. It is then left unchanged.
+        """
+        folder = Path(folder)
+        made = make_empty_folder(folder)
+        unfinished = folder / UNFINISHED
+        try:
+            with sentences(folder):
+                unfinished.unlink(missing_ok=True)
+                _build(folder, unfinished, profile, fill)
+                os.replace(unfinished, folder / FILE_NAME)
+                sync_folder(folder)
+        except BaseException:  # Ctrl-C too: no partial run is left behind
+            for path in (unfinished, Path(f"{unfinished}-journal")):
+                path.unlink(missing_ok=True)
+            for path in made:
+                with contextlib.suppress(OSError):
+                    path.rmdir()
+            raise
+        return cls.open(folder, write=True)
+
+    @classmethod
+    def open(cls, folder: Path, *, write: bool = False) -> Self:
+        """Open an existing run for reading, or with ``write`` to add to it.
+
+        Raises
+        ------
+        InputError
+            If it is missing, not a run file, damaged, or of a newer schema. The file is left unchanged.
+        """
+        folder = Path(folder)
+        path = folder / FILE_NAME
+        with sentences(folder):
+            check_header(folder, path)
+            connection = connect(path, "ro")
+            try:
+                with damage_as_sentence(path):
+                    check_integrity(path, connection)
+                    profile = _read_profile(path, connection)
+                if write:
+                    connection.close()
+                    connection = connect(path, "rw")
+                    connection.execute("PRAGMA synchronous=FULL")
+                    connection.execute("BEGIN IMMEDIATE")  # detects a file that cannot be written
+                    connection.execute("COMMIT")
+            except BaseException:
+                connection.close()
+                raise
+            journal = str(connection.execute("PRAGMA journal_mode").fetchone()[0])
+        return cls(folder, connection, profile, write, journal)
+
+    @classmethod
+    def peek(cls, folder: Path) -> Self:
+        """Open an existing run for a look at single values: its pages are not checked, a locked file is not waited for.
+
+        Raises
+        ------
+        InputError
+            As ``open``; for a damaged page only once something is read from it.
+        """
+        folder = Path(folder)
+        path = folder / FILE_NAME
+        with sentences(folder):
+            check_header(folder, path)
+            connection = connect(path, "ro", wait_s=0.0)
+            try:
+                with damage_as_sentence(path):
+                    profile = _read_profile(path, connection)
+            except BaseException:
+                connection.close()
+                raise
+        return cls(folder, connection, profile, False, "unknown")
+
+    def close(self) -> None:
+        """Merge the log into the one file and close it; closing twice does no harm."""
+        with self._lock:
+            if self.writable and self._journal == "wal":
+                # SQLite refuses while another program reads: the log then stays beside the file, and nothing is lost.
+                with contextlib.suppress(sqlite3.Error):
+                    self._connection.execute("PRAGMA busy_timeout=0")
+                    self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+                    self._connection.execute("PRAGMA journal_mode=DELETE").fetchall()
+            self.writable = False
+            self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    # -- plan --------------------------------------------------------------------------------------------------------
+
+    def write_plan(self, plans: Mapping[str, NDArray[np.float64]], documents: Mapping[str, str] | None = None) -> None:
+        """Store the plan, arm -> q (n, N) [rad], in place of an earlier one; row k of all arms is stop k.
+
+        ``documents`` (name -> text) belong to it and are stored with it, or not at all. Outcomes of stops whose joint
+        positions change are removed: they belong to stops that are no longer planned.
+
+        Raises
+        ------
+        InputError
+            If the joint positions of a stop that is already measured would change.
+        ValueError
+            If the arms' plans differ in length or have a wrong number of joints.
+        """
+        for arm in plans:
+            self._check_arm(arm)
+        check_plan(plans, {arm: self._joints(arm) for arm in plans})
+        with self._transaction() as connection:
+            before = select_plan(connection, list(self.profile.arms))
+            changed, planned = changed_stops(before, plans), range(min(map(len, plans.values()), default=0))
+            if measured := [stop for stop in self._stops_done(connection) if stop in changed or stop not in planned]:
+                raise InputError(
+                    f"{self.path}: stop {min(measured)} is measured already and differs in the new plan;"
+                    " plan into a new run folder instead"
+                )
+            replace_plan(connection, plans)
+            delete_outcomes(connection, changed)
+            for name, text in (documents or {}).items():
+                insert_document(connection, name, text)
+
+    def read_plan(self) -> dict[str, NDArray[np.float64]]:
+        """The plan, arm -> q (n, N) [rad]; empty without a plan."""
+        with self._reading() as connection:
+            return select_plan(connection, list(self.profile.arms))
+
+    def planned_counts(self) -> dict[str, int]:
+        """Number of planned stops of each arm, reserves included; empty without a plan."""
+        with self._reading() as connection:
+            counts = dict(connection.execute("SELECT arm, COUNT(*) FROM plan GROUP BY arm").fetchall())
+        return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
+
+    # -- readings ----------------------------------------------------------------------------------------------------
+
+    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+        """Store one stop of all arms, and why arms have no reading there, in one transaction; on return it is on disk.
+
+        Raises
+        ------
+        InputError
+            If this stop of one of the arms is stored already.
+        ValueError
+            If an array has the wrong shape or a required value is not finite.
+        """
+        self._add({arm: reading.as_readings(configuration) for arm, reading in rows.items()}, outcomes)
+
+    def add_readings(self, arm: str, readings: Readings) -> None:
+        """Store readings of one arm in one transaction. Raises as ``add_stop`` does."""
+        self._add({arm: readings})
+
+    def _add(self, batches: Mapping[str, Readings], outcomes: Sequence[Outcome] = ()) -> None:
+        for arm, readings in batches.items():
+            self._check_arm(arm)
+            check_readings(arm, self._joints(arm), readings)
+        with self._transaction() as connection:
+            for arm, readings in batches.items():
+                try:
+                    insert_readings(connection, arm, readings)
+                except sqlite3.IntegrityError:
+                    stops = ", ".join(str(stop) for stop in readings.configuration[:3].tolist())
+                    raise InputError(
+                        f"{self.path}: a reading of arm {arm} at one of these stops"
+                        f" ({stops}{', ...' if len(readings) > 3 else ''}) is stored already; a stop is measured once"
+                    ) from None
+            for outcome in outcomes:
+                insert_outcome(connection, outcome)
+
+    def readings(self, arm: str) -> Readings:
+        """All readings of one arm, ordered by configuration; n is 0 if there are none."""
+        self._check_arm(arm)
+        with self._reading() as connection:
+            return select_readings(connection, arm, self._joints(arm))
+
+    def split_counts(self) -> dict[str, dict[str | None, int]]:
+        """Number of readings of each arm that has some, by split; None is no split."""
+        with self._reading() as connection:
+            counts = count_splits(connection)
+        return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
+
+    def mean_temperatures(self) -> dict[str, dict[str, float]]:
+        """Mean temperatures [degC] of the readings of each arm: of the "air" and of each "joint N", where known."""
+        with self._reading() as connection:
+            return mean_temperatures(connection)
+
+    @property
+    def created(self) -> str:
+        """When the run was made (ISO 8601, UTC); empty if that is not recorded."""
+        with self._reading() as connection:
+            return read_meta(connection, "created") or ""
+
+    def arms(self) -> list[str]:
+        """Names of the arms that have readings, in the profile's order."""
+        with self._reading() as connection:
+            return self._in_profile_order({name for (name,) in connection.execute("SELECT DISTINCT arm FROM reading")})
+
+    def stops_done(self) -> set[int]:
+        """Numbers of the stored configurations; each was stored for all of its arms at once."""
+        with self._reading() as connection:
+            return self._stops_done(connection)
+
+    @staticmethod
+    def _stops_done(connection: sqlite3.Connection) -> set[int]:
+        return {stop for (stop,) in connection.execute("SELECT DISTINCT configuration FROM reading")}
+
+    def assign_splits(self, arm: str, names: Sequence[str | None]) -> None:
+        """Store the split of each reading of ``arm``, in the order of ``readings``; None is no split."""
+        self._check_arm(arm)
+        check_splits(names)
+        with self._transaction() as connection:
+            stops = connection.execute(
+                "SELECT configuration FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
+            ).fetchall()
+            if len(stops) != len(names):
+                raise ValueError(f"{len(names)} splits for the {len(stops)} readings of arm {arm}")
+            connection.executemany(
+                "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
+                ((name, arm, stop) for name, (stop,) in zip(names, stops, strict=True)),
+            )
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the imported CSV file in its order; empty for a run that was collected."""
+        with self._reading() as connection:
+            return tuple(json.loads(read_meta(connection, "columns") or "[]"))
+
+    def keep_columns(self, names: Sequence[str]) -> None:
+        """Store the columns of an imported file, so that the export has the same ones."""
+        with self._transaction() as connection:
+            connection.execute("INSERT OR REPLACE INTO meta VALUES ('columns', ?)", (json.dumps(list(names)),))
+
+    # -- events and documents ----------------------------------------------------------------------------------------
+
+    def log(self, level: str, text: str, time_s: float | None = None) -> None:
+        """Add a line to the run's log; ``level`` is info, warning, error or note."""
+        with self._transaction() as connection:
+            connection.execute(
+                "INSERT INTO event (written, time_s, level, text) VALUES (?, ?, ?, ?)", (utc_now(), time_s, level, text)
+            )
+
+    def events(self) -> list[Event]:
+        """The run's log, oldest first."""
+        with self._reading() as connection:
+            rows = connection.execute("SELECT number, written, time_s, level, text FROM event ORDER BY number")
+            return [Event(*row) for row in rows]
+
+    def write_result(self, name: str, json_text: str) -> None:
+        """Store a document that is not a verb's result under a name; it replaces an earlier one of that name."""
+        with self._transaction() as connection:
+            insert_document(connection, name, json_text)
+
+    def read_result(self, name: str) -> str | None:
+        """The text of a stored document, or None."""
+        document = self.read_document(name)
+        return None if document is None else document.text
+
+    def read_document(self, name: str) -> Document | None:
+        """A stored document, or None."""
+        with self._reading() as connection:
+            row = connection.execute("SELECT written, text FROM result WHERE name = ?", (name,)).fetchone()
+        return None if row is None else Document(*row)
+
+    # -- stages ------------------------------------------------------------------------------------------------------
+
+    def append_stage(self, name: str, basis: str | None, text: str, model: str | None) -> None:
+        """Append what a verb made: its result, its model (JSON) if it made one, and what they rest on."""
+        with self._transaction() as connection:
+            connection.execute(
+                "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)",
+                (name, utc_now(), program_of(self.profile), basis, text, model),
+            )
+
+    def stage_rows(self) -> list[StageRow]:
+        """All stages, oldest first; none in a file of schema 1 or 2."""
+        with self._reading() as connection:
+            if schema_version(connection) < 3:
+                return []
+            rows = connection.execute(
+                "SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number"
+            )
+            return [StageRow(*row) for row in rows]
+
+    # -- collecting --------------------------------------------------------------------------------------------------
+
+    def begin_session(self) -> int:
+        """Record that collecting begins; return the session's number."""
+        with self._transaction() as connection:
+            return insert_session(connection, utc_now())
+
+    def record_request(self, session: int, kind: str, reason: str) -> None:
+        """Record a request of a person, or what suspended or resumed a session."""
+        with self._transaction() as connection:
+            insert_request(connection, session, utc_now(), kind, reason)
+
+    def end_session(self, session: int, outcome: SessionEnd, reason: str) -> None:
+        """Record how a session ended."""
+        with self._transaction() as connection:
+            end_session(connection, session, utc_now(), outcome, reason)
+
+    def add_reference(self, row: ReferenceRow) -> None:
+        """Store a reference measurement; on return it is on disk."""
+        with self._transaction() as connection:
+            insert_reference(connection, row)
+
+    def sessions(self) -> list[Session]:
+        """All sessions of collecting, oldest first."""
+        with self._reading() as connection:
+            return select_sessions(connection)
+
+    def outcomes(self) -> list[Outcome]:
+        """Why arms have no reading at stops that were tried, by stop."""
+        with self._reading() as connection:
+            return select_outcomes(connection)
+
+    def references(self) -> list[ReferenceRow]:
+        """All reference measurements, oldest first."""
+        with self._reading() as connection:
+            return select_references(connection)
+
+    # -- inside ------------------------------------------------------------------------------------------------------
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        with self._lock, sentences(self.folder):
+            yield self._connection
+
+    @contextlib.contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        with self._lock, sentences(self.folder):
+            if not self.writable:
+                raise InputError(f"{self.path} is open for reading only; open it for writing")
+            if self._journal == "delete":  # only now: a program that changes nothing leaves the file as it is
+                self._journal = str(self._connection.execute("PRAGMA journal_mode=WAL").fetchone()[0])
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                upgrade(self._connection)
+                yield self._connection
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def _joints(self, arm: str) -> int:
+        return len(self.profile.arms[arm].type.joints)
+
+    def _check_arm(self, arm: str) -> None:
+        if arm not in self.profile.arms:
+            raise InputError(f"{self.path}: arm '{arm}' not found; arms are {', '.join(self.profile.arms)}")
+
+    def _in_profile_order(self, names: set[str]) -> list[str]:
+        return [name for name in self.profile.arms if name in names]
+
+
+def _build(folder: Path, path: Path, profile: Profile, fill: Callable[[RunFile], None] | None) -> None:
+    """Write a complete run file at ``path``."""
+    connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+    try:
+        connection.execute("PRAGMA synchronous=FULL")
+        connection.execute("BEGIN")
+        create_tables(connection)
+        connection.executemany(
+            "INSERT INTO meta VALUES (?, ?)",
+            {
+                "schema": "cellapp-run",
+                "version": str(SCHEMA_VERSION),
+                "created": utc_now(),
+                "program": program_of(profile),
+                "profile": profile_to_json(profile),
+            }.items(),
+        )
+        connection.execute(f"PRAGMA application_id={APPLICATION_ID}")
+        connection.execute("COMMIT")
+        if fill is not None:
+            fill(RunFile(folder, connection, profile, True, "unfinished"))
+    finally:
+        connection.close()
+
+
+def _read_profile(path: Path, connection: sqlite3.Connection) -> Profile:
+    text = read_meta(connection, "profile")
+    if text is None:
+        raise InputError(f"{path} is damaged (its profile is missing); restore it from a copy")
+    try:
+        return profile_from_json(text)
+    except InputError as error:
+        raise InputError(f"{path} holds a profile that this cellapp cannot read: {error}") from None

@@ -1,0 +1,74 @@
+"""The tables of a run file and the versions of their schema."""
+
+from __future__ import annotations
+
+import sqlite3
+
+from cellapp.estimation.readings.columns import COLUMNS
+
+SCHEMA_VERSION = 5
+"""2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
+collecting, outcomes of stops that were not measured, reference measurements. 5: place of a reading in the order of
+measurement."""
+
+_KEY = ("arm TEXT NOT NULL", "PRIMARY KEY (arm, configuration)")
+_EXTRAS = "extras TEXT"
+"""Unknown columns of an imported file, as one JSON object per reading."""
+
+
+_STAGE_TABLE = (
+    "CREATE TABLE stage (number INTEGER PRIMARY KEY, name TEXT NOT NULL, written TEXT NOT NULL, program TEXT NOT NULL,"
+    " basis TEXT, text TEXT NOT NULL, model TEXT)"
+)
+"""Append-only. Files of schema 1 and 2 lack it; they have results of verbs in the table ``result``."""
+_COLLECTION_TABLES = (
+    "CREATE TABLE session (number INTEGER PRIMARY KEY, began TEXT NOT NULL, ended TEXT, outcome TEXT, reason TEXT)",
+    "CREATE TABLE request (session INTEGER NOT NULL, written TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL)",
+    "CREATE TABLE outcome (stop INTEGER NOT NULL, arm TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL,"
+    " PRIMARY KEY (stop, arm))",
+    "CREATE TABLE reference (name TEXT NOT NULL, stops_done INTEGER NOT NULL, time_s NOT NULL, p_m TEXT NOT NULL,"
+    " session INTEGER NOT NULL)",
+)
+
+
+def create_tables(connection: sqlite3.Connection) -> None:
+    """Make all tables, inside the caller's transaction."""
+    arm, primary_key = _KEY
+    columns = [arm, *(column.sql_declaration for column in COLUMNS), _EXTRAS, primary_key]
+    for statement in (
+        "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)",
+        "CREATE TABLE plan (arm TEXT NOT NULL, stop INTEGER NOT NULL, q TEXT NOT NULL, PRIMARY KEY (arm, stop))",
+        f"CREATE TABLE reading ({', '.join(columns)})",
+        "CREATE TABLE event"
+        " (number INTEGER PRIMARY KEY, written TEXT NOT NULL, time_s, level TEXT NOT NULL, text TEXT NOT NULL)",
+        "CREATE TABLE result (name TEXT PRIMARY KEY, written TEXT NOT NULL, text TEXT NOT NULL)",
+        _STAGE_TABLE,
+        *_COLLECTION_TABLES,
+    ):
+        connection.execute(statement)
+    connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+
+
+def schema_version(connection: sqlite3.Connection) -> int:
+    """The schema with which the file was written."""
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def read_meta(connection: sqlite3.Connection, key: str) -> str | None:
+    """A value of the table ``meta``, or None."""
+    row = connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
+    return None if row is None else str(row[0])
+
+
+def upgrade(connection: sqlite3.Connection) -> None:
+    """Add what a file of an older schema lacks, inside the caller's transaction; nothing stored is changed."""
+    version = schema_version(connection)
+    if version == SCHEMA_VERSION:
+        return
+    for column in COLUMNS:
+        if column.since > version:
+            connection.execute(f"ALTER TABLE reading ADD COLUMN {column.sql_declaration}")
+    for statement in (*([_STAGE_TABLE] if version < 3 else []), *(_COLLECTION_TABLES if version < 4 else ())):
+        connection.execute(statement)
+    connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))
+    connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")

@@ -1,0 +1,275 @@
+"""Arms as capsules, and distances between them, to the floor and to the tracker's beam. Cell frame C, metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cellapp.cell.safety.obstacles import Obstacle
+from cellapp.robot.kinematics.chain import Geometry, frame_poses, frame_vectors
+from cellapp.robot.kinematics.transforms import Array
+
+_TOUCHING_FRAMES = 2
+"""Capsules whose D-H frame numbers differ by at most this always overlap: they share a joint housing."""
+_ROUNDING_M = 1e-6
+"""Distances of the SMR and of the beam that ends there from the same obstacle differ by rounding [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmBodies:
+    """One arm in the cell, for collision and visibility.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        Chain with its base in the cell frame C, identified where a calibration exists.
+    frames : array, shape (m,), int
+        Number of the D-H frame to which each capsule is fixed; 0 is the base.
+    start, end : array, shape (m, 3)
+        Ends of each capsule's axis in that frame [m].
+    radius : array, shape (m,)
+        Radius of each capsule [m].
+    limits : array, shape (N, 2)
+        Joint limits [rad].
+    normal_F : array, shape (3,)
+        SMR viewing direction in the flange frame, a unit vector.
+    acceptance : float
+        Half the acceptance angle of the SMR [rad].
+    mounted : tuple of Obstacle
+        Obstacles fixed to the flange, their poses in the flange frame. The last capsules cover them.
+    covered : tuple of str
+        Names of the mounted obstacles that the last ``len(covered)`` capsules cover.
+    """
+
+    geometry: Geometry
+    frames: np.ndarray
+    start: Array
+    end: Array
+    radius: Array
+    limits: Array
+    normal_F: Array
+    acceptance: float
+    mounted: tuple[Obstacle, ...] = ()
+    covered: tuple[str, ...] = ()
+
+    @property
+    def links(self) -> int:
+        """Number of capsules of the arm itself, which come first."""
+        return len(self.radius) - len(self.covered)
+
+    @cached_property
+    def ends(self) -> Array:
+        """Both ends of each capsule's axis in its frame, homogeneous, shape (m, 2, 4) [m]."""
+        both = np.stack([self.start, self.end], axis=1)
+        return np.concatenate([both, np.ones((len(both), 2, 1))], axis=2)
+
+    @cached_property
+    def tool(self) -> Array:
+        """SMR centre in the flange frame, homogeneous, shape (4,) [m]."""
+        return np.append(self.geometry.tool, 1.0)
+
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """Bodies that can move vertically, numbers: base and shoulder only rotate about the first axis."""
+        return np.flatnonzero(self.frames > 1)
+
+    @cached_property
+    def levers(self) -> Array:
+        """Upper bound on the distance of any body point from each joint's axis, over all q, shape (N,) [m]."""
+        return np.asarray(self.body_levers.max(axis=0, initial=0.0))
+
+    @cached_property
+    def body_levers(self) -> Array:
+        """Upper bound on the distance of any point of a body from each joint's axis, over all q, shape (m, N) [m].
+
+        It is the path length along the chain: the distances between successive frames, and of a body from the frame
+        before its own, do not depend on q. Zero for joints that do not move the body.
+        """
+        joints = self.geometry.joints
+        zero = np.zeros((1, joints))
+        origins, bodies = frame_poses(self.geometry, zero)[1][:, 0], place(self, zero)
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(origins, axis=0), axis=1))])
+        before = np.maximum(self.frames - 1, 0)
+        ends = np.stack([bodies.start[0], bodies.end[0]])
+        reach = np.linalg.norm(ends - origins[before], axis=2).max(axis=0) + self.radius + along[before]
+        carried = self.frames[:, None] > np.arange(joints)
+        return np.asarray(np.where(carried, reach[:, None] - along[:-1], 0.0))
+
+    @cached_property
+    def own_pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bodies that do not overlap by design, two by two: their places, (p,) int each."""
+        i, k = np.triu_indices(len(self.radius), 1)
+        apart = np.abs(self.frames[i] - self.frames[k]) > _TOUCHING_FRAMES
+        return i[apart], k[apart]
+
+    @cached_property
+    def pair_levers(self) -> Array:
+        """Like ``body_levers``, for the motion of one body of ``own_pairs`` as seen from the other, (p, N) [m]."""
+        i, k = self.own_pairs
+        low, high = np.minimum(self.frames[i], self.frames[k]), np.maximum(self.frames[i], self.frames[k])
+        outer = np.where(self.frames[i] > self.frames[k], i, k)
+        joints = np.arange(self.geometry.joints)
+        between = (joints >= low[:, None]) & (joints < high[:, None])
+        return np.asarray(np.where(between, self.body_levers[outer], 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Bodies of one arm at n configurations, in the cell frame C.
+
+    Attributes
+    ----------
+    arm : ArmBodies
+    start, end : array, shape (n, m, 3)
+        Ends of the capsules' axes [m]. In memory configurations are last: sums over components are then fastest.
+    smr : array, shape (n, 3)
+        SMR centre [m].
+    flange : array, shape (n, 3, 3)
+        Rotation of the flange frame.
+    """
+
+    arm: ArmBodies
+    start: Array
+    end: Array
+    smr: Array
+    flange: Array
+
+    @property
+    def radius(self) -> Array:
+        """Radius of each capsule, shape (m,) [m]."""
+        return self.arm.radius
+
+    @property
+    def frames(self) -> np.ndarray:
+        """Number of the D-H frame to which each capsule is fixed, shape (m,)."""
+        return self.arm.frames
+
+    @property
+    def normal(self) -> Array:
+        """Viewing direction of the SMR, shape (n, 3)."""
+        return np.asarray(self.flange @ self.arm.normal_F)
+
+    def take(self, rows: np.ndarray | slice) -> Placed:
+        """The bodies at some of the configurations."""
+        start, end = (np.ascontiguousarray(ends.T[..., rows]).T for ends in (self.start, self.end))
+        return Placed(self.arm, start, end, self.smr[rows], self.flange[rows])
+
+
+def place(arm: ArmBodies, q: Array) -> Placed:
+    """The bodies at configurations ``q`` (n, N) [rad]."""
+    frames = frame_vectors(arm.geometry, q)
+    ends = arm.ends @ frames[:, arm.frames]
+    flange = frames[:, -1]
+    return Placed(
+        arm=arm,
+        start=ends[:, :, 0].transpose(2, 1, 0),
+        end=ends[:, :, 1].transpose(2, 1, 0),
+        smr=np.ascontiguousarray((arm.tool @ flange).T),
+        flange=np.ascontiguousarray(flange[:, :3].transpose(2, 0, 1)),
+    )
+
+
+def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
+    """Distances (...) [m] between segments a0-a1 and b0-b1, ends (..., 3) that broadcast; a segment may be a point.
+
+    Source: Ericson, Real-Time Collision Detection (2005), section 5.1.9: minimise over one segment, clamp, then over
+    the other.
+    """
+    u, v, w = a1 - a0, b1 - b0, a0 - b0
+    uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
+    uw, vw = _dot(u, w), _dot(v, w)
+    s = _share(uv * vw - vv * uw, uu * vv - uv * uv)  # parallel segments: any s will do
+    t = _share(uv * s + vw, vv)
+    s = _share(uv * t - uw, uu)
+    gap = w + s[..., None] * u
+    gap -= t[..., None] * v
+    return np.asarray(np.sqrt(_dot(gap, gap)))
+
+
+def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray) -> Array:
+    """Distances (n, p) [m] between the surfaces of bodies ``i`` and ``k`` (p,) of one arm; negative where they meet."""
+    start, end = placed.start.T, placed.end.T  # rows of numbers in memory: these are copied fast
+    gap = segment_distance(start[:, i].T, end[:, i].T, start[:, k].T, end[:, k].T)
+    return np.asarray(gap - placed.radius[i] - placed.radius[k])
+
+
+def self_clearance(placed: Placed) -> Array:
+    """Smallest distance between capsules of one arm that do not overlap by design, (n,) [m]; infinite without any."""
+    i, k = placed.arm.own_pairs
+    if len(i) == 0:
+        return np.full(len(placed.smr), np.inf)
+    return np.asarray(pair_gaps(placed, i, k).min(axis=1))
+
+
+def floor_clearance(placed: Placed, floor: float) -> Array:
+    """Smallest height of moving bodies above the floor at height ``floor``, shape (n,) [m]; infinite without any."""
+    moving = placed.arm.moving
+    if not len(moving):
+        return np.full(len(placed.smr), np.inf)
+    lowest = np.minimum(placed.start[:, :, 2], placed.end[:, :, 2])[:, moving] - placed.radius[moving]
+    return np.asarray(lowest.min(axis=1) - floor)
+
+
+def ceiling_clearance(placed: Placed, ceiling: float) -> Array:
+    """Smallest depth of moving bodies below the ceiling at height ``ceiling``, shape (n,) [m]; infinite without any."""
+    moving = placed.arm.moving
+    if not len(moving):
+        return np.full(len(placed.smr), np.inf)
+    highest = np.maximum(placed.start[:, :, 2], placed.end[:, :, 2])[:, moving] + placed.radius[moving]
+    return np.asarray(ceiling - highest.max(axis=1))
+
+
+def beam_clearance(tracker: Array, target: Array, bodies: Placed, *, own: bool) -> Array:
+    """Smallest distance of the bodies from the beam between ``tracker`` (3,) and ``target`` (n, 3), shape (n,) [m].
+
+    ``own`` says that the bodies carry the target: those fixed to the last frame that has bodies are left out, as they
+    always are at the end of the beam, and so are the covers of mounted obstacles (see ``mounted_hides``).
+    """
+    seen = np.ones(len(bodies.frames), dtype=bool)
+    if own:
+        links = bodies.arm.links
+        seen = (np.arange(len(seen)) < links) & (bodies.frames < bodies.frames[:links].max(initial=0))
+    if not seen.any():
+        return np.full(len(target), np.inf)
+    gap = segment_distance(
+        np.broadcast_to(tracker, target.shape)[:, None], target[:, None], bodies.start[:, seen], bodies.end[:, seen]
+    )
+    return np.asarray((gap - bodies.radius[seen]).min(axis=1))
+
+
+def mounted_hides(tracker: Array, bodies: Placed, radius: float) -> np.ndarray:
+    """Whether obstacles mounted on an arm hide its own SMR from ``tracker`` (3,), shape (n,) bool.
+
+    One that is nearer to the SMR's centre than ``radius`` [m] hides it where the beam comes still nearer; one that
+    encloses it is its holder, and hides nothing.
+    """
+    hidden = np.zeros(len(bodies.smr), dtype=bool)
+    if not bodies.arm.mounted:
+        return hidden
+    tool = bodies.arm.geometry.tool
+    source = np.einsum("nba,nb->na", bodies.flange, tracker - bodies.smr) + tool
+    target = np.broadcast_to(tool, source.shape)
+    for obstacle in bodies.arm.mounted:
+        smr_gap = float(obstacle.gaps(tool[None], tool[None], 0.0, radius)[0])
+        if smr_gap > 0.0:
+            needed = min(radius, smr_gap - _ROUNDING_M)
+            hidden |= ~(obstacle.gaps(source, target, 0.0, needed) >= needed)
+    return hidden
+
+
+def _dot(a: Array, b: Array) -> Array:
+    product: Array = np.einsum("...a,...a->...", a, b)
+    return product
+
+
+def _share(numerator: Array, denominator: Array) -> Array:
+    """The quotient between 0 and 1; 0 where the denominator vanishes (points and parallel segments, in m^2 or m^4)."""
+    regular = denominator > 1e-18
+    if np.all(regular):
+        found = np.asarray(numerator / denominator)
+    else:
+        found = np.divide(numerator, denominator, out=np.zeros_like(numerator), where=regular)
+    np.maximum(found, 0.0, out=found)  # keeps NaN, as does the next line
+    return np.minimum(found, 1.0, out=found)

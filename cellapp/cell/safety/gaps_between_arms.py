@@ -1,0 +1,96 @@
+"""Distances between two arms, at rest and on paths that they may run at any relative speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellapp.cell.safety.bodies import Placed, segment_distance
+from cellapp.cell.safety.paths import EVERY, SampledPath
+from cellapp.robot.kinematics.transforms import Array
+
+_PAIRS_AT_ONCE = 20_000
+"""Pairs of capsules per batch: some MB of memory, and an early end at the first collision."""
+
+
+def gap_at_rest(first: Placed, second: Placed, within: float) -> Array:
+    """Smallest distance (n,) [m] of two arms at each of n pairs of configurations; infinite beyond ``within`` [m]."""
+    gaps = np.full(len(first.smr), np.inf)
+    along = _between_bases(first, second)
+    reach_first, reach_second = _reach(first, along), _reach(second, -along)
+    # at each pair of configurations, bodies that reach past the other arm's nearest one
+    near_first = ~(reach_first + reach_second.max(axis=1, keepdims=True) <= -within)
+    near_second = ~(reach_second + reach_first.max(axis=1, keepdims=True) <= -within)
+    rows, i, k = np.nonzero(near_first[:, :, None] & near_second[:, None, :])
+    for begin in range(0, len(rows), _PAIRS_AT_ONCE):
+        batch = slice(begin, begin + _PAIRS_AT_ONCE)
+        r, a, b = rows[batch], i[batch], k[batch]
+        gap = segment_distance(first.start[r, a], first.end[r, a], second.start[r, b], second.end[r, b])
+        np.minimum.at(gaps, r, gap - first.radius[a] - second.radius[b])
+    return gaps
+
+
+def gap_on_paths(first: SampledPath, second: SampledPath, clearance: float) -> tuple[float, float]:
+    """Distance of two arms at any relative speed on their paths [m], and what samples may hide of it [m].
+
+    It is infinite if it is more than their sum with ``clearance`` at all pairs of samples; else it is one that is not.
+    """
+    allowance = EVERY * (first.deviation + second.deviation)
+    needed = clearance + allowance
+    rows_first, rows_second = _within_reach(
+        first.coarse_bodies, second.coarse_bodies, needed + first.spread + second.spread
+    )
+    if not (rows_first.any() and rows_second.any()):
+        return np.inf, allowance
+    gap = _first_gap_below(
+        first.placed(first.around(np.any(rows_first, axis=1), EVERY)),
+        second.placed(second.around(np.any(rows_second, axis=1), EVERY)),
+        needed,
+    )
+    return gap, allowance
+
+
+def _between_bases(first: Placed, second: Placed) -> Array:
+    """Direction from the base of the first arm to that of the second, shape (3,)."""
+    along = second.start[0, 0] - first.start[0, 0] if len(first.smr) else np.zeros(3)
+    return np.asarray(along / max(float(np.linalg.norm(along)), 1e-12))
+
+
+def _reach(placed: Placed, along: Array) -> Array:
+    """How far bodies reach along a direction (3,) from the origin, shape (n, m) [m]."""
+    return np.asarray(np.maximum(placed.start @ along, placed.end @ along) + placed.radius)
+
+
+def _within_reach(first: Placed, second: Placed, clearance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Bodies of each arm that reach past the other's nearest one, (n, m) bool each: only these can meet it.
+
+    The extent is along the line between the bases. A NaN counts as within reach.
+    """
+    along = _between_bases(first, second)
+    reach_first, reach_second = _reach(first, along), _reach(second, -along)
+    return (
+        ~(reach_first + reach_second.max() <= -clearance),
+        ~(reach_second + reach_first.max() <= -clearance),
+    )
+
+
+def _first_gap_below(first: Placed, second: Placed, clearance: float) -> float:
+    """Smallest distance [m] in the first batch of samples that do not keep the clearance; infinite if all keep it."""
+    near_first, near_second = _within_reach(first, second, clearance)
+    i, a = np.nonzero(near_first)
+    k, b = np.nonzero(near_second)
+    if len(i) == 0 or len(k) == 0:
+        return np.inf
+    first_radius, second_radius = first.radius[a], second.radius[b]
+    block = max(1, _PAIRS_AT_ONCE // len(k))
+    for start in range(0, len(i), block):
+        rows, bodies = i[start : start + block], a[start : start + block]
+        gap = segment_distance(
+            first.start[rows, bodies][:, None],
+            first.end[rows, bodies][:, None],
+            second.start[k, b],
+            second.end[k, b],
+        )
+        smallest = float((gap - first_radius[start : start + block, None] - second_radius).min())
+        if not smallest >= clearance:  # also for NaN
+            return smallest
+    return np.inf

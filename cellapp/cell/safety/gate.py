@@ -1,0 +1,363 @@
+"""The safety gate: conditions for every motion, used by planning, collection, compensation and the doctor.
+
+A motion is a straight line in joint space. Two arms may run at any relative speed: every point of one arm's path is
+checked against every point of the other's. The gate fails closed: whatever it cannot check, it refuses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+
+from cellapp.cell.safety.bodies import (
+    ArmBodies,
+    Placed,
+    beam_clearance,
+    ceiling_clearance,
+    floor_clearance,
+    mounted_hides,
+    pair_gaps,
+    place,
+    self_clearance,
+)
+from cellapp.cell.safety.gaps_between_arms import gap_at_rest, gap_on_paths
+from cellapp.cell.safety.obstacles import Obstacle, beam_gaps, box_about
+from cellapp.cell.safety.paths import STRIDE, SampledPath, sample_path
+from cellapp.cell.safety.visibility import sight_conditions, sight_of
+from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.transforms import Array
+
+BEAM_RADIUS = 0.02
+"""Radius around the tracker's beam that no body may enter [m]: half the diameter of a 1.5 inch SMR."""
+_SELF_CLEARANCE = 0.01
+"""Clearance of an arm from itself [m]; smaller than from others, as its shape is known better than its base."""
+_OWN_BASE_CLEARANCE = 0.02
+"""Clearance of an arm from what is fixed to its own base [m]; smaller than from others: the pose of the base, known to
+centimetres before calibration, does not matter. It allows for a place that was measured with a tape."""
+_STEPS = (0.02, 0.04)
+"""Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
+_ROUNDING_RAD = 1e-9
+"""Joint positions may exceed a limit by rounding."""
+
+
+@dataclass(frozen=True)
+class TrackerField:
+    """Field of view of the tracker at pose ``T_C_M`` (4, 4) in the cell frame C: ranges in the tracker frame.
+
+    ``azimuth`` and ``elevation`` in [rad], the azimuth range may cross the cut at pi; ``distance`` in [m].
+    """
+
+    T_C_M: Array
+    azimuth: tuple[float, float]
+    elevation: tuple[float, float]
+    distance: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class CellBodies:
+    """The bodies in the cell and the limits that hold for them.
+
+    Attributes
+    ----------
+    arms : mapping
+        Name -> ArmBodies.
+    field : TrackerField or None
+    clearance : float
+        Least distance between arms, and of arms from floor, ceiling and obstacles [m].
+    floor, ceiling : float
+        Heights of floor and ceiling in the cell frame C [m]; the ceiling may be infinite.
+    obstacles : tuple of Obstacle
+        What stands in the cell, poses in the cell frame C. Those mounted on a flange are with its arm.
+    """
+
+    arms: Mapping[str, ArmBodies]
+    field: TrackerField | None
+    clearance: float
+    floor: float
+    ceiling: float = math.inf
+    obstacles: tuple[Obstacle, ...] = ()
+
+    @property
+    def self_clearance(self) -> float:
+        """Least distance of an arm from itself [m]."""
+        return min(self.clearance, _SELF_CLEARANCE)
+
+    @cached_property
+    def obstacle_clearances(self) -> Mapping[ArmBodies, Array]:
+        """Least distance that each body of an arm keeps from each obstacle, (k, m) [m]; -inf where they may touch.
+
+        Base bodies stand on something by design. The first link, which only turns about the base's axis, is compared
+        with those obstacles only that keep the clearance from the base bodies.
+        """
+        return {arm: self._clearances_of(name, arm) for name, arm in self.arms.items()}
+
+    def _clearances_of(self, name: str, arm: ArmBodies) -> Array:
+        asked = np.full((len(self.obstacles), len(arm.radius)), self.clearance)
+        bodies = place(arm, np.zeros((1, arm.geometry.joints)))
+        base = np.flatnonzero(arm.frames == 0)
+        origin = arm.geometry.T_M_B()[:3, 3]
+        start, end = (np.vstack([ends[0, base], origin]) for ends in (bodies.start, bodies.end))
+        radius = np.append(arm.radius[base], 0.0)
+        for row, obstacle in zip(asked, self.obstacles, strict=True):
+            if obstacle.base_of == name:
+                row[:] = min(self.clearance, _OWN_BASE_CLEARANCE)
+            row[base] = -np.inf
+            if not obstacle.gaps(start, end, radius, self.clearance).min() >= self.clearance:
+                row[arm.frames == 1] = -np.inf
+        return asked
+
+
+Gate = Callable[[CellBodies, Mapping[str, Array], Mapping[str, Array]], str]
+"""``refuse_motion``, or what stands for it."""
+
+
+def refuse_stop(cell: CellBodies, q: Mapping[str, Array]) -> str:
+    """Reason why the arms must not stand at ``q`` (arm -> (N,) [rad]); empty if they may."""
+    return refuse_motion(cell, q, q)
+
+
+def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[str, Array]) -> str:
+    """Reason why the arms must not move from ``q_from`` to ``q_to`` (arm -> (N,) [rad]); empty if they may.
+
+    Requires finite numbers, a target inside the joint limits, and on the whole path the clearance of every arm from
+    floor, ceiling, obstacles, the other arms and itself. The path is sampled; the farthest that any point of a body can
+    be from its nearest sample is added to the clearance, so that sampling never hides a collision.
+    """
+    unknown = [name for name in (*q_from, *q_to) if name not in cell.arms]
+    if unknown:
+        return f"arm {unknown[0]}: not in the cell; arms are {', '.join(cell.arms)}"
+    missing = [name for name in cell.arms if name not in q_from or name not in q_to]
+    if missing:
+        return f"arm {missing[0]}: its position or target is not given"
+    paths: dict[str, SampledPath] = {}
+    for name, arm in cell.arms.items():
+        start, target = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
+        refusal = _refuse_values(arm, start, target)
+        if not refusal:
+            paths[name] = sample_path(arm, start, target, sample_spacing(cell))
+            refusal = _refuse_alone(cell, paths[name])
+        if refusal:
+            return f"arm {name}: {refusal}"
+    for first, second in combinations(paths, 2):
+        gap, allowance = gap_on_paths(paths[first], paths[second], cell.clearance)
+        if not gap >= cell.clearance + allowance:
+            return f"arms {first} and {second}: {_too_near('come', gap, allowance, cell.clearance, 'each other')}"
+    return ""
+
+
+def sample_spacing(cell: CellBodies) -> float:
+    """Farthest that a point of a body moves between samples of two arms' paths [m].
+
+    What samples may hide of the distance of two arms is at most this, of other distances at most a quarter of it: a
+    stop that keeps so much more than the clearance can be reached.
+    """
+    return min(max(0.5 * cell.clearance, _STEPS[0]), _STEPS[1])
+
+
+def with_margin_for_ways(cell: CellBodies, *, between_arms: bool = False) -> CellBodies:
+    """The cell with so much more clearance that the gate accepts ways to stops that keep it: alone, or of two arms."""
+    return replace(cell, clearance=cell.clearance + (1.0 if between_arms else 0.25) * sample_spacing(cell))
+
+
+def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
+    """Whether an arm is clear of floor, ceiling, obstacles and itself, without regard to other arms, (n,) bool."""
+    clear = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling)) >= cell.clearance
+    rows = np.flatnonzero(clear)
+    clear[rows] = self_clearance(placed.take(rows)) >= cell.self_clearance
+    for obstacle, asked in zip(cell.obstacles, cell.obstacle_clearances[placed.arm], strict=True):
+        rows, bodies = np.flatnonzero(clear), asked > -np.inf
+        if not (len(rows) and bodies.any()):
+            continue
+        start, end = (ends[np.ix_(rows, bodies)] for ends in (placed.start, placed.end))
+        gaps = obstacle.gaps(start, end, placed.radius[bodies], asked[bodies])
+        clear[rows] = np.all(gaps >= asked[bodies], axis=1)
+    return np.asarray(clear)
+
+
+def clear_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
+    """Whether ``refuse_stop`` is empty for each of n stops of all arms, arm -> (n, N) [rad], shape (n,) bool.
+
+    Raises
+    ------
+    ValueError
+        If the arms are not those of the cell.
+    """
+    if set(q) != set(cell.arms):
+        raise ValueError(f"positions of {', '.join(q)} for the arms {', '.join(cell.arms)}")
+    clear = np.ones(len(next(iter(q.values()))), dtype=bool)
+    placed = {}
+    for name, arm in cell.arms.items():
+        low, high = arm.limits.T
+        clear &= np.all((q[name] >= low - _ROUNDING_RAD) & (q[name] <= high + _ROUNDING_RAD), axis=1)  # not for NaN
+        placed[name] = place(arm, q[name])
+        clear &= clear_alone(cell, placed[name]) & (arm.links > 0)
+    for first, second in combinations(placed, 2):
+        rows = np.flatnonzero(clear)
+        gap = gap_at_rest(placed[first].take(rows), placed[second].take(rows), cell.clearance)
+        clear[rows] = gap >= cell.clearance
+    return clear
+
+
+def visible(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array] | None = None) -> np.ndarray:
+    """Whether the tracker can see the SMR of an arm at ``q`` (n, N) [rad], shape (n,) bool.
+
+    The SMR must be in the tracker's field of view, the beam within the SMR's acceptance angle, and no obstacle and no
+    body of the arm or of ``others`` (arm -> (n, N) [rad]) in the beam. Without a tracker nothing is visible.
+    """
+    if cell.field is None:
+        return np.zeros(len(q), dtype=bool)
+    bodies = place(cell.arms[name], q)
+    tracker = cell.field.T_C_M[:3, 3]
+    seen = _in_view(cell.field, bodies)
+    rows = np.flatnonzero(seen)
+    if len(rows):
+        bodies = bodies.take(rows)
+        free = beam_clearance(tracker, bodies.smr, bodies, own=True) > BEAM_RADIUS
+        free &= ~mounted_hides(tracker, bodies, BEAM_RADIUS)
+        free &= beam_gaps(cell.obstacles, tracker, bodies.smr, BEAM_RADIUS) > BEAM_RADIUS
+        for other, other_q in (others or {}).items():
+            other_bodies = place(cell.arms[other], other_q[rows])
+            free &= beam_clearance(tracker, bodies.smr, other_bodies, own=False) > BEAM_RADIUS
+        seen[rows] = free
+    return seen
+
+
+def visible_stops(cell: CellBodies, q: Mapping[str, Array]) -> np.ndarray:
+    """Whether the tracker sees the SMRs of all arms at each of n stops, arm -> (n, N) [rad], shape (n,) bool."""
+    seen = np.ones(len(next(iter(q.values()))), dtype=bool)
+    for name in q:
+        rows = np.flatnonzero(seen)
+        others = {other: value[rows] for other, value in q.items() if other != name}
+        seen[rows] = visible(cell, name, q[name][rows], others)
+    return seen
+
+
+def _in_view(field: TrackerField, bodies: Placed) -> np.ndarray:
+    """Whether SMRs are in the field of view and the beam within their acceptance angle, shape (n,) bool."""
+    conditions = sight_conditions(field, bodies.arm.acceptance, sight_of(field.T_C_M, bodies))
+    return np.asarray(np.logical_and.reduce([holds for _, holds in conditions]))
+
+
+def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
+    """Expected SMR positions of an arm at ``q`` (n, N) [rad], shape (n, 3) in the tracker frame [m].
+
+    Raises ``ValueError`` if the cell has no tracker.
+    """
+    if cell.field is None:
+        raise ValueError("the cell has no tracker")
+    T_C_M = cell.field.T_C_M
+    return np.asarray((smr_positions(cell.arms[name].geometry, q) - T_C_M[:3, 3]) @ T_C_M[:3, :3])
+
+
+def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
+    """Reason why an arm must not move between two joint vectors; only the target must be inside the limits."""
+    if arm.links == 0:
+        return "has no bodies, so that collisions cannot be checked; add capsules to its type"
+    joints = arm.geometry.joints
+    for q in (start, target):
+        if q.shape != (joints,):
+            return f"{q.size} joint positions for {joints} joints"
+        if not np.isfinite(q).all():
+            return "a joint position is not a finite number"
+    outside = (target < arm.limits[:, 0] - _ROUNDING_RAD) | (target > arm.limits[:, 1] + _ROUNDING_RAD)
+    if not outside.any():
+        return ""
+    j = int(np.argmax(outside))
+    low, high = np.degrees(arm.limits[j])
+    return f"joint {j + 1} at {math.degrees(target[j]):.1f} deg is outside its limits {low:.1f} to {high:.1f} deg"
+
+
+def _refuse_alone(cell: CellBodies, path: SampledPath) -> str:
+    """Reason why one arm must not follow its path, without regard to other arms; empty if it may.
+
+    The comparisons are negated so that a NaN refuses.
+    """
+    return _refuse_heights(cell, path) or _refuse_obstacles(cell, path) or _refuse_itself(cell, path)
+
+
+def _refuse_heights(cell: CellBodies, path: SampledPath) -> str:
+    needed = cell.clearance + path.deviation
+    bodies = path.coarse_bodies
+    heights = np.minimum(floor_clearance(bodies, cell.floor), ceiling_clearance(bodies, cell.ceiling))
+    doubtful = ~(heights >= needed + path.spread)
+    if doubtful.any():
+        bodies = path.placed(path.around(doubtful))
+        for gaps, what in (
+            (floor_clearance(bodies, cell.floor), "the floor"),
+            (ceiling_clearance(bodies, cell.ceiling), "the ceiling"),
+        ):
+            if not gaps.min() >= needed:
+                return _too_near("comes", float(gaps.min()), path.deviation, cell.clearance, what)
+    return ""
+
+
+def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
+    if not cell.obstacles:
+        return ""
+    bodies, clearances = path.coarse_bodies, cell.obstacle_clearances[path.arm]
+    low, high = box_about(bodies.start, bodies.end, bodies.radius)
+    spread = (STRIDE + 1) * path.deviations  # from any point of the path to the nearest coarse sample
+    doubtful, near = np.zeros(len(bodies.smr), dtype=bool), []
+    for obstacle, asked in zip(cell.obstacles, clearances, strict=True):
+        needed = asked + spread
+        if obstacle.far(low, high, float(needed.max())):
+            continue
+        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
+        rows = np.any(~(gaps >= needed), axis=1)
+        if rows.any():
+            doubtful |= rows
+            near.append((obstacle, asked))
+    if not near:
+        return ""
+    bodies = path.placed(path.around(doubtful))
+    for obstacle, asked in near:
+        needed = asked + path.deviations
+        gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
+        if not (gaps >= needed).all():
+            k = int(np.argmin(np.min(gaps - needed, axis=0)))
+            gap, hidden = float(gaps[:, k].min()), float(path.deviations[k])
+            words = _too_near("comes", gap, hidden, float(asked[k]), f"obstacle '{obstacle.name}'")
+            return _carried(path.arm, k) + words
+    return ""
+
+
+def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:
+    i, k = path.arm.own_pairs
+    if len(i) == 0:
+        return ""
+    needed = max(cell.self_clearance, path.deviation)
+    # one body of a pair, as seen from the other, moves by the joints between them only
+    spread = path.arm.pair_levers @ path.half_step * STRIDE
+    doubtful = ~(pair_gaps(path.coarse_bodies, i, k) >= needed + spread)
+    pairs = np.any(doubtful, axis=0)
+    if not pairs.any():
+        return ""
+    bodies = path.placed(path.around(np.any(doubtful, axis=1)))
+    gaps = pair_gaps(bodies, i[pairs], k[pairs]).min(axis=0)
+    if gaps.min() >= needed:
+        return ""
+    worst = int(np.argmin(gaps))
+    carried = _carried(path.arm, max(int(i[pairs][worst]), int(k[pairs][worst])))
+    what = "the arm itself" if carried else "itself"
+    return carried + _too_near("comes", float(gaps[worst]), path.deviation, cell.self_clearance, what)
+
+
+def _carried(arm: ArmBodies, body: int) -> str:
+    """The mounted obstacle that a body covers, as the subject of a refusal; empty for the arm's own bodies."""
+    return "" if body < arm.links else f"its '{arm.covered[body - arm.links]}' "
+
+
+def _too_near(verb: str, gap: float, allowance: float, asked: float, what: str) -> str:
+    """By how much a clearance is missed [m]; ``gap`` was found at a sample, ``allowance`` is what samples may hide."""
+    if math.isnan(gap):
+        return f"the distance from {what} is not a number"
+    if gap < 0.0:
+        return f"{'collide with' if verb == 'come' else 'collides with'} {what}"
+    if gap >= asked:
+        verb, gap = f"may {verb.removesuffix('s')}", max(gap - allowance, 0.0)
+    return f"{verb} within {math.floor(gap * 1e3)} mm of {what}, {asked * 1e3:.0f} mm asked"

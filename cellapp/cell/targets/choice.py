@@ -1,0 +1,180 @@
+"""Which inverse solution is commanded: within limits, admitted by the gate, seen by the tracker if possible, near home.
+
+A cooperative target has a solution of each of its arms, which are chosen together: the gate judges both arms where
+they will stand, the other arms at home.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.safety.bodies import place
+from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_stops, visible
+from cellapp.cell.targets.invert import Inverted
+from cellapp.robot.kinematics.branches import turned_into
+from cellapp.robot.kinematics.sampled_inverse import sampled_configurations
+from cellapp.robot.kinematics.transforms import Array
+
+_TIE_DECIMALS = 6
+"""Motions that agree to 1 urad are equal: mirrored branches often tie, and rounding errors must not choose."""
+LARGEST_CORRECTION = 0.2
+"""A calibrated solution that is further than this from its nominal one in a joint [rad] was thrown there by a
+singularity: joint zeros are identified to some 0.02 rad, and away from singularities a pose takes no more."""
+
+Positions = Mapping[str, Array]
+"""Arm -> joint positions (n, N) [rad]."""
+Solve = Callable[[NDArray[np.intp], Positions], Mapping[str, Inverted]]
+"""Calibrated solutions of some targets (rows) from nominal ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Branches:
+    """The nominal solutions of one arm for n targets, at most K each; NaN where there are fewer.
+
+    Attributes
+    ----------
+    q : array, shape (n, K, N)
+        Joint positions [rad] within the limits, by whole turns as near to home as possible.
+    beyond : array, shape (n, K, N)
+        By how much joints exceed their limits [rad].
+    motion : array, shape (2, n, K)
+        The largest joint motion from home and the sum of all [rad].
+    clear, seen : array, shape (n, K), bool
+        Whether the arm is within limits and clear of all but other arms; whether the tracker sees it, others at home.
+    """
+
+    q: Array
+    beyond: Array
+    motion: Array
+    clear: NDArray[np.bool_]
+    seen: NDArray[np.bool_]
+
+    @property
+    def exists(self) -> NDArray[np.bool_]:
+        """Whether there is a solution, (n, K)."""
+        return np.isfinite(self.q[:, :, 0])
+
+    @property
+    def within(self) -> NDArray[np.bool_]:
+        """Whether it is within the limits, (n, K)."""
+        return np.asarray(self.exists & np.all(self.beyond == 0.0, axis=2))
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """What is commanded for n targets.
+
+    Attributes
+    ----------
+    accepted : array, shape (n,), bool
+    nominal : mapping
+        Arm -> joint positions (n, N) [rad]; of a refused target the ones that were tried first, NaN without any.
+    compensated : mapping
+        Arm -> calibrated solutions.
+    """
+
+    accepted: NDArray[np.bool_]
+    nominal: dict[str, Array]
+    compensated: dict[str, Inverted]
+
+
+def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, solutions: Array) -> Branches:
+    """Judge all solutions (n, K, N) [rad] of an arm."""
+    n, K, _ = solutions.shape
+    limits, home = cell.arms[name].limits, homes[name]
+    q, beyond = turned_into(solutions, limits, home)
+    motion = np.abs(q - home)
+    motion = np.stack([motion.max(axis=2), motion.sum(axis=2)]).round(_TIE_DECIMALS)
+    rows, branch = np.nonzero(np.isfinite(q[:, :, 0]) & np.all(beyond == 0.0, axis=2))
+    clear, seen = np.zeros((2, n, K), dtype=bool)
+    flat = q[rows, branch]
+    clear[rows, branch] = clear_alone(cell, place(cell.arms[name], flat))
+    others = {other: np.tile(at, (len(flat), 1)) for other, at in homes.items() if other != name}
+    seen[rows, branch] = visible(cell, name, flat, others)
+    return Branches(q, beyond, motion, clear, seen)
+
+
+def liked_configurations(cell: CellBodies, homes: Mapping[str, Array], name: str, seed: int) -> Array:
+    """Configurations (m, N) [rad] of an arm that the gate admits and the tracker sees, the others at home."""
+    samples = sampled_configurations(cell.arms[name].limits, homes[name], seed)
+    others = {other: np.tile(at, (len(samples), 1)) for other, at in homes.items() if other != name}
+    samples = samples[visible(cell, name, samples, others)]
+    return np.asarray(samples[clear_with_others(cell, homes, {name: samples})])
+
+
+def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, Branches], solve: Solve) -> Chosen:
+    """Choose among the branches of each arm of n targets: those seen first, then the nearest to home.
+
+    One after the other is solved by the calibrated model until the gate admits both commands, the nominal and the
+    compensated one.
+    """
+    order, count = preferred(branches)
+    n = len(order)
+    pick = list(product(*(range(one.q.shape[1]) for one in branches.values())))
+    places = {name: np.array([entry[k] for entry in pick]) for k, name in enumerate(branches)}
+    nominal = {name: np.full((n, one.q.shape[2]), np.nan) for name, one in branches.items()}
+    chosen = Chosen(np.zeros(n, dtype=bool), nominal, {name: _unsolved(q) for name, q in nominal.items()})
+    for attempt in range(int(count.max(initial=0))):
+        rows = np.flatnonzero(~chosen.accepted & (count > attempt))
+        if not len(rows):
+            break
+        q = {name: one.q[rows, places[name][order[rows, attempt]]] for name, one in branches.items()}
+        admitted = clear_with_others(cell, homes, q)
+        if attempt == 0:
+            _keep_nominal(chosen, rows, q)
+        rows, q = rows[admitted], {name: one[admitted] for name, one in q.items()}
+        if not len(rows):
+            continue
+        solved = solve(rows, q)
+        good = _good(cell, homes, q, solved)
+        kept = np.ones(len(rows), dtype=bool) if attempt == 0 else good
+        _keep_nominal(chosen, rows[kept], {name: one[kept] for name, one in q.items()})
+        for name, one in solved.items():
+            chosen.compensated[name].put(rows[kept], one, kept)
+        chosen.accepted[rows[good]] = True
+    return chosen
+
+
+def _keep_nominal(chosen: Chosen, rows: NDArray[np.intp], q: Positions) -> None:
+    for name, one in q.items():
+        chosen.nominal[name][rows] = one
+
+
+def _good(
+    cell: CellBodies, homes: Mapping[str, Array], nominal: Positions, solved: Mapping[str, Inverted]
+) -> NDArray[np.bool_]:
+    """Whether calibrated solutions of all arms of n targets are met, near the nominal ones and admitted, (n,) bool."""
+    good = np.ones(len(next(iter(nominal.values()))), dtype=bool)
+    for name, one in solved.items():
+        good &= one.reached & (np.abs(one.q - nominal[name]).max(axis=1) <= LARGEST_CORRECTION)
+    good[good] = clear_with_others(cell, homes, {name: one.q[good] for name, one in solved.items()})
+    return good
+
+
+def _unsolved(nominal: Array) -> Inverted:
+    return Inverted(np.full(nominal.shape, np.nan), np.full(len(nominal), np.inf), np.full(len(nominal), np.inf))
+
+
+def preferred(branches: Mapping[str, Branches]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Order of the combinations of all arms' branches of n targets, (n, C), and how many (n,) of them are usable."""
+    parts = list(branches.values())
+    n = len(parts[0].q)
+    usable, seen = np.ones((2, n, 1), dtype=bool)
+    largest, total = np.zeros((2, n, 1))
+    for one in parts:
+        usable = (usable[:, :, None] & one.clear[:, None]).reshape(n, -1)
+        seen = (seen[:, :, None] & one.seen[:, None]).reshape(n, -1)
+        largest = np.maximum(largest[:, :, None], one.motion[0][:, None]).reshape(n, -1)
+        total = (total[:, :, None] + one.motion[1][:, None]).reshape(n, -1)
+    return np.lexsort((total, largest, ~seen, ~usable), axis=1), np.count_nonzero(usable, axis=1)
+
+
+def clear_with_others(cell: CellBodies, homes: Mapping[str, Array], q: Positions) -> NDArray[np.bool_]:
+    """Whether the gate admits n stops of some arms, the others at home, (n,) bool."""
+    n = len(next(iter(q.values())))
+    return clear_stops(cell, {name: q[name] if name in q else np.tile(homes[name], (n, 1)) for name in cell.arms})

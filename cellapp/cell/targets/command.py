@@ -1,0 +1,146 @@
+"""What is sent to an arm for one target, and what is known of it beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cellapp.cell.targets.records import TargetCommand, ToleranceVerdict, UncertaintyParts, UnknownCondition
+from cellapp.cell.targets.sides import holds_for
+from cellapp.cell.targets.targets import Target, target_record
+from cellapp.cell.targets.working_conditions import conditions_of
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Prediction:
+    """How certain the SMR's position at a command is. Distances in mm, as people read them.
+
+    Attributes
+    ----------
+    uncertainty_mm : float
+        Standard uncertainty of a measured coordinate: all parts together.
+    parts : UncertaintyParts
+    within_mm : float
+        Distance from the target that a measurement keeps with 95 % probability; of the same parts.
+    unknown : tuple of UnknownCondition
+    verdict : str
+        Against the tolerance.
+    """
+
+    uncertainty_mm: float
+    parts: UncertaintyParts
+    within_mm: float
+    unknown: tuple[UnknownCondition, ...]
+    verdict: ToleranceVerdict
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """The joint positions to send for one target.
+
+    Attributes
+    ----------
+    target : Target
+    arm : str
+        The arm; a cooperative target has one command for each of its arms.
+    q_nominal, q_compensated : array, shape (N,), or None
+        Joint positions [rad] by the published and by the calibrated model, the latter for joints that arrive from the
+        side ``side``; None where the target was refused.
+    expected_M, nominal_M : array, shape (3,), or None
+        Where the SMR should be measured [m]: the target relative to the calibrated and to the nominal base.
+    refusal : str
+        Why the target is not commanded; empty if it is.
+    branches : int or None
+        Solutions of the inverse within the joint limits.
+    visible : bool or None
+        Whether the tracker sees the SMR at the compensated command.
+    residual_um, residual_urad : float or None
+        Distance and angle by which the calibrated model misses the target; the angle is None where it is free.
+    note : str
+        What to know about a command that is not refused.
+    conditions : MeasurementConditions or None
+        Of one row: the working conditions that the command was made for, the side of approach among them.
+    side : signs or None
+        Sign of each joint's last motion that the command is for: as stated, else where it matters as on the way from
+        home; None where any side will do.
+    payload_kg : float or None
+        That the command was made for, stated or the profile's.
+    prediction : Prediction or None
+        None where the model states no uncertainty.
+    """
+
+    target: Target
+    arm: str
+    q_nominal: Array | None
+    q_compensated: Array | None
+    expected_M: Array | None
+    nominal_M: Array | None
+    refusal: str
+    branches: int | None = None
+    visible: bool | None = None
+    residual_um: float | None = None
+    residual_urad: float | None = None
+    note: str = ""
+    conditions: MeasurementConditions | None = None
+    side: tuple[int, ...] | None = None
+    payload_kg: float | None = None
+    prediction: Prediction | None = None
+
+    @property
+    def uncertainty_mm(self) -> float | None:
+        """Standard uncertainty [mm] of a measured coordinate there; None where the model states none."""
+        return None if self.prediction is None else self.prediction.uncertainty_mm
+
+    @property
+    def within_mm(self) -> float | None:
+        """Distance [mm] from the target that a measurement keeps with 95 % probability; None where none is stated."""
+        return None if self.prediction is None else self.prediction.within_mm
+
+    @property
+    def approach(self) -> tuple[int, ...] | None:
+        """Side of each joint that the target states; None where it states none."""
+        return self.target.approach if self.arm == self.target.arm else None
+
+
+def refused(target: Target, arm: str, refusal: str, branches: int | None = None) -> Command:
+    """A target that is not commanded, and why."""
+    return Command(target, arm, None, None, None, None, refusal, branches)
+
+
+def command_record(command: Command) -> TargetCommand:
+    """A command as result."""
+    target, found = command.target, command.prediction
+    judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "cannot say"
+    return TargetCommand(
+        **dict(target_record(target, command.arm)),
+        refusal=command.refusal,
+        q_nominal=None if command.q_nominal is None else tuple(command.q_nominal.tolist()),
+        q_compensated=None if command.q_compensated is None else tuple(command.q_compensated.tolist()),
+        branches=command.branches,
+        visible=command.visible,
+        residual_um=command.residual_um,
+        residual_urad=command.residual_urad,
+        note=command.note,
+        uncertainty_mm=command.uncertainty_mm,
+        parts=None if found is None else found.parts,
+        within_mm=None if found is None else found.within_mm,
+        unknown=() if found is None else found.unknown,
+        approach=command.side,
+        payload_kg=command.payload_kg,
+        holds_for="" if command.q_compensated is None else _holds_for(command),
+        verdict=judged if found is None else found.verdict,
+    )
+
+
+def _holds_for(command: Command) -> str:
+    """What the compensated command holds for: sides of approach, payload, and the conditions that its target states."""
+    stated = conditions_of(command.target, command.arm)
+    words = []
+    if stated.temperature is not None:
+        words.append(f"{stated.temperature:g} degC")
+    if stated.time is not None:
+        words.append(f"{stated.time:g} s after the run began")
+    if stated.dwell is not None:
+        words.append(f"{stated.dwell:g} s at rest")
+    return holds_for(command.side, payload_kg=command.payload_kg, stated=words)

@@ -1,0 +1,260 @@
+"""Compensation: joint positions that bring the real arms to Cartesian targets, by inverting the calibrated model.
+
+Every target gets two commands: one from the published geometry, as an uncalibrated program would send it, and the
+compensated one in the same branch, for joints that arrive from the side that stands beside it. Of all inverse solutions
+the nearest to home is taken that the gate admits, before those that the tracker does not see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import CellBodies, visible
+from cellapp.cell.targets.choice import Branches, Chosen, Positions, choose, judged_branches, liked_configurations
+from cellapp.cell.targets.command import Command, command_record, refused
+from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
+from cellapp.cell.targets.invert import Inverted, invert, invert_model, with_approach, without_effects
+from cellapp.cell.targets.prediction import outside_notes, predictions
+from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.records import CompensateResult
+from cellapp.cell.targets.refusals import missed_poses, refusal
+from cellapp.cell.targets.sides import sided_commands
+from cellapp.cell.targets.targets import Target
+from cellapp.cell.targets.working_conditions import beside, conditions_payload, stated_conditions
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.branches import all_branches
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+
+__all__ = [
+    "Command",
+    "compensate",
+    "compensate_result",
+    "invert_model",
+    "with_approach",
+    "without_effects",
+]
+
+_TOGETHER_ROUNDS = 2
+"""Solutions of two arms that act on each other: what one adds to the other changes by a thousandth in the second."""
+
+
+def compensate(
+    profile: Profile,
+    model: CellModel,
+    targets: Sequence[Target],
+    *,
+    ranges: Mapping[str, ConditionRanges] | None = None,
+) -> tuple[Command, ...]:
+    """Commands for all targets, in their order, of a cooperative target one for each arm.
+
+    Targets that an arm must not or cannot reach carry the reason; a cooperative target is refused for both arms.
+    ``ranges`` are what the readings of each arm covered; without them nothing is said of conditions whose plausible
+    range the model does not hold (temperature, time, dwell), nor of extrapolation.
+
+    Raises
+    ------
+    InputError
+        If the profile does not say where arms and tracker stand, or the model is of other arms.
+    """
+    _check_arms(profile, model)
+    cell, homes = cell_bodies(profile, model), home_positions(profile)
+    commands: dict[tuple[int, str], Command] = {}
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for number, target in enumerate(targets):
+        groups.setdefault(target.arms, []).append(number)
+    for names, numbers in groups.items():
+        of_group = _Group.of(profile, model, cell, homes, names, [targets[number] for number in numbers], ranges or {})
+        for name, of_arm in _commands(of_group).items():
+            commands.update({(number, name): command for number, command in zip(numbers, of_arm, strict=True)})
+    return tuple(commands[number, name] for number, target in enumerate(targets) for name in target.arms)
+
+
+def compensate_result(commands: Sequence[Command], notes: Sequence[str] = ()) -> CompensateResult:
+    """The object that ``compensate --json`` writes and that the run file keeps."""
+    return CompensateResult(targets=tuple(command_record(command) for command in commands), notes=tuple(notes))
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _check_arms(profile: Profile, model: CellModel) -> None:
+    if set(model.arms) != set(profile.arms):
+        known, asked = ", ".join(model.arms), ", ".join(profile.arms)
+        raise InputError(f"the calibration is of arms {known}, the profile of arms {asked}; calibrate this run again")
+    for name, arm in profile.arms.items():
+        joints, identified = len(arm.type.joints), model.arms[name].geometry.joints
+        if joints != identified:
+            raise InputError(
+                f"the calibration of arm {name} has {identified} joints, the profile {joints}; calibrate this run again"
+            )
+        if arm.home is None:
+            raise InputError(f"profile {profile.name}: arms.{name}.home is needed: an arm waits there for the others")
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """The n targets of the same arms, and the cell that they are in; ``stated`` are their working conditions."""
+
+    model: CellModel
+    cell: CellBodies
+    homes: Mapping[str, Array]
+    targets: Sequence[Target]
+    goals: Mapping[str, ArmGoals]
+    stated: Mapping[str, MeasurementConditions]
+    branches: Mapping[str, Branches]
+    ranges: Mapping[str, ConditionRanges]
+
+    @classmethod
+    def of(
+        cls,
+        profile: Profile,
+        model: CellModel,
+        cell: CellBodies,
+        homes: Mapping[str, Array],
+        names: Sequence[str],
+        targets: Sequence[Target],
+        ranges: Mapping[str, ConditionRanges],
+    ) -> _Group:
+        """Find and judge the nominal solutions of every arm."""
+        goals = {name: goals_of_arm(model, targets, name) for name in names}
+        stated = {
+            name: replace(
+                stated_conditions(targets, name, len(homes[name])),
+                record=ranges[name].record if name in ranges else None,
+            )
+            for name in names
+        }
+        branches = {}
+        for name, goal in goals.items():
+            free = bool(np.isnan(goal.rotation_M).any())
+            solutions = all_branches(
+                model.arms[name].nominal,
+                goal.nominal_position_M,
+                goal.nominal_rotation_M,
+                cell.arms[name].limits,
+                homes[name],
+                profile.seed,
+                liked_configurations(cell, homes, name, profile.seed) if free else None,
+            )
+            branches[name] = judged_branches(cell, homes, name, solutions)
+        return cls(model, cell, homes, targets, goals, stated, branches, ranges)
+
+    def solve(self, rows: NDArray[np.intp], nominal: Positions) -> dict[str, Inverted]:
+        """Solutions of the calibrated model for some targets, near nominal ones (k, N)."""
+        at, found = dict(nominal), {}
+        for _ in range(_TOGETHER_ROUNDS if len(at) > 1 else 1):
+            for name in nominal:
+                goal, arm = self.goals[name], self.model.arms[name]
+                conditions = self.conditions(name, rows, at)
+                found[name] = invert(arm, goal.position_M[rows], goal.rotation_M[rows], at[name], conditions)
+                at[name] = found[name].q
+        return found
+
+    def conditions(self, name: str, rows: NDArray[np.intp], at: Positions) -> MeasurementConditions:
+        """Conditions of an arm at some targets, the other arm of a cell of two where ``at`` (k, N) or home says."""
+        stated = self.stated[name].take(rows)
+        others = [other for other in self.model.arms if other != name]
+        if len(others) != 1:
+            return stated
+        (other,) = others
+        q = at[other] if other in at else np.tile(self.homes[other], (len(rows), 1))
+        payload = self.stated[other].payload_kg if other in self.stated else None
+        return beside(stated, self.model.arms[other], q, None if payload is None else payload[rows])
+
+
+def _commands(group: _Group) -> dict[str, list[Command]]:
+    """The commands of every arm of a group, one for each target."""
+    chosen = choose(group.cell, group.homes, group.branches, group.solve)
+    reasons = _refusals(group, chosen)
+    rows = np.flatnonzero(chosen.accepted)
+    at = {name: found.q[rows] for name, found in chosen.compensated.items()}
+    return {name: _of_arm(group, chosen, name, rows, at, reasons) for name in chosen.compensated}
+
+
+def _of_arm(
+    group: _Group, chosen: Chosen, name: str, rows: NDArray[np.intp], at: Positions, reasons: Mapping[int, str]
+) -> list[Command]:
+    """The commands of one arm; those of the targets ``rows`` are accepted, with the arms ``at`` them."""
+    goal, arm, home = group.goals[name], group.model.arms[name], group.homes[name]
+    count = np.count_nonzero(group.branches[name].within, axis=1).tolist()
+    commands = [refused(target, name, reasons.get(k, ""), count[k]) for k, target in enumerate(group.targets)]
+    ranges = group.ranges.get(name, ConditionRanges())
+    sided = sided_commands(
+        arm,
+        goal.position_M[rows],
+        goal.rotation_M[rows],
+        chosen.compensated[name].take(rows),
+        group.conditions(name, rows, at),
+        home,
+        ranges,
+    )
+    found, conditions = sided.found, sided.conditions
+    tolerances = [group.targets[k].tolerance_mm for k in rows.tolist()]
+    predicted = predictions(arm, found.q, conditions, tolerances, home, ranges, sided.others)
+    notes = outside_notes(found.q, conditions, ranges, predicted, arm.bodies.payload_mass)
+    seen, payloads = _seen(group, name, at), conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
+    for place, k in enumerate(rows.tolist()):
+        turned = float(found.residual_rad[place])
+        commands[k] = replace(
+            commands[k],
+            q_nominal=chosen.nominal[name][k],
+            q_compensated=found.q[place],
+            expected_M=goal.position_M[k],
+            nominal_M=goal.nominal_position_M[k],
+            refusal="",
+            visible=bool(seen[place]),
+            residual_um=float(found.residual_m[place]) * 1e6,
+            residual_urad=None if np.isnan(turned) else turned * 1e6,
+            conditions=conditions.take(np.array([place])),
+            side=sided.approach(place),
+            payload_kg=float(payloads[place]),
+            note=notes[place],
+            prediction=predicted[place],
+        )
+    return commands
+
+
+def _seen(group: _Group, name: str, at: Positions) -> NDArray[np.bool_]:
+    """Whether the tracker sees an arm's SMR where the arms of a group stand, the others at home."""
+    n = len(at[name])
+    others = {
+        other: at[other] if other in at else np.tile(home, (n, 1))
+        for other, home in group.homes.items()
+        if other != name
+    }
+    return visible(group.cell, name, at[name], others)
+
+
+def _refusals(group: _Group, chosen: Chosen) -> dict[int, str]:
+    """Target -> why it is not commanded."""
+    missed: dict[str, dict[int, str]] = {}
+    for name, one in group.branches.items():
+        rows = np.flatnonzero(~one.exists.any(axis=1))
+        goal = group.goals[name]
+        words = missed_poses(
+            group.model.arms[name].nominal,
+            goal.nominal_position_M[rows],
+            goal.nominal_rotation_M[rows],
+            group.homes[name],
+        )
+        missed[name] = dict(zip(rows.tolist(), words, strict=True))
+    return {
+        row: refusal(
+            group.cell,
+            group.homes,
+            group.model.arms,
+            group.branches,
+            chosen,
+            row,
+            {name: words.get(row, "") for name, words in missed.items()},
+        )
+        for row in np.flatnonzero(~chosen.accepted).tolist()
+    }

@@ -1,0 +1,134 @@
+"""Where the SMRs of the arms have to be in the tracker frame for targets given in any frame of the cell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cellapp.cell.targets.targets import Target, WorkFrame
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.transforms import Array, apply, register
+from cellapp.robot.model import ArmModel, CellModel
+
+_FREE = (np.nan, np.nan, np.nan)
+"""Roll, pitch, yaw of a free rotation."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmGoals:
+    """The goals of one arm.
+
+    Attributes
+    ----------
+    rows : array, shape (m,)
+        The target of each goal, as index into the list.
+    position_M, nominal_position_M : array, shape (m, 3)
+        SMR centre [m] by the calibrated and by the nominal bases. Both are the same for targets in the tracker frame.
+    rotation_M, nominal_rotation_M : array, shape (m, 3, 3)
+        Flange rotation; NaN where it is free.
+    """
+
+    rows: NDArray[np.intp]
+    position_M: Array
+    rotation_M: Array
+    nominal_position_M: Array
+    nominal_rotation_M: Array
+
+
+def goals_of_arm(model: CellModel, targets: Sequence[Target], name: str) -> ArmGoals:
+    """The goals of arm ``name`` among all targets: as their arm, or as the partner of a cooperative one."""
+    rows = [k for k, target in enumerate(targets) if name in target.arms]
+    own = [targets[k] for k in rows]
+    rotation, position = _in_frames(own, name)
+    frame, parents, T_parent_W = _frames(own)
+    T_calibrated, T_nominal = (
+        _frame_poses(model, chain, parents, T_parent_W)[frame] for chain in (_calibrated, _nominal)
+    )
+    return ArmGoals(
+        rows=np.array(rows, dtype=np.intp),
+        position_M=_moved(T_calibrated, position),
+        rotation_M=T_calibrated[:, :3, :3] @ rotation,
+        nominal_position_M=_moved(T_nominal, position),
+        nominal_rotation_M=T_nominal[:, :3, :3] @ rotation,
+    )
+
+
+def work_frame_pose(frame: WorkFrame) -> tuple[Array, float]:
+    """Pose (4, 4) of a work frame in its parent, and the rms distance [m] of its points after registration."""
+    nominal = np.array([point.nominal for point in frame.points])
+    measured = np.array([point.measured for point in frame.points])
+    T = register(measured, nominal)
+    left = measured - apply(T, nominal)
+    return T, float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _calibrated(arm: ArmModel) -> Geometry:
+    return arm.geometry
+
+
+def _nominal(arm: ArmModel) -> Geometry:
+    return arm.nominal
+
+
+def _in_frames(targets: Sequence[Target], name: str) -> tuple[Array, Array]:
+    """Flange rotations (m, 3, 3), NaN where free, and SMR positions (m, 3) [m] of one arm in the targets' frames."""
+    rotation = _rotations([target.rpy for target in targets])
+    position = np.array([target.position for target in targets]).reshape(-1, 3)
+    partners = [(k, target.partner) for k, target in enumerate(targets) if target.partner and target.arm != name]
+    if partners:
+        at = [k for k, _ in partners]
+        place = np.array([partner.position for _, partner in partners])
+        position[at] += np.einsum("nij,nj->ni", rotation[at], place)
+        rotation[at] = rotation[at] @ _rotations([partner.rpy for _, partner in partners])
+    return rotation, position
+
+
+def _rotations(rpy: Sequence[tuple[float, float, float] | None]) -> Array:
+    """Rotations (m, 3, 3) from roll, pitch, yaw [rad]; NaN for None."""
+    angles = np.array([_FREE if value is None else value for value in rpy]).reshape(-1, 3)
+    given = ~np.isnan(angles[:, 0])
+    rotation = np.full((len(angles), 3, 3), np.nan)
+    if np.any(given):  # some versions of scipy refuse an empty batch
+        rotation[given] = Rotation.from_euler("ZYX", angles[given][:, ::-1]).as_matrix()
+    return rotation
+
+
+def _frames(targets: Sequence[Target]) -> tuple[NDArray[np.intp], list[str], Array]:
+    """The frame of each target, as index into the parent of each frame and its pose (f, 4, 4) in that.
+
+    The targets of a list share the objects of their work frames; each is registered once.
+    """
+    found: dict[str | int, int] = {}
+    parents: list[str] = []
+    poses: list[Array] = []
+    index = np.empty(len(targets), dtype=np.intp)
+    for k, target in enumerate(targets):
+        frame = target.work_frame
+        parent = target.arm if target.frame == "base" else target.frame
+        key = parent if frame is None else id(frame)
+        if key not in found:
+            found[key] = len(parents)
+            parents.append(parent if frame is None else frame.parent)
+            poses.append(np.eye(4) if frame is None else work_frame_pose(frame)[0])
+        index[k] = found[key]
+    return index, parents, np.array(poses).reshape(-1, 4, 4)
+
+
+def _frame_poses(
+    model: CellModel, chain: Callable[[ArmModel], Geometry], parents: Sequence[str], T_parent_W: Array
+) -> Array:
+    """Poses (f, 4, 4) of frames in the tracker frame."""
+    T_M_parent = [np.eye(4) if parent == "tracker" else chain(model.arms[parent]).T_M_B() for parent in parents]
+    return np.array(T_M_parent).reshape(-1, 4, 4) @ T_parent_W
+
+
+def _moved(T: Array, position: Array) -> Array:
+    """Positions (m, 3) under one transform (m, 4, 4) each."""
+    return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], position) + T[:, :3, 3])

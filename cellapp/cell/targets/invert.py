@@ -1,0 +1,178 @@
+"""The inverse of a calibrated model: joint positions at which geometry, effects and network together meet a target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import flange_poses
+from cellapp.robot.kinematics.inverse import damped_step, errors_and_jacobian
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+
+_ROUNDS = 12
+"""Newton iterations. The derivatives are those of the chain alone: what effects and network add changes by a part in a
+thousand, so that each round gains three decades once it is near."""
+_SAME = 1e-10
+"""Residual [m, rad] at which a target's iteration ends: far below any controller's resolution."""
+_REACHED = 5e-10
+"""Residual [m, rad] of a target that counts as reached."""
+_EFFECT_ROUNDS = 8
+"""Fixed-point rounds for the effects' joint offsets; they contract by the offsets' slope, about 1e-3 a round."""
+_SAME_RAD = 1e-12
+"""Joint change at which that iteration ends: far below any controller's resolution."""
+_FREE_DAMPING = 1e-12
+"""Damping [m^2] of a step to a position with free rotation, far below the squared levers of an arm."""
+_SHIFTED_M = 1e-8
+"""SMR shift by a change of approach that is made good by moving the joints: a hundredth of what a target may miss."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inverted:
+    """Commands for n targets.
+
+    Attributes
+    ----------
+    q : array, shape (n, N)
+        Controller readings [rad].
+    residual_m, residual_rad : array, shape (n,)
+        Distance and angle by which the model misses the targets there; the angle is NaN where the rotation is free.
+    """
+
+    q: Array
+    residual_m: Array
+    residual_rad: Array
+
+    @property
+    def reached(self) -> NDArray[np.bool_]:
+        """Whether the target is met, (n,) bool."""
+        return (self.residual_m < _REACHED) & ~(self.residual_rad >= _REACHED)
+
+    def take(self, rows: NDArray[np.intp]) -> Inverted:
+        """Some of the commands."""
+        return Inverted(self.q[rows], self.residual_m[rows], self.residual_rad[rows])
+
+    def put(self, rows: NDArray[np.intp], of: Inverted, kept: NDArray[np.bool_]) -> None:
+        """Set some rows to the ``kept`` ones of other commands."""
+        self.q[rows], self.residual_m[rows], self.residual_rad[rows] = (
+            of.q[kept],
+            of.residual_m[kept],
+            of.residual_rad[kept],
+        )
+
+
+def invert(
+    arm: ArmModel, position_M: Array, rotation_M: Array, start: Array, conditions: MeasurementConditions | None = None
+) -> Inverted:
+    """Controller readings at which the model puts the SMR at ``position_M`` and orients the flange as ``rotation_M``.
+
+    Parameters
+    ----------
+    arm : ArmModel
+    position_M : array, shape (n, 3)
+        SMR centre in the tracker frame [m].
+    rotation_M : array, shape (n, 3, 3)
+        Flange rotation; NaN where it is free: the joints then move as little as possible.
+    start : array, shape (n, N)
+        Initial readings [rad]; they select the branch.
+    conditions : MeasurementConditions, optional
+        Of the n targets. Without approach signs backlash is taken at its middle.
+
+    Notes
+    -----
+    Newton's iteration on the whole model with the Jacobian of its chain at the true joint positions. The flange turns
+    by the effects' joint offsets; effects that shift the SMR, and the network, move the position alone.
+    """
+    n = len(start)
+    conditions = MeasurementConditions() if conditions is None else conditions
+    free = np.isnan(rotation_M[:, 0, 0])
+    wanted = np.where(free[:, None, None], np.eye(3), rotation_M)
+    q, best = start.copy(), start.copy()
+    error = np.full((n, 6), np.inf)
+    active = np.arange(n)
+    for left in reversed(range(_ROUNDS + 1)):
+        errors, J = _errors(arm, position_M[active], wanted[active], q[active], conditions.take(active))
+        errors[free[active], 3:] = 0.0
+        better = np.abs(errors).max(axis=1) < np.abs(error[active]).max(axis=1)
+        best[active[better]], error[active[better]] = q[active[better]], errors[better]
+        going = ~(np.abs(errors).max(axis=1) < _SAME)
+        active, errors, J = active[going], errors[going], J[going]
+        if not (left and len(active)):
+            break
+        q[active] += _step(J, errors, free[active])
+    turned = np.where(free, np.nan, np.linalg.norm(error[:, 3:], axis=1))
+    return Inverted(best, np.linalg.norm(error[:, :3], axis=1), turned)
+
+
+def invert_model(
+    arm: ArmModel, position_M: Array, rotation_M: Array, start: Array, conditions: MeasurementConditions | None = None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Controller readings (n, N) [rad] of ``invert``, and which targets (n,) they reach."""
+    found = invert(arm, position_M, rotation_M, start, conditions)
+    return found.q, found.reached
+
+
+def without_effects(
+    arm: ArmModel,
+    true: Array,
+    approach: Array | None = None,
+    conditions: MeasurementConditions | None = None,
+) -> Array:
+    """Controller readings (n, N) [rad] that put the real joints at ``true`` (n, N), approached from ``approach``.
+
+    ``conditions`` replaces ``approach``. Fixed-point iteration, as the effects' offset depends on the configuration.
+    """
+    q = true
+    for _ in range(_EFFECT_ROUNDS):
+        before, q = q, true - (arm.true_joints(q, approach, conditions=conditions) - q)
+        if np.max(np.abs(q - before), initial=0.0) < _SAME_RAD:
+            break
+    return q
+
+
+def with_approach(arm: ArmModel, command: Array, here: Array, conditions: MeasurementConditions | None = None) -> Array:
+    """A compensated command (N,) corrected for the motion in which each joint approaches it from ``here`` (N,).
+
+    ``conditions``, of one row, are those that the command was made for; without them at the middle of both sides.
+    """
+    made = MeasurementConditions() if conditions is None else conditions
+    step = (command - here)[None]
+    driven = replace(made, approach=np.sign(step), step=step)
+    true = arm.true_joints(command[None], conditions=made)
+    q = without_effects(arm, true, conditions=driven)
+    wanted = arm.predict(command[None], conditions=made)
+    if np.linalg.norm(arm.predict(q, conditions=driven) - wanted) > _SHIFTED_M:
+        found = invert(arm, wanted, flange_poses(arm.geometry, true)[0], q, driven)
+        q = found.q if found.reached[0] else q
+    return np.asarray(q[0])
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _errors(
+    arm: ArmModel, position_M: Array, rotation_M: Array, q: Array, conditions: MeasurementConditions
+) -> tuple[Array, Array]:
+    """Errors (n, 6) [m, rad] of the model's pose at ``q`` (n, N), and the Jacobian (n, 6, N) of its chain there."""
+    aim, true = position_M, q
+    if arm.effects:
+        moved = arm.effect_displacement(q, conditions=conditions)
+        aim, true = aim - moved.shift_M, q + moved.joints
+    if arm.network is not None:
+        aim = aim - arm.network.correct(q) @ arm.geometry.T_M_B()[:3, :3].T
+    return errors_and_jacobian(arm.geometry, aim, rotation_M, true)
+
+
+def _step(J: Array, errors: Array, free: NDArray[np.bool_]) -> Array:
+    """Step (n, N) [rad]: to poses by damped least squares, to positions with free rotation by the least motion."""
+    step = np.empty((len(J), J.shape[2]))
+    if not free.all():
+        step[~free] = damped_step(J[~free], errors[~free])
+    if free.any():
+        J_p = J[free, :3]
+        A = J_p @ J_p.transpose(0, 2, 1) + _FREE_DAMPING * np.eye(3)
+        step[free] = np.einsum("nij,ni->nj", J_p, np.linalg.solve(A, errors[free, :3, None])[:, :, 0])
+    return step

@@ -1,0 +1,75 @@
+"""What was measured at targets and along paths against their tolerances: by the one rule, with the same uncertainty.
+
+The expanded uncertainty of a distance from a target is that of the certificate: its contributions at the place that was
+measured and for the command that was sent. Where one was not given, it is not known, and the rule decides nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellapp.cell.targets.records import ToleranceVerdict, UncertaintyParts
+from cellapp.commands.certificate.budget import expanded_mm, not_given, target_budget
+from cellapp.commands.certificate.result import UncertaintyContribution
+from cellapp.commands.run_results import RunResults
+from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.decision import target_verdict
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.acceptance import DecisionRule
+from cellapp.robot.kinematics.transforms import Array
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Judges errors in one cell.
+
+    ``results`` are those that the run has, ``measured`` the conditions of its readings by arm.
+    """
+
+    profile: Profile
+    results: RunResults = field(default_factory=lambda: RunResults(run=""))
+    measured: Mapping[str, MeasuredConditions] = field(default_factory=dict)
+
+    @property
+    def rule(self) -> DecisionRule:
+        """The rule that the profile chooses."""
+        return self.profile.tolerances.decision
+
+    def expanded_mm(
+        self, measured_M: Mapping[str, Array], parts: Mapping[str, UncertaintyParts | None]
+    ) -> float | None:
+        """Expanded uncertainty [mm] of the error at measured SMRs, arm -> (3,) [m]; of two arms that of their distance.
+
+        None where a contribution was not given.
+        """
+        return expanded_mm(self._budget(measured_M, parts))
+
+    def verdict(self, error_mm: float | None, expanded: float | None, tolerance_mm: float | None) -> ToleranceVerdict:
+        """Decide; empty without a tolerance or an error."""
+        return target_verdict(error_mm, expanded, tolerance_mm, self.rule)
+
+    def not_given(self, arms: Sequence[str]) -> tuple[str, ...]:
+        """The contributions that nobody gave, without which nothing is decided by the guarded rule."""
+        if self.rule != "guarded":
+            return ()
+        somewhere = {arm: np.array([1.0, 0.0, 0.0]) for arm in arms}
+        return tuple(not_given(self._budget(somewhere, dict.fromkeys(arms))))
+
+    def _budget(
+        self, measured_M: Mapping[str, Array], parts: Mapping[str, UncertaintyParts | None]
+    ) -> list[UncertaintyContribution]:
+        return [
+            line
+            for arm, p_M in measured_M.items()
+            for line in target_budget(
+                self.profile,
+                self.results,
+                arm,
+                float(np.linalg.norm(p_M)),
+                parts.get(arm),
+                self.measured.get(arm),
+            )
+        ]

@@ -1,0 +1,214 @@
+"""How certain the SMR's position at a command is: covariance by sources, and the distance that it keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.cell.targets.command import Prediction
+from cellapp.cell.targets.other_payload import payload_covariance
+from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.records import UncertaintyParts
+from cellapp.cell.targets.tolerance import length_bounds, predicted_verdict
+from cellapp.cell.targets.unknown_conditions import OneUnknown, unknown_conditions, unknown_records
+from cellapp.cell.targets.working_conditions import conditions_payload
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+
+_SAME_PAYLOAD_KG = 0.05
+"""Payloads that agree so closely are the same, as they are to a push."""
+_AT_ONCE = 1000
+"""Configurations at once: their draws take some tens of MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Covariances (n, 3, 3) [m^2] of the predicted SMR by sources; their sum is that of the true position.
+
+    Geometry and effects are fitted together, and their errors oppose each other: each has its share of the covariance
+    of the whole (Euler's allocation of a variance).
+    """
+
+    parameters: Array
+    effects: Array
+    network: Array
+    extrapolation: Array
+    conditions: Array
+
+    @property
+    def of_model(self) -> Array:
+        """Covariance of the true position under the conditions that the command was made for."""
+        return self.parameters + self.effects + self.network + self.extrapolation
+
+    @property
+    def whole(self) -> Array:
+        """Covariance of the true position under any plausible conditions where none are stated."""
+        return self.of_model + self.conditions
+
+
+def predictions(
+    arm: ArmModel,
+    q: Array,
+    conditions: MeasurementConditions,
+    tolerances_mm: Sequence[float | None],
+    home: Array,
+    ranges: ConditionRanges,
+    others: OneUnknown | None = None,
+) -> list[Prediction | None]:
+    """Predictions for n commands ``q`` (n, N) [rad]; None for all where the model states no uncertainty.
+
+    ``conditions`` are those that the commands are for. Joints without a side of approach are taken as on the way from
+    ``home`` (N,): a parameter of backlash has no uncertainty at the middle of both sides. ``others`` is what other
+    sides do.
+    """
+    if arm.posterior is None:
+        return [None] * len(q)
+    found: list[Prediction | None] = []
+    for begin in range(0, len(q), _AT_ONCE):
+        rows = np.arange(begin, min(begin + _AT_ONCE, len(q)))
+        here, stated = q[rows], conditions.take(rows)
+        unknown = [*([] if others is None else [others.take(rows)]), *unknown_conditions(arm, here, stated, ranges)]
+        spread = spread_of(arm, here, _from_home(stated, here, home), ranges)
+        covariance = sum((one.covariance for one in unknown), np.zeros_like(spread.network))
+        spread = replace(spread, conditions=covariance)
+        noise = _noise(arm, here, stated, ranges)
+        excess = 0.0 if ranges.noise is None else ranges.noise.excess(arm.posterior.noise_m)
+        judged = _judged(spread, noise, excess, tolerances_mm[begin : begin + _AT_ONCE])
+        found += [replace(one, unknown=unknown_records(unknown, k)) for k, one in enumerate(judged)]
+    return found
+
+
+def outside_notes(
+    q: Array,
+    conditions: MeasurementConditions,
+    ranges: ConditionRanges,
+    predicted: Sequence[Prediction | None],
+    nominal_kg: float,
+) -> list[str]:
+    """For each of n commands by how much it lies outside what the readings covered of joints and payloads; empty within
+    them. ``nominal_kg`` is the payload where none is stated."""
+    off = np.degrees(np.abs(q - ranges.nearest_measured(q)))
+    payloads = conditions_payload(conditions, nominal_kg, len(q))
+    notes = []
+    for row, payload_kg, one in zip(off, payloads.tolist(), predicted, strict=True):
+        joints = ", ".join(f"joint {j + 1} by {row[j]:.0f} deg" for j in np.flatnonzero(row >= 0.5))
+        said = [f"outside the calibrated joint ranges: {joints}"] if joints else []
+        said += _never_measured(payload_kg, ranges)
+        adds = "" if one is None else f"; this adds {one.parts.extrapolation:.3g} mm to the uncertainty of a coordinate"
+        notes.append(f"{'; '.join(said)}{adds}" if said else "")
+    return notes
+
+
+def _never_measured(payload_kg: float, ranges: ConditionRanges) -> list[str]:
+    """Say so where no reading had a payload."""
+    if ranges.payload_kg is None:
+        return []
+    low, high = ranges.payload_kg
+    if low - _SAME_PAYLOAD_KG <= payload_kg <= high + _SAME_PAYLOAD_KG:
+        return []
+    had = f"{low:g} kg" if high - low <= _SAME_PAYLOAD_KG else f"{low:g} to {high:g} kg"
+    return [f"payload {payload_kg:g} kg was never measured (the readings had {had})"]
+
+
+def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Spread:
+    """Covariances of a model with draws at ``q`` (n, N) [rad].
+
+    Beyond the joint ranges of the readings, ``extrapolation`` is what the nearest configuration within them does not
+    have: the further spread of geometry and effects, and the network's correction, which fades out there although what
+    it corrects does not. A payload that no reading had adds to it, too.
+    """
+    inside = ranges.nearest_measured(q)
+    parameters, effects, network = _of_model(arm, q, conditions)
+    nothing = np.zeros_like(parameters)
+    loaded = nothing
+    if ranges.compliance is not None:
+        measured_kg = ranges.payload_kg or (arm.bodies.payload_mass, arm.bodies.payload_mass)
+        loaded = payload_covariance(arm, q, conditions, measured_kg, ranges.compliance)
+    beyond = np.flatnonzero(np.any(inside != q, axis=1))
+    if not len(beyond):
+        return Spread(parameters, effects, network, loaded, nothing)
+    within = _of_model(arm, inside[beyond], conditions.take(beyond))
+    extrapolation = nothing.copy()
+    for here, there in zip((parameters, effects), within[:2], strict=True):
+        share = np.minimum(_size(there) / np.maximum(_size(here[beyond]), 1e-300), 1.0)[:, None, None]
+        extrapolation[beyond] += (1.0 - share) * here[beyond]
+        here[beyond] *= share
+    network[beyond] = within[2]
+    if arm.network is not None:
+        lost = arm.network.correct(inside[beyond]) - arm.network.correct(q[beyond])
+        lost = lost @ arm.geometry.T_M_B()[:3, :3].T
+        extrapolation[beyond] += lost[:, :, None] * lost[:, None]
+    return Spread(parameters, effects, network, extrapolation + loaded, nothing)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _of_model(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> tuple[Array, Array, Array]:
+    """Covariances (n, 3, 3) of geometry, effects and network at ``q``."""
+    assert arm.posterior is not None
+    by_geometry, by_terms = arm.posterior.displacements_by_part(
+        arm.geometry, arm.effects, arm.context(q, conditions=conditions)
+    )
+    moved = by_geometry + by_terms
+    whole = np.einsum("sna,snb->nab", moved, moved, optimize=True) / len(moved)
+    own = np.einsum("sna,sna->n", by_geometry, moved) / len(moved)
+    share = np.clip(own / np.maximum(_size(whole), 1e-300), 0.0, 1.0)[:, None, None]
+    network = np.zeros_like(whole)
+    if arm.network is not None:
+        R = arm.geometry.T_M_B()[:3, :3]
+        network = (R * arm.network.spread(q)[:, None] ** 2) @ R.T
+    return share * whole, (1.0 - share) * whole, network
+
+
+def _from_home(conditions: MeasurementConditions, q: Array, home: Array) -> MeasurementConditions:
+    """The conditions with joints of unknown approach coming straight from home."""
+    step = q - home
+    approach = np.sign(step)
+    if conditions.approach is not None:
+        stated = np.asarray(conditions.approach, dtype=np.float64)
+        approach = np.where(stated == 0.0, approach, stated)
+    return replace(conditions, approach=approach, step=np.abs(step) * approach)
+
+
+def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
+    """Covariance (n, 3, 3) [m^2] of a measurement at ``q``."""
+    assert arm.posterior is not None
+    if ranges.noise is None:
+        return np.tile(arm.posterior.noise_m**2 * np.eye(3), (len(q), 1, 1))
+    return ranges.noise.covariance(arm.predict(q, conditions=conditions), arm.posterior.noise_m)
+
+
+def _judged(spread: Spread, noise: Array, excess: float, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
+    """Predictions in mm from covariances, that of a measurement's ``noise`` and its part by which the SMR moves.
+
+    What a measurement will find is stated and judged: uncertainty and bound are of one covariance. Only the distance
+    that the SMR surely exceeds is that of the SMR itself.
+    """
+    low, _ = length_bounds(spread.whole + excess * np.eye(3))
+    _, within = length_bounds(spread.whole + noise)
+    parts = {name: _coordinate_mm(value) for name, value in vars(spread).items()}
+    parts["noise"], whole = _coordinate_mm(noise), _coordinate_mm(spread.whole + noise)
+    return [
+        Prediction(
+            uncertainty_mm=float(whole[k]),
+            parts=UncertaintyParts(**{name: float(value[k]) for name, value in parts.items()}),
+            within_mm=float(within[k]) * 1e3,
+            unknown=(),
+            verdict=predicted_verdict(float(low[k]) * 1e3, float(within[k]) * 1e3, tolerance),
+        )
+        for k, tolerance in enumerate(tolerances_mm)
+    ]
+
+
+def _size(covariance: Array) -> Array:
+    """Sum of the variances (n,) [m^2] of the coordinates."""
+    return np.asarray(np.trace(covariance, axis1=1, axis2=2))
+
+
+def _coordinate_mm(covariance: Array) -> Array:
+    """Root mean square standard deviation (n,) [mm] of a coordinate."""
+    return np.asarray(np.sqrt(_size(covariance) / 3.0) * 1e3)

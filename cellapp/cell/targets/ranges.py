@@ -1,0 +1,91 @@
+"""What the readings of an arm covered: the plausible ranges of conditions that nobody states, and the joint ranges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.cell.targets.measuring_noise import MeasuringNoise
+from cellapp.cell.targets.other_payload import open_compliance
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.readings import Readings
+from cellapp.robot.effects import TemperatureRecord
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+
+_MARGIN = np.radians(2.0)
+"""A posture beside the outermost readings is still theirs: what models add to chains varies over tens of degrees."""
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ConditionRanges:
+    """Ranges over the readings of one arm; None for what they do not say.
+
+    Attributes
+    ----------
+    q : array, shape (2, N), or None
+        Lowest and highest joint positions [rad].
+    step : array, shape (N,), or None
+        Median size of each joint's last motion [rad].
+    payload_kg, dwell_s, time_s, air_c : pair or None
+    joints_c : array, shape (2, N), or None
+        Lowest and highest temperature of each joint [degC].
+    stops : int
+        Readings in the order of measurement.
+    record : TemperatureRecord or None
+        Of the whole run, which effects with a lag follow.
+    noise : MeasuringNoise or None
+        What the tracker stated.
+    compliance : array, shape (N, N), or None
+        Second moment of the joints' compliances that the readings leave open [(rad/Nm)^2].
+    """
+
+    q: Array | None = None
+    step: Array | None = None
+    payload_kg: Range | None = None
+    dwell_s: Range | None = None
+    time_s: Range | None = None
+    air_c: Range | None = None
+    joints_c: Array | None = None
+    stops: int = 0
+    record: TemperatureRecord | None = None
+    noise: MeasuringNoise | None = None
+    compliance: Array | None = None
+
+    @classmethod
+    def of(cls, readings: Readings, arm: ArmModel | None = None) -> ConditionRanges:
+        """The ranges of an arm's readings; what they leave open of its compliances only with its model."""
+        if not len(readings):
+            return cls()
+        known = measurement_conditions(readings)
+        joints_c = known.joints_c
+        return cls(
+            q=np.stack([readings.q.min(axis=0), readings.q.max(axis=0)]),
+            step=None if known.step is None else np.nan_to_num(np.nanmedian(np.abs(known.step), axis=0)),
+            payload_kg=_range(known.payload_kg),
+            dwell_s=_range(known.dwell_s),
+            time_s=_range(known.time_s),
+            air_c=_range(known.air_c),
+            joints_c=None
+            if joints_c is None or not np.isfinite(joints_c).all()
+            else np.stack([joints_c.min(axis=0), joints_c.max(axis=0)]),
+            stops=len(readings),
+            record=known.record,
+            noise=MeasuringNoise.of(readings),
+            compliance=None if arm is None else open_compliance(arm, readings),
+        )
+
+    def nearest_measured(self, q: Array) -> Array:
+        """The configurations nearest to ``q`` (n, N) within the joint ranges of the readings and 2 degrees beside."""
+        if self.q is None:
+            return q
+        return np.clip(q, self.q[0] - _MARGIN, self.q[1] + _MARGIN)
+
+
+def _range(values: Array | None) -> Range | None:
+    if values is None or not np.isfinite(values).any():
+        return None
+    return float(np.nanmin(values)), float(np.nanmax(values))

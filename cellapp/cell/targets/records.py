@@ -1,0 +1,273 @@
+"""Results of ``compensate`` and ``push``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from cellapp.ground.results import ErrorSummary, Record, Result
+
+ToleranceVerdict = Literal["in", "out", "cannot say", ""]
+"""Whether a target is met to its tolerance; empty where it has none, or where there is nothing to judge."""
+_MOST_NAMED = 5
+"""Targets that a complaint names; further ones are counted."""
+
+
+class TargetRecord(Record):
+    """The target that a result is about, as it was written, and one arm's part in it.
+
+    ``position`` [m] and ``rpy`` [rad] are in ``frame``; both are None in results of earlier versions, ``rpy`` also
+    where the rotation is free. ``partner`` is the other arm of a cooperative target, which has a record of its own
+    under the same name. ``definition`` is a digest of all that the target says; empty in results of earlier versions.
+    """
+
+    name: str
+    arm: str
+    position: tuple[float, float, float] | None = None
+    rpy: tuple[float, float, float] | None = None
+    tolerance_mm: float | None = None
+    frame: str = "base"
+    partner: str = ""
+    definition: str = ""
+
+
+class UncertaintyParts(Record):
+    """Standard uncertainty of a measured coordinate of the SMR at a command by its sources [mm]; squares add.
+
+    ``extrapolation`` is what the command's distance from the measured joint ranges and payloads adds; ``noise`` is the
+    scatter of the readings about the model: tracker and repeatability; ``conditions`` is what working conditions add
+    that nobody stated.
+    """
+
+    parameters: float
+    effects: float
+    network: float
+    extrapolation: float
+    noise: float
+    conditions: float
+
+
+class UnknownCondition(Record):
+    """A working condition that the model depends on and nobody stated: by how much the SMR may be elsewhere [mm]."""
+
+    condition: str
+    effects: tuple[str, ...]
+    mm: float
+
+
+class TargetCommand(TargetRecord):
+    """Joint positions [rad] for one arm at one target with the nominal and the calibrated model, or why there are none.
+
+    Attributes
+    ----------
+    refusal : str
+        Why the target is not commanded; empty if it is.
+    q_nominal, q_compensated : sequence or None
+        None where the target was refused. The compensated one is for joints that arrive as ``approach`` says.
+    branches : int or None
+        Solutions of the inverse within the joint limits; one was chosen.
+    visible : bool or None
+        Whether the tracker sees the SMR there.
+    residual_um, residual_urad : float or None
+        Distance and angle by which the calibrated model misses the target at the command; no angle where it is free.
+    note : str
+        What to know about a command that is not refused.
+    uncertainty_mm : float or None
+        Standard uncertainty of a measured coordinate of the SMR, the square root of the sum of the squares of all
+        ``parts``; None where the model states none.
+    parts : UncertaintyParts or None
+    within_mm : float or None
+        Distance from the target that a measurement keeps with 95 % probability. It is made of the same parts, and
+        holds for whatever the row holds for.
+    unknown : sequence of UnknownCondition
+        Where it names the approach: by how much the SMR is elsewhere with another side than ``approach`` says.
+    approach : signs or None
+        Sign of each joint's last motion that ``q_compensated`` is for, 0 where it does not matter: as the target
+        states, else as on the way from home. None where any side will do.
+    payload_kg : float or None
+        That it is for, stated or the profile's.
+    holds_for : str
+        What the row holds for, in words: sides of approach, payload, and the conditions that the target states.
+    verdict : str
+        By the one decision rule, of an error of zero with ``within_mm`` as its uncertainty.
+    """
+
+    refusal: str
+    q_nominal: tuple[float, ...] | None
+    q_compensated: tuple[float, ...] | None
+    branches: int | None = None
+    visible: bool | None = None
+    residual_um: float | None = None
+    residual_urad: float | None = None
+    note: str = ""
+    uncertainty_mm: float | None = None
+    parts: UncertaintyParts | None = None
+    within_mm: float | None = None
+    unknown: tuple[UnknownCondition, ...] = ()
+    approach: tuple[int, ...] | None = None
+    payload_kg: float | None = None
+    holds_for: str = ""
+    verdict: ToleranceVerdict = ""
+
+
+class CompensateResult(Result):
+    """``compensate``: a command for each target; ``notes`` say where the model that was used is out of date."""
+
+    schema_: Literal["cellapp-compensate"] = "cellapp-compensate"
+    version: Literal[1] = 1
+    targets: tuple[TargetCommand, ...]
+    notes: tuple[str, ...] = ()
+
+
+Point = tuple[float, float, float]
+
+
+class MeasuredTarget(TargetRecord):
+    """Distance of one arm's measured SMR from one target [mm]; None where it was not measured.
+
+    Attributes
+    ----------
+    nominal_mm, compensated_mm : float or None
+        With the command of the published geometry, and with that of the calibrated model alone.
+    note : str
+        Why something was not driven, not measured or not corrected; empty if all went well.
+    wanted_M, predicted_M, measured_M : point or None
+        In the tracker frame [m], with the compensated command: the target, what the calibrated model expects at the
+        joint positions that were reached, and the measurement.
+    q : sequence or None
+        Those joint positions [rad].
+    within_mm : float or None
+        As in ``TargetCommand``.
+    rounds_mm : sequence
+        Distances after the model alone and after each correction by measuring; empty where none was asked for.
+    corrected_mm, q_corrected : float and sequence, or None
+        Distance and joint positions [rad] with the best correction; None where the model alone was the best.
+    q_driven : sequence or None
+        Joint positions [rad] that were sent for the model alone, for joints that came as ``approach`` says; None where
+        it was not driven, and in results of earlier versions.
+    approach : signs or None
+        Sign of each joint's last motion at ``compensated_mm`` and at every correction, 0 where unknown.
+    expanded_mm : float or None
+        Expanded uncertainty (k = 2) of ``final_mm``; None where a contribution was not given.
+    verdict : str
+        Of ``final_mm`` against the tolerance, by the decision rule.
+    """
+
+    nominal_mm: float | None
+    compensated_mm: float | None
+    note: str
+    verdict: ToleranceVerdict = ""
+    wanted_M: Point | None = None
+    predicted_M: Point | None = None
+    measured_M: Point | None = None
+    q: tuple[float, ...] | None = None
+    within_mm: float | None = None
+    rounds_mm: tuple[float, ...] = ()
+    corrected_mm: float | None = None
+    expanded_mm: float | None = None
+    q_corrected: tuple[float, ...] | None = None
+    q_driven: tuple[float, ...] | None = None
+    approach: tuple[int, ...] | None = None
+
+    @property
+    def final_mm(self) -> float | None:
+        """Distance with the command that is kept: the correction, or the compensated command without one [mm]."""
+        return self.compensated_mm if self.corrected_mm is None else self.corrected_mm
+
+
+class MeasuredPair(Record):
+    """A cooperative target as measured: by how much the distance between both SMRs is off [mm].
+
+    ``wanted_mm`` is the wanted distance; ``rounds_mm``, ``corrected_mm``, ``expanded_mm`` and ``verdict`` are as in
+    ``MeasuredTarget``.
+    """
+
+    name: str
+    arms: tuple[str, str]
+    wanted_mm: float | None
+    nominal_mm: float | None
+    compensated_mm: float | None
+    tolerance_mm: float | None = None
+    verdict: ToleranceVerdict = ""
+    rounds_mm: tuple[float, ...] = ()
+    corrected_mm: float | None = None
+    expanded_mm: float | None = None
+    note: str = ""
+
+    @property
+    def final_mm(self) -> float | None:
+        """As in ``MeasuredTarget``."""
+        return self.compensated_mm if self.corrected_mm is None else self.corrected_mm
+
+
+class ArmVerification(Record):
+    """Distances from targets, or errors of distances between SMRs, with nominal and with compensated commands.
+
+    ``corrected_mm`` is of the commands that were kept after correcting; None where no correction was asked for.
+    """
+
+    nominal_mm: ErrorSummary
+    compensated_mm: ErrorSummary
+    corrected_mm: ErrorSummary | None = None
+    omitted_when_none = frozenset({"corrected_mm"})
+
+
+class VerifyResult(Result):
+    """``push``: every target, and with ``--verify`` the errors of each arm before and after compensation.
+
+    ``rule`` is that by which tolerances were decided, ``not_given`` what is missing for an expanded uncertainty; in
+    results of earlier versions errors alone were compared. ``cooperative`` summarises the pairs. ``stopped`` says why
+    not all targets were visited; empty if they were. ``notes`` also say where the model that was used was out of date.
+    """
+
+    schema_: Literal["cellapp-verify"] = "cellapp-verify"
+    version: Literal[1] = 1
+    arms: Mapping[str, ArmVerification]
+    targets: tuple[MeasuredTarget, ...]
+    pairs: tuple[MeasuredPair, ...] = ()
+    cooperative: ArmVerification | None = None
+    stopped: str = ""
+    rule: Literal["guarded", "simple"] = "simple"
+    not_given: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def complaints(self) -> list[str]:
+        """Why the verification did not hold: it was stopped, became no better, or is beyond a tolerance; empty if not.
+
+        An error beyond its tolerance is one whether or not its uncertainty proves it.
+        """
+        found = [self.stopped] if self.stopped else []
+        for name in dict.fromkeys(target.arm for target in self.targets):
+            arm = self.arms.get(name)
+            if arm is None:
+                found.append(f"arm {name}: no target could be measured")
+            else:
+                found += _no_better(f"arm {name}: the mean error at", arm)
+        if self.cooperative is not None:
+            found += _no_better("pairs: the mean error of the distance at", self.cooperative)
+        return found + _out_of_tolerance("targets", self.targets) + _out_of_tolerance("pairs", self.pairs)
+
+
+def _no_better(subject: str, errors: ArmVerification) -> list[str]:
+    if errors.compensated_mm.mean < errors.nominal_mm.mean:
+        return []
+    return [
+        f"{subject} compensated targets is {errors.compensated_mm.mean:.3f} mm,"
+        f" at uncompensated ones {errors.nominal_mm.mean:.3f} mm; do not use this calibration"
+    ]
+
+
+def _out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
+    out = [one for one in measured if one.verdict == "out" or _beyond(one)]
+    if not out:
+        return []
+    named = [f"{one.name} ({one.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)" for one in out[:_MOST_NAMED]]
+    more = [f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else []
+    judged = sum(one.verdict != "" for one in measured)
+    undecided = sum(one.verdict != "out" for one in out)
+    proven = f" ({undecided} of these not proven with the uncertainty)" if undecided else ""
+    return [f"{len(out)} of {judged} {what} with a tolerance are out of it: {', '.join(named + more)}{proven}"]
+
+
+def _beyond(one: MeasuredTarget | MeasuredPair) -> bool:
+    return one.final_mm is not None and one.tolerance_mm is not None and one.final_mm > one.tolerance_mm

@@ -1,0 +1,302 @@
+"""A CSV file of targets as plain data: a header row, then a row for each target. Units stand in the columns' names.
+
+    name, arm                                   as in YAML
+    frame                                       base (or empty), tracker, an arm, or a work frame of the YAML file that
+                                                names this file
+    x_mm, y_mm, z_mm                            SMR position; or x_m, y_m, z_m
+    roll_deg, pitch_deg, yaw_deg                flange rotation; or _rad; or qw, qx, qy, qz; or the rotation vector
+                                                rx_deg, ry_deg, rz_deg (_rad)
+    tolerance_mm                                or _m, _um
+    approach1 .. approachN                      preferred sign of each joint's last motion: -1, 0, 1
+    payload_kg, temperature_c, time_s, dwell_s  working conditions
+    partner_arm, partner_x_mm, ...              other arm of a cooperative target: arm, position, rotation, conditions
+
+Only name, arm and the position are needed. An empty cell is a value that is not given. All coordinates of a file have
+one unit, and all angles.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cellapp.cell.profile.messages import KeyPath
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short
+from cellapp.cell.targets.target_source import TargetSource
+from drivers.quantities import parse_quantity
+
+_WORDS: Mapping[str, KeyPath] = {
+    "name": ("name",),
+    "arm": ("arm",),
+    "frame": ("frame",),
+    "partner_arm": ("partner", "arm"),
+}
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """What a column of numbers may hold: its key in a target, its kind for ``parse_quantity``, units of the column."""
+
+    path: KeyPath
+    kind: str
+    units: tuple[str, ...]
+
+
+def _vector(key: str, kind: str, units: tuple[str, ...], *names: str) -> dict[str, _Quantity]:
+    return {name: _Quantity((key, place), kind, units) for place, name in enumerate(names)}
+
+
+_OF_ONE_ARM: Mapping[str, _Quantity] = {
+    **_vector("position", "length", ("mm", "m"), "x", "y", "z"),
+    **_vector("rpy", "angle", ("deg", "rad"), "roll", "pitch", "yaw"),
+    **_vector("rotation_vector", "angle", ("deg", "rad"), "rx", "ry", "rz"),
+    **_vector("quaternion", "", (), "qw", "qx", "qy", "qz"),
+    "payload": _Quantity(("conditions", "payload"), "mass", ("kg",)),
+    "temperature": _Quantity(("conditions", "temperature"), "temperature", ("c",)),
+    "time": _Quantity(("conditions", "time"), "time", ("s",)),
+    "dwell": _Quantity(("conditions", "dwell"), "time", ("s",)),
+}
+_QUANTITIES: Mapping[str, _Quantity] = {
+    **_OF_ONE_ARM,
+    "tolerance": _Quantity(("tolerance",), "length", ("mm", "m", "um")),
+    **{f"partner_{name}": replace(of, path=("partner", *of.path)) for name, of in _OF_ONE_ARM.items()},
+}
+"""By the name of the column without its unit."""
+_UNITS = {"c": "degC"}
+"""Units that columns write differently from ``parse_quantity``."""
+_PER_JOINT = re.compile(r"approach([1-9][0-9]*)")
+_MIXED = {"position": "coordinates", "rpy": "angles", "rotation_vector": "angles"}
+"""Quantities that have one unit in a file."""
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of numbers: its name, its key in a target, its unit as written and that unit in SI."""
+
+    name: str
+    path: KeyPath
+    unit: str
+    factor: float
+
+
+def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:
+    """Read a file; ``joints`` are the numbers of joints of the arms, by name.
+
+    Raises
+    ------
+    InputError
+        With file, line and column of what is missing, unknown or no number.
+    """
+    table = read_csv_table(path, "targets", "a row per target")
+    problems = Problems(path)
+    columns = _columns(table, problems)
+    problems.check()
+    if not table.lines:
+        problems.add(1, "targets", "there is a header row but no target; expected a row for each")
+    rows: list[dict[str, Any]] = [{} for _ in table.lines]
+    _fill(rows, table, columns, joints, problems)
+    problems.check()
+    names = {column.path: column.name for column in columns} | {path: name for name, path in _WORDS.items()}
+
+    def place(location: KeyPath) -> str:
+        row = location[1] if len(location) > 1 else None
+        return f"{path}:{table.lines[row] if isinstance(row, int) and row < len(table.lines) else 1}"
+
+    def key(inside: KeyPath) -> str:
+        return names.get(inside) or next((names[at] for at in names if at[: len(inside)] == inside), "")
+
+    content = {"schema": "cellapp-targets", "version": 1, "targets": rows}
+    return TargetSource(content, place, key, _words)
+
+
+def _words(text: str) -> str:
+    """A message without the advice to write a unit behind a number."""
+    problem, found, _ = text.partition("; a plain number is")
+    return f"{problem}; is the unit in the column's name the right one?" if found else text
+
+
+# -- the header -------------------------------------------------------------------------------------------------------
+
+
+def _columns(table: CsvTable, problems: Problems) -> list[_Column]:
+    """The columns of numbers; notes names that are unknown, have no unit, are there twice, or miss."""
+    check_names(table, problems)
+    columns: list[_Column] = []
+    for name in filter(None, dict.fromkeys(table.names)):
+        if name in _WORDS:
+            continue
+        column = _column(name)
+        if isinstance(column, str):
+            problems.add(1, name, column)
+            continue
+        twice = next((other.name for other in columns if other.path == column.path), None)
+        if twice is not None:
+            problems.add(1, name, f"the same value as column {twice}; keep one")
+        columns.append(column)
+    _check_complete(table, columns, problems)
+    _check_units(columns, problems)
+    return columns
+
+
+def _column(name: str) -> _Column | str:
+    """The column of numbers of that name, or why there is none."""
+    if match := _PER_JOINT.fullmatch(name):
+        return _Column(name, ("approach", int(match.group(1)) - 1), "", 1.0)
+    stem, _, unit = name.rpartition("_")
+    if name in _QUANTITIES:
+        found = _QUANTITIES[name]
+        return f"has no unit; name it {_choices(name)}" if found.units else _Column(name, found.path, "", 1.0)
+    if stem not in _QUANTITIES:
+        return f"unknown column{_similar(name)}; remove it, or correct its name"
+    found = _QUANTITIES[stem]
+    if unit not in found.units:
+        return f"'{unit}' is no unit of this column; name it {_choices(stem)}"
+    return _Column(name, found.path, unit, parse_quantity(found.kind, f"1 {_UNITS.get(unit, unit)}"))
+
+
+def _choices(stem: str) -> str:
+    """The names that a column may have."""
+    return " or ".join(f"{stem}_{unit}" for unit in _QUANTITIES[stem].units) or stem
+
+
+def _similar(name: str) -> str:
+    known = [*_WORDS, *(f"{stem}_{unit}" for stem, of in _QUANTITIES.items() for unit in of.units), "approach1"]
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    return f" (is '{near[0]}' meant?)" if near else ""
+
+
+def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Problems) -> None:
+    """Note columns that miss: those that every target needs, and the rest of a vector."""
+    for name in ("name", "arm"):
+        if name not in table.names:
+            problems.add(1, name, "the column is missing")
+    given = {column.path: column for column in columns}
+    in_use = {path[:-1] for path in given} | {("position",)}
+    if any(path[0] == "partner" for path in given) or "partner_arm" in table.names:
+        in_use.add(("partner", "position"))
+        if "partner_arm" not in table.names:
+            problems.add(1, "partner_arm", "the column is missing")
+    there = {*table.names, *(name.rpartition("_")[0] for name in table.names)}  # refused already if the unit is wrong
+    for stem, of in _QUANTITIES.items():
+        *vector, place = of.path
+        if isinstance(place, int) and tuple(vector) in in_use and of.path not in given and stem not in there:
+            units = [column.unit for column in columns if column.path[:-1] == tuple(vector) and column.unit]
+            problems.add(1, f"{stem}_{units[0]}" if units else _choices(stem), "the column is missing")
+    joints = sorted(int(column.path[1]) for column in columns if column.path[0] == "approach")
+    for joint in range(len(joints)):
+        if joint not in joints:
+            problems.add(1, f"approach{joint + 1}", "the column is missing")
+
+
+def _check_units(columns: Sequence[_Column], problems: Problems) -> None:
+    """Note units that are mixed."""
+    first: dict[str, _Column] = {}
+    for column in columns:
+        what = _MIXED.get(str(column.path[-2])) if len(column.path) > 1 else None
+        if what is None:
+            continue
+        before = first.setdefault(what, column)
+        if column.unit != before.unit:
+            problems.add(
+                1, column.name, f"column {before.name} is in {before.unit}; give all {what} of a file in one unit"
+            )
+
+
+# -- the rows ---------------------------------------------------------------------------------------------------------
+
+
+def _fill(
+    rows: list[dict[str, Any]],
+    table: CsvTable,
+    columns: Sequence[_Column],
+    joints: Mapping[str, int],
+    problems: Problems,
+) -> None:
+    """Enter words and numbers under their keys; notes cells that are no numbers, and vectors that are not complete."""
+    for name, path in _WORDS.items():
+        for row, text in zip(rows, table.cells.get(name, ())):
+            if text.strip() or name in ("name", "arm"):
+                _enter(row, path, text.strip())
+    vectors: dict[KeyPath, list[_Column]] = {}
+    for column in sorted(columns, key=lambda column: column.path[-1] if isinstance(column.path[-1], int) else -1):
+        if isinstance(column.path[-1], int):
+            vectors.setdefault(column.path[:-1], []).append(column)
+            continue
+        for row, value in zip(rows, _values(table, column, problems)):
+            if value is not None:
+                _enter(row, column.path, value)
+    for path, members in vectors.items():
+        values = list(zip(*(_values(table, column, problems) for column in members)))
+        if path == ("approach",):
+            _fill_approach(rows, values, joints)
+        else:
+            _fill_vector(rows, table, members, values, problems)
+
+
+def _fill_vector(
+    rows: list[dict[str, Any]],
+    table: CsvTable,
+    members: Sequence[_Column],
+    values: Sequence[tuple[float | None, ...]],
+    problems: Problems,
+) -> None:
+    """Enter a vector that every row has whole or not at all."""
+    path = members[0].path[:-1]
+    for index, vector in enumerate(values):
+        if None not in vector:
+            _enter(rows[index], path, vector)
+        elif any(value is not None for value in vector):
+            name = members[vector.index(None)].name
+            problems.add(*_cell(table, index, name), "the value is missing; the row has others of the same vector")
+
+
+def _fill_approach(
+    rows: list[dict[str, Any]], values: Sequence[tuple[float | None, ...]], joints: Mapping[str, int]
+) -> None:
+    """Enter signs: an empty cell is 0 beside others, and columns of joints that the arm lacks may be empty."""
+    for row, signs in zip(rows, values):
+        if any(sign is not None for sign in signs):
+            count = joints.get(str(row.get("arm")), len(signs))
+            filled = max(place for place, sign in enumerate(signs, start=1) if sign is not None)
+            _enter(row, ("approach",), [_whole(sign or 0.0) for sign in signs[: max(count, filled)]])
+
+
+def _whole(value: float) -> float | int:
+    return int(value) if value.is_integer() else value
+
+
+def _values(table: CsvTable, column: _Column, problems: Problems) -> list[float | None]:
+    """A column in SI, None for an empty cell; notes cells that are no numbers."""
+    values: list[float | None] = []
+    for index, cell in enumerate(table.cells[column.name]):
+        text = cell.strip()
+        value = float(text) if NUMBER.fullmatch(text) else math.nan
+        if text and not math.isfinite(value):
+            problems.add(*_cell(table, index, column.name), _no_number(text, column))
+        values.append(value * column.factor if text else None)
+    return values
+
+
+def _no_number(text: str, column: _Column) -> str:
+    got = f"got '{short(text)}'"
+    if "," in text and NUMBER.fullmatch(text.replace(",", ".", 1)):
+        return f"expected a number with a decimal point, {got}; write {text.replace(',', '.', 1)}"
+    unit = f"; it is in {column.unit}, as the column's name says" if column.unit else ""
+    return f"expected a finite number such as 0.25, {got}{unit}"
+
+
+def _cell(table: CsvTable, index: int, column: str) -> tuple[int, str]:
+    """The line of a row, and the names of its target and of a column."""
+    return table.lines[index], f"target '{short(table.cells['name'][index].strip())}': {column}"
+
+
+def _enter(row: dict[str, Any], path: KeyPath, value: object) -> None:
+    """Enter a value under its key, which may lie in a section."""
+    for key in path[:-1]:
+        row = row.setdefault(str(key), {})
+    row[str(path[-1])] = value

@@ -1,0 +1,98 @@
+"""A YAML file of targets as plain data, with the line of each value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cellapp.cell.profile.loader import EXPONENT
+from cellapp.cell.profile.messages import KeyPath, dotted
+from cellapp.cell.targets.target_source import TargetSource
+from cellapp.ground.errors import InputError
+
+_MOST_LEVELS = 50
+"""A list of targets has about seven."""
+
+
+class _Loader(yaml.CSafeLoader):
+    """YAML's safe loader that also reads 1e-3 as a number, and refuses a key that is there twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Return the keys with their values."""
+        written = [key for key, _ in node.value]  # construction adds what a merge key brings
+        result = super().construct_mapping(node, deep)
+        if len(result) < len(written):
+            names = [key.value for key in written]
+            for key in reversed(written):
+                if names.count(key.value) > 1:
+                    raise yaml.MarkedYAMLError(problem=f"key '{key.value}' is there twice", problem_mark=key.start_mark)
+        return result
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
+
+
+def read_yaml(path: Path) -> TargetSource:
+    """Read a file. Raises ``InputError`` with file and line if it is no YAML of plain values."""
+    text = _text(path)
+    try:
+        _check_levels(path, text)
+        loader = _Loader(text)
+        root = loader.get_single_node()
+        content = None if root is None else loader.construct_document(root)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = "" if mark is None else f":{mark.line + 1}"
+        raise InputError(f"{path}{line}: not YAML: {error.problem or error.context}; correct the line") from None
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: not YAML: {getattr(error, 'reason', error)}; remove that character") from None
+    except ValueError as error:  # a date such as 2026-99-99
+        raise InputError(f"{path}: not YAML: {error}; put texts in quotes") from None
+    return TargetSource(content, _places(path, root), dotted)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError(f"{path}: cannot be read: file not found; give a target list (YAML or CSV)") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a target list (YAML or CSV)") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not UTF-8 text; write the target list as UTF-8 YAML") from None
+
+
+def _check_levels(path: Path, text: str) -> None:
+    """Refuse what is nested too deeply: the loader recurses in C and would end the program."""
+    level = 0
+    for event in yaml.parse(text, Loader=yaml.CSafeLoader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            level += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            level -= 1
+        if level > _MOST_LEVELS:
+            line = "" if event.start_mark is None else f":{event.start_mark.line + 1}"
+            raise InputError(f"{path}{line}: nested too deeply; a target list has a few levels")
+
+
+def _places(path: Path, root: yaml.Node | None) -> Callable[[KeyPath], str]:
+    def place(location: KeyPath) -> str:
+        """The line of the innermost part that a location leads to: that of its key, where it has one."""
+        node, line = root, 1
+        for key in location:
+            if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
+                node = at = node.value[key]
+            elif isinstance(node, yaml.MappingNode):
+                below = [(name, value) for name, value in node.value if name.value == key]
+                if not below:
+                    break
+                at, node = below[-1]
+            else:
+                break
+            line = at.start_mark.line + 1
+        return f"{path}:{line}"
+
+    return place

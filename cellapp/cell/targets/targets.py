@@ -1,0 +1,453 @@
+"""Targets: SMR positions and flange rotations in any frame of the cell. Lists of them, read from files and checked."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from cellapp.cell.profile.messages import KeyPath, short
+from cellapp.cell.targets.frame_points import frame_fault, three_points
+from cellapp.cell.targets.records import TargetRecord
+from cellapp.cell.targets.target_csv import read_csv
+from cellapp.cell.targets.target_source import TargetSource, checked, placed_error, refusal, sentences
+from cellapp.cell.targets.target_yaml import read_yaml
+from cellapp.cell.targets.written_rotation import ROTATIONS, with_rpy
+from cellapp.ground.profile import CellPoint, Profile
+from drivers.quantities import ArmLength, Length, Mass, Temperature, Time, Turn
+from drivers.settings import Section
+
+_LOOSEST_M = 0.01
+"""Arms that are not calibrated do better: what is beyond was meant in millimetres, as 0.1 without a unit."""
+_FARTHEST_M = 10.0
+"""No arm reaches farther from a base: what is beyond was meant in millimetres."""
+_DIGEST = 16
+"""Hexadecimal digits of a digest: 64 bits tell the versions of one target apart."""
+_BASE, _TRACKER = "base", "tracker"
+_POINT: TypeAdapter[tuple[float, ...]] = TypeAdapter(CellPoint)
+_THREE = ("origin", "x", "xy")
+
+
+def _tolerance(value: float) -> float:
+    if not 0.0 < value <= _LOOSEST_M:
+        raise ValueError(
+            f"expected a tolerance above 0 and at most {_LOOSEST_M * 1e3:g} mm, got {value:g} m;"
+            f" a plain number is metres, write '{value:g} mm' for mm"
+        )
+    return value
+
+
+class FramePoint(Section):
+    """One point of a work frame: its coordinates in that frame and where it was measured [m]."""
+
+    nominal: CellPoint
+    measured: CellPoint
+
+
+class WorkFrame(Section):
+    """A work frame W, given by three or more points measured in ``parent``: "tracker" or the name of an arm (its base).
+
+    The pose of W in ``parent`` is the rigid registration of the points. A file may give ``in`` for ``parent``, and for
+    ``points`` three measured ones: ``origin``, ``x`` on the positive x axis, ``xy`` in the x-y plane with y > 0.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    parent: str = _TRACKER
+    points: Annotated[tuple[FramePoint, ...], Field(min_length=3)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_file(cls, values: object) -> object:
+        if not isinstance(values, Mapping):
+            return values
+        keys = {"parent" if key == "in" else key: value for key, value in values.items()}
+        three = [key for key in _THREE if key in keys]
+        if not three or "points" in keys:
+            return keys
+        if missing := [key for key in _THREE if key not in keys]:
+            raise placed_error((missing[0],), f"missing; give {', '.join(_THREE)}, or points")
+        measured = [checked(_POINT, keys.pop(key), (key,)) for key in _THREE]
+        nominal = three_points(*np.array(measured)).tolist()
+        keys["points"] = [{"nominal": place, "measured": point} for place, point in zip(nominal, measured, strict=True)]
+        return keys
+
+    @model_validator(mode="after")
+    def _one_rigid_body(self) -> Self:
+        nominal, measured = (
+            np.array([getattr(point, which) for point in self.points]) for which in ("nominal", "measured")
+        )
+        if fault := frame_fault(nominal, measured):
+            raise ValueError(fault)
+        return self
+
+
+class WorkingConditions(Section):
+    """Conditions at a target that effects depend on; None where not stated.
+
+    Attributes
+    ----------
+    payload : float or None
+        [kg]; None: that of the profile.
+    temperature : float or None
+        Of arm and air [degC].
+    time : float or None
+        Since the run began [s]; None: now, the state at the end of the run.
+    dwell : float or None
+        Rest before the arm works or is measured [s].
+    """
+
+    payload: Annotated[Mass, Field(ge=0.0)] | None = None
+    temperature: Annotated[Temperature, Field(ge=-50.0, le=100.0)] | None = None
+    time: Annotated[Time, Field(ge=0.0)] | None = None
+    dwell: Annotated[Time, Field(ge=0.0)] | None = None
+
+
+class Partner(Section):
+    """The second arm of a cooperative target: where its SMR is, seen from the first arm's SMR.
+
+    ``position`` [m] and ``rpy`` are in the frame with its origin at the first arm's SMR centre and the axes of the
+    first arm's flange. Without ``rpy`` the rotation of the second flange is free.
+    """
+
+    arm: str
+    position: tuple[ArmLength, ArmLength, ArmLength]
+    rpy: tuple[Turn, Turn, Turn] | None = None
+    conditions: WorkingConditions = WorkingConditions()
+
+    _rotation = model_validator(mode="before")(with_rpy)
+
+
+class Target(Section):
+    """One target: SMR position and flange rotation ``rot_z(yaw) rot_y(pitch) rot_x(roll)`` in a frame.
+
+    Attributes
+    ----------
+    name, arm : str
+    position : three numbers
+        SMR centre [m].
+    rpy : three numbers or None
+        Roll, pitch, yaw [rad]; None: any rotation will do.
+    frame : str
+        "base": the arm's own base; "tracker"; the name of an arm: that arm's base; else the name of ``work_frame``.
+    work_frame : WorkFrame or None
+    tolerance : float or None
+        How far the SMR may be from the target, and the distance between two SMRs from the wanted one [m].
+    approach : signs or None
+        Preferred sign of each joint's last motion, 0 where it does not matter; None: as the way leads.
+    conditions : WorkingConditions
+        Of ``arm``.
+    partner : Partner or None
+        The other arm of a cooperative target.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    arm: str
+    position: CellPoint
+    rpy: tuple[Turn, Turn, Turn] | None = None
+    frame: str = "base"
+    work_frame: WorkFrame | None = None
+    tolerance: Annotated[Length, AfterValidator(_tolerance)] | None = None
+    approach: tuple[Literal[-1, 0, 1], ...] | None = None
+    conditions: WorkingConditions = WorkingConditions()
+    partner: Partner | None = None
+
+    _rotation = model_validator(mode="before")(with_rpy)
+
+    @property
+    def tolerance_mm(self) -> float | None:
+        """Tolerance [mm]."""
+        return None if self.tolerance is None else self.tolerance * 1e3
+
+    @property
+    def arms(self) -> tuple[str, ...]:
+        """The arms that go there."""
+        return (self.arm,) if self.partner is None else (self.arm, self.partner.arm)
+
+
+class TargetList(Section):
+    """A file of targets.
+
+    ``frames`` are work frames by name; ``conditions``, by the name of an arm, hold wherever a target states none.
+    """
+
+    schema_: Literal["cellapp-targets"] = Field(alias="schema")
+    version: Literal[1]
+    frames: dict[str, WorkFrame] = Field(default_factory=dict)
+    conditions: dict[str, WorkingConditions] = Field(default_factory=dict)
+    targets: Annotated[tuple[Target, ...], Field(min_length=1)]
+
+    @field_validator("frames", mode="before")
+    @classmethod
+    def _with_names(cls, frames: object) -> object:
+        if not isinstance(frames, dict):
+            return frames
+        return {name: {**keys, "name": name} if isinstance(keys, dict) else keys for name, keys in frames.items()}
+
+    @field_validator("targets", mode="before")
+    @classmethod
+    def _resolved(cls, targets: object, info: ValidationInfo) -> object:
+        frames, conditions = info.data.get("frames", {}), info.data.get("conditions", {})
+        if not isinstance(targets, list):
+            return targets
+        return [_with_sections(keys, frames, conditions) if isinstance(keys, dict) else keys for keys in targets]
+
+
+@dataclass(frozen=True)
+class TargetProblem:
+    """Why a target does not fit the cell or the other targets: the key that is wrong, and words to follow its name."""
+
+    key: str
+    text: str
+
+
+def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
+    """Read a target list: CSV where the name of the file ends so, else YAML, whose ``targets`` may name a CSV file.
+
+    Raises
+    ------
+    InputError
+        With file, line and target of the first few problems.
+    """
+    joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
+    with _collector_paused():
+        source = _source(Path(path), joints)
+        try:
+            listed = TargetList.model_validate(source.content)
+        except ValidationError as error:
+            found = sentences(source, error, _known_keys)
+            another_file = [(at, words) for at, words in found if at in (("schema",), ("version",))]
+            raise refusal(source, another_file or found) from None
+        if misfits := [*_section_problems(listed, profile), *_target_problems(listed, profile)]:
+            raise refusal(source, misfits)
+    return listed.targets
+
+
+def set_problem(
+    target: Target, others: Iterable[Target], profile: Profile, frames: Iterable[str] = ()
+) -> TargetProblem | None:
+    """Why a target does not fit the cell or the other targets; None if it does. ``frames`` are known work frames."""
+    listed = list(others)
+    return next(
+        (problem for index, problem in list_problems([*listed, target], profile, frames) if index == len(listed)), None
+    )
+
+
+def list_problems(
+    targets: Sequence[Target], profile: Profile, frames: Iterable[str] = ()
+) -> Iterator[tuple[int, TargetProblem]]:
+    """The targets that do not fit the cell or those before them, by their place in the list, with the reason."""
+    known: dict[str, WorkFrame] = {}
+    names: set[str] = set()
+    work_frames = dict.fromkeys([*frames, *(t.work_frame.name for t in targets if t.work_frame is not None)])
+    for index, target in enumerate(targets):
+        frame = target.work_frame
+        if problem := _misfit(target, profile, work_frames):
+            yield index, problem
+        elif target.name in names:
+            yield index, TargetProblem("name", " is listed twice; give every target its own name")
+        elif frame is not None and not _same(known.setdefault(frame.name, frame), frame):
+            text = f": another target has a frame '{frame.name}' with other points; give one of them another name"
+            yield index, TargetProblem("frame", text)
+        names.add(target.name)
+
+
+def frame_names(profile: Profile) -> tuple[str, ...]:
+    """The frames that need no points."""
+    return (_BASE, _TRACKER, *profile.arms)
+
+
+def frame_problem(frame: WorkFrame, profile: Profile) -> str:
+    """Why a work frame does not fit the cell; empty if it does."""
+    if frame.name in frame_names(profile):
+        return f"'{frame.name}' is the name of a frame that every cell has; give the work frame another name"
+    parents = (_TRACKER, *profile.arms)
+    if frame.parent not in parents:
+        return f"in: expected {', '.join(parents)}, where its points were measured, got '{short(frame.parent)}'"
+    return ""
+
+
+def same_target(target: Target, stored: TargetRecord) -> bool:
+    """Whether a stored result is about this target as it is now. A result of an earlier version does not say."""
+    now = (target.name, target.frame, target.position, target.rpy, target.tolerance_mm)
+    then = (stored.name, stored.frame, stored.position, stored.rpy, stored.tolerance_mm)
+    if now != then or stored.arm not in target.arms or stored.partner != partner_of(target, stored.arm):
+        return False
+    return stored.definition in ("", definition(target))
+
+
+def target_record(target: Target, arm: str) -> TargetRecord:
+    """What a result about one arm's part in a target keeps of the target."""
+    return TargetRecord(
+        name=target.name,
+        arm=arm,
+        position=target.position,
+        rpy=target.rpy,
+        tolerance_mm=target.tolerance_mm,
+        frame=target.frame,
+        partner=partner_of(target, arm),
+        definition=definition(target),
+    )
+
+
+def partner_of(target: Target, arm: str) -> str:
+    """The other arm of a cooperative target; empty if there is none."""
+    return next((name for name in target.arms if name != arm), "")
+
+
+def definition(target: Target) -> str:
+    """A digest of all that a target says: frame, partner and conditions too."""
+    return hashlib.sha256(target.model_dump_json().encode()).hexdigest()[:_DIGEST]
+
+
+@contextlib.contextmanager
+def _collector_paused() -> Iterator[None]:
+    """Without the cyclic garbage collector: on a long list it would take most of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+# -- what is written --------------------------------------------------------------------------------------------------
+
+
+def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
+    if path.suffix.lower() == ".csv":
+        return read_csv(path, joints)
+    source = read_yaml(path)
+    name = source.content.get("targets") if isinstance(source.content, dict) else None
+    if not isinstance(name, str) or not name.lower().endswith(".csv"):
+        return source
+    rows = read_csv(path.parent / name, joints)
+    assert isinstance(source.content, dict)
+    assert isinstance(rows.content, dict)
+    content = {**source.content, "targets": rows.content["targets"]}
+
+    def place(at: KeyPath) -> str:
+        return (rows if at[:1] == ("targets",) else source).place(at)
+
+    return TargetSource(content, place, rows.key, rows.words)
+
+
+def _with_sections(
+    keys: Mapping[str, Any], frames: Mapping[str, WorkFrame], conditions: Mapping[str, WorkingConditions]
+) -> dict[str, Any]:
+    """The keys of a target with its work frame and the conditions of its arms."""
+    resolved = {**keys}
+    frame = keys.get("frame")
+    if isinstance(frame, str) and frame in frames:
+        resolved["work_frame"] = frames[frame]
+    if conditions:
+        resolved |= _conditions(keys, conditions)
+        if isinstance(partner := keys.get("partner"), dict):
+            resolved["partner"] = {**partner, **_conditions(partner, conditions)}
+    return resolved
+
+
+def _conditions(keys: Mapping[str, Any], usual: Mapping[str, WorkingConditions]) -> dict[str, Any]:
+    """The conditions of one arm at a target: those of the file where the target does not state its own."""
+    arm, own = keys.get("arm"), keys.get("conditions")
+    if not isinstance(arm, str) or arm not in usual:
+        return {}
+    if isinstance(own, dict):
+        return {"conditions": {**usual[arm].model_dump(exclude_none=True), **own}}
+    return {"conditions": usual[arm]} if own is None else {}
+
+
+# -- what does not fit ------------------------------------------------------------------------------------------------
+
+
+def _section_problems(listed: TargetList, profile: Profile) -> Iterator[tuple[KeyPath, str]]:
+    for name, frame in listed.frames.items():
+        if problem := frame_problem(frame, profile):
+            yield ("frames", name), f"frame '{short(name)}': {problem}"
+    for name in listed.conditions:
+        if name not in profile.arms:
+            yield ("conditions", name), f"conditions: no arm '{short(name)}'; arms are {', '.join(profile.arms)}"
+
+
+def _target_problems(listed: TargetList, profile: Profile) -> Iterator[tuple[KeyPath, str]]:
+    for index, problem in list_problems(listed.targets, profile, listed.frames):
+        yield ("targets", index, problem.key), f"target '{short(listed.targets[index].name)}'{problem.text}"
+
+
+def _misfit(target: Target, profile: Profile, frames: Iterable[str]) -> TargetProblem | None:
+    """Why a target does not fit the cell."""
+    if target.arm not in profile.arms:
+        return TargetProblem("arm", f": no arm '{short(target.arm)}'; arms are {', '.join(profile.arms)}")
+    frame, known = target.work_frame, frame_names(profile)
+    if frame is None and target.frame not in known:
+        names = ", ".join([*known, *frames])
+        return TargetProblem(
+            "frame",
+            f": no frame '{short(target.frame)}'; frames are {names}; a YAML list, whose targets: may name a CSV file,"
+            " gives others under frames:",
+        )
+    if frame is not None and (frame.name != target.frame or frame_problem(frame, profile)):
+        return TargetProblem("frame", f": {frame_problem(frame, profile) or 'its work frame has another name'}")
+    far = max(abs(value) for value in target.position)
+    if target.frame in known and target.frame != _TRACKER and far > _FARTHEST_M:
+        text = f": {far:g} m is farther from the base than any arm reaches; is it {far:g} mm?"
+        return TargetProblem("position", text)
+    joints = len(profile.arms[target.arm].type.joints)
+    if target.approach is not None and len(target.approach) != joints:
+        text = (
+            f": approach: expected {joints} signs, one for each joint of arm {target.arm}, got {len(target.approach)}"
+        )
+        return TargetProblem("approach", text)
+    return None if target.partner is None else _partner_misfit(target, target.partner, profile)
+
+
+def _partner_misfit(target: Target, partner: Partner, profile: Profile) -> TargetProblem | None:
+    others = ", ".join(name for name in profile.arms if name != target.arm) or "none: this cell has one arm"
+    if partner.arm not in profile.arms:
+        return TargetProblem("partner", f": partner: no arm '{short(partner.arm)}'; the others are {others}")
+    if partner.arm == target.arm:
+        text = f": partner: arm {partner.arm} cannot be its own partner; the others are {others}"
+        return TargetProblem("partner", text)
+    if target.rpy is None:
+        text = ": a partner's place is given in the axes of the first arm's flange; give the target a rotation"
+        return TargetProblem("rpy", text)
+    return None
+
+
+def _same(first: WorkFrame, second: WorkFrame) -> bool:
+    return first is second or first == second
+
+
+def _known_keys(at: KeyPath) -> list[str]:
+    """The keys that a file may have beside the one to which a path leads."""
+    places: Mapping[object, tuple[type[Section], Sequence[str]]] = {
+        "conditions": (WorkingConditions, ()),
+        "partner": (Partner, ROTATIONS[1:]),
+        "points": (FramePoint, ()),
+    }
+    section = [key for key in at[:-1] if isinstance(key, str)]
+    if section and section[-1] in places:
+        shape, more = places[section[-1]]
+    elif section[:1] == ["targets"]:
+        shape, more = Target, ROTATIONS[1:]
+    elif section[:1] == ["frames"]:
+        return ["in", "points", *_THREE]
+    else:
+        shape, more = TargetList, ()
+    names = [info.alias or name for name, info in shape.model_fields.items() if name != "work_frame"]
+    return [*names, *more]

@@ -1,0 +1,284 @@
+"""By how much the SMR may be elsewhere because nobody stated a condition that effects of the model depend on.
+
+A condition that is not stated is taken at a default: payload as in the profile, temperatures at the mean of the run,
+time at its end, dwell as in the run. A side of approach is chosen, and stands beside the command (``sides.py``): what
+another one does is said, and is no uncertainty. Plausible are
+
+- payload: that of the profile and what the run covered: it is no unknown where all readings had that of the profile;
+- temperature and time: what the run covered;
+- dwell: from nothing to the longest of the run, as production may not wait.
+
+The size stated is the largest distance of the SMR from where the default puts it; the covariance is the second moment
+about that, with conditions uniform over their ranges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.records import UnknownCondition
+from cellapp.robot.effects import EFFECTS, DriverVariable, EffectTerm, MeasurementConditions
+from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+
+_POINTS = np.linspace(0.0, 1.0, 5)
+"""Places in a range at which effects are evaluated: they are monotonic or slow in their conditions."""
+_MATTERS_M = 1e-6
+"""Below a micrometre, which is what a command may miss its target by, a condition does not matter."""
+
+
+@dataclass(frozen=True, eq=False)
+class OneUnknown:
+    """One unknown condition at n commands.
+
+    Attributes
+    ----------
+    condition : str
+    effects : tuple of str
+        Slugs of the effects that depend on it.
+    largest_m : array, shape (n,)
+        Largest distance of the SMR from where the default puts it [m]; zero where the condition is stated.
+    covariance : array, shape (n, 3, 3)
+        Second moment of that [m^2].
+    """
+
+    condition: str
+    effects: tuple[str, ...]
+    largest_m: Array
+    covariance: Array
+
+    def take(self, rows: NDArray[np.intp]) -> OneUnknown:
+        """The same at some of the commands."""
+        return replace(self, largest_m=self.largest_m[rows], covariance=self.covariance[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """What the sides do from which joints come to n commands, where these do not state them.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Slugs of the effects that depend on them.
+    vectors : array, shape (n, N, 3)
+        By how much each joint's positive side moves the SMR from the middle of both [m].
+    """
+
+    effects: tuple[str, ...]
+    vectors: Array
+
+    @property
+    def matter(self) -> NDArray[np.bool_]:
+        """Joints (n, N) whose side matters."""
+        return np.asarray(np.linalg.norm(self.vectors, axis=2) >= _MATTERS_M)
+
+    def other_sides(self, signs: Array) -> OneUnknown:
+        """What may happen to commands for the sides ``signs`` (n, N) that are approached from others.
+
+        Nothing of it counts as uncertainty: a command says for which side it holds. Where it names none, it is at the
+        middle, and either side is as likely.
+        """
+        sided = np.any(signs != 0.0, axis=1)
+        taken = 2.0 * signs[:, :, None] * self.vectors  # from where a joint comes to where it would come from
+        away = np.einsum("sj,njc->nsc", _subsets(taken.shape[1]), taken)
+        largest = np.linalg.norm(away, axis=2).max(axis=1)
+        covariance = np.where(sided[:, None, None], 0.0, _second_moment(self.vectors))
+        return OneUnknown("approach", self.effects, np.where(sided, largest, _largest_sum(self.vectors)), covariance)
+
+
+def unknown_conditions(
+    arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges
+) -> list[OneUnknown]:
+    """The conditions but the approach that matter to some of n commands ``q`` (n, N) [rad] and that these do not
+    state."""
+    found = [
+        _over_range("payload", arm, q, conditions, _payloads(arm, ranges)),
+        _over_range("temperature", arm, q, conditions, _temperatures(ranges)),
+        _over_range("time", arm, q, conditions, _times(ranges)),
+        _dwell(arm, q, conditions, ranges),
+    ]
+    return [one for one in found if one is not None and one.largest_m.max(initial=0.0) >= _MATTERS_M]
+
+
+def approach_sides(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Sides | None:
+    """What the sides do that n commands ``q`` (n, N) [rad] do not state; None where no effect depends on them."""
+    terms = _dependent(arm, "approach")
+    if not terms:
+        return None
+    mover = _Mover.of(arm, terms, q)
+    stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
+    vectors = []
+    for joint in range(q.shape[1]):
+        plus, minus = (mover.shift(_driven(conditions, stated, joint, side, ranges)) for side in (1.0, -1.0))
+        vectors.append(np.where(stated[:, joint, None] == 0.0, 0.5 * (plus - minus), 0.0))
+    return Sides(_slugs(terms), np.stack(vectors, axis=1))
+
+
+def unknown_records(found: Sequence[OneUnknown], row: int) -> tuple[UnknownCondition, ...]:
+    """The conditions that matter to one command, for its result."""
+    return tuple(
+        UnknownCondition(condition=one.condition, effects=one.effects, mm=float(one.largest_m[row]) * 1e3)
+        for one in found
+        if one.largest_m[row] >= _MATTERS_M
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+_Change = Callable[[MeasurementConditions, float, int], MeasurementConditions]
+"""The conditions of n commands with one of them at a place of its range, 0 to 1."""
+
+_DEPENDENT = {
+    "approach": frozenset({DriverVariable.APPROACH, DriverVariable.STEP}),
+    "payload": frozenset({DriverVariable.PAYLOAD, DriverVariable.TORQUE}),
+    "temperature": frozenset({DriverVariable.AIR_TEMPERATURE, DriverVariable.JOINT_TEMPERATURE}),
+    "time": frozenset({DriverVariable.TIME}),
+    "dwell": frozenset({DriverVariable.DWELL}),
+}
+_STATED = {"payload": "payload_kg", "temperature": "air_c", "time": "time_s", "dwell": "dwell_s"}
+
+
+def _dependent(arm: ArmModel, condition: str) -> tuple[EffectTerm, ...]:
+    """The model's effects that depend on a condition."""
+    return tuple(term for term in arm.effects if _variables(term) & _DEPENDENT[condition])
+
+
+def _variables(term: EffectTerm) -> frozenset[DriverVariable]:
+    own = term.law.form.variables or EFFECTS[term.slug].variables
+    return own | {one.driver.driver for one in term.modulations if one.driver is not None}
+
+
+def _unstated(conditions: MeasurementConditions, condition: str, n: int) -> NDArray[np.bool_]:
+    values = getattr(conditions, _STATED[condition])
+    return np.ones(n, dtype=bool) if values is None else np.isnan(values)
+
+
+@dataclass(frozen=True, eq=False)
+class _Mover:
+    """SMR shifts by some effects at configurations ``q`` (n, N)."""
+
+    arm: ArmModel
+    q: Array
+    by_joint: Array
+
+    @classmethod
+    def of(cls, arm: ArmModel, terms: tuple[EffectTerm, ...], q: Array) -> _Mover:
+        _, by_joint = joint_jacobian(arm.geometry, JointAngles.of(q))
+        return cls(replace(arm, effects=terms, network=None, posterior=None), q, by_joint)
+
+    def shift(self, conditions: MeasurementConditions) -> Array:
+        """Shift (n, 3) [m] to first order in the joint offsets."""
+        moved = self.arm.effect_displacement(self.q, conditions=conditions)
+        return np.asarray(moved.shift_M + np.einsum("cjn,nj->nc", self.by_joint, moved.joints))
+
+
+def _slugs(terms: Sequence[EffectTerm]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(term.slug for term in terms))
+
+
+def _driven(
+    conditions: MeasurementConditions, stated: Array, joint: int, side: float, ranges: ConditionRanges
+) -> MeasurementConditions:
+    """The conditions with one joint coming from one side, by a step of usual size where the run knows it."""
+    approach = stated.copy()
+    approach[:, joint] = side
+    return replace(conditions, approach=approach, step=None if ranges.step is None else approach * ranges.step)
+
+
+def _dwell(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> OneUnknown | None:
+    """Shorter rest leaves more of the last motion of each joint, whichever side it came from."""
+    terms = _dependent(arm, "dwell")
+    if not terms or ranges.dwell_s is None or ranges.step is None:
+        return None
+    mover, n = _Mover.of(arm, terms, q), len(q)
+    rows = _unstated(conditions, "dwell", n)
+    each = []
+    for joint in range(q.shape[1]):
+        driven = _driven(conditions, np.zeros(q.shape), joint, 1.0, ranges)
+        default = mover.shift(driven)
+        each.append(
+            [mover.shift(replace(driven, dwell_s=np.full(n, place * ranges.dwell_s[1]))) - default for place in _POINTS]
+        )
+    moved = np.where(rows[:, None, None], np.array(each).transpose(1, 2, 0, 3), 0.0)
+    largest = np.max([_largest_sum(one) for one in moved], axis=0)
+    covariance = np.mean([_second_moment(one) for one in moved], axis=0)
+    return OneUnknown("dwell", _slugs(terms), largest, covariance)
+
+
+def _over_range(
+    condition: str, arm: ArmModel, q: Array, conditions: MeasurementConditions, change: _Change | None
+) -> OneUnknown | None:
+    """A condition that moves the SMR along one curve over its range."""
+    terms = _dependent(arm, condition)
+    if not terms or change is None:
+        return None
+    mover, n = _Mover.of(arm, terms, q), len(q)
+    default = mover.shift(conditions)
+    moved = np.array([mover.shift(change(conditions, place, n)) - default for place in _POINTS.tolist()])
+    moved = np.where(_unstated(conditions, condition, n)[:, None], moved, 0.0)
+    largest = np.linalg.norm(moved, axis=2).max(axis=0)
+    covariance = np.einsum("pna,pnb->nab", moved, moved) / len(moved)
+    return OneUnknown(condition, _slugs(terms), largest, covariance)
+
+
+def _payloads(arm: ArmModel, ranges: ConditionRanges) -> _Change | None:
+    nominal = arm.bodies.payload_mass
+    low, high = ranges.payload_kg or (nominal, nominal)
+    low, high = min(low, nominal), max(high, nominal)
+    if low == high:
+        return None
+    return lambda conditions, place, n: replace(conditions, payload_kg=np.full(n, low + place * (high - low)))
+
+
+def _temperatures(ranges: ConditionRanges) -> _Change | None:
+    if ranges.air_c is None and ranges.joints_c is None:
+        return None
+
+    def change(conditions: MeasurementConditions, place: float, n: int) -> MeasurementConditions:
+        joints_c = ranges.joints_c
+        low, high = ranges.air_c or (0.0, 0.0)
+        return replace(
+            conditions,
+            air_c=None if ranges.air_c is None else np.full(n, low + place * (high - low)),
+            joints_c=None if joints_c is None else np.tile(joints_c[0] + place * (joints_c[1] - joints_c[0]), (n, 1)),
+        )
+
+    return change
+
+
+def _times(ranges: ConditionRanges) -> _Change | None:
+    if ranges.time_s is None and ranges.stops < 2:
+        return None
+
+    def change(conditions: MeasurementConditions, place: float, n: int) -> MeasurementConditions:
+        low, high = ranges.time_s or (np.nan, np.nan)
+        return replace(
+            conditions,
+            time_s=np.full(n, low + place * (high - low)),
+            order=np.full(n, place * (ranges.stops - 1)),
+        )
+
+    return change
+
+
+def _largest_sum(vectors: Array) -> Array:
+    """Largest length (n,) of the sum of vectors (n, N, 3), each with either sign."""
+    signs = np.array([(1.0, *rest) for rest in product((1.0, -1.0), repeat=vectors.shape[1] - 1)])
+    return np.asarray(np.linalg.norm(np.einsum("sj,njc->nsc", signs, vectors), axis=2).max(axis=1))
+
+
+def _subsets(joints: int) -> Array:
+    """All choices of some of the joints (2^N, N), as zeros and ones."""
+    return np.array(list(product((0.0, 1.0), repeat=joints)))
+
+
+def _second_moment(vectors: Array) -> Array:
+    """Covariance (n, 3, 3) of the sum of vectors (n, N, 3), each with either sign."""
+    return np.asarray(np.einsum("nja,njb->nab", vectors, vectors))

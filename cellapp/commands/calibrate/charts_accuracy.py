@@ -1,0 +1,251 @@
+"""Charts of accuracy: held-out errors by stage, over the joints and in space, and of the pair.
+
+Errors of an arm are those of ``HeldOutArm.errors_mm``, which predicts with every model when it is first asked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.commands.calibrate.view import cooperative_noise_mm
+from cellapp.commands.report.data import HeldOutArm
+from cellapp.commands.view.camera import levelling_rotation
+from cellapp.commands.view.charts import (
+    STAGE_STYLES,
+    Axis,
+    Chart,
+    Key,
+    Series,
+    bar_chart,
+    drawable_mm,
+    error_counts,
+    mm,
+    noise_limit,
+    series,
+)
+from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS
+from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, PairHeldOut
+from cellapp.ground.results import STAGES, Method
+from cellapp.robot.kinematics.transforms import Array
+
+_BINS_A_ROOT = 2.0
+"""Bins of a histogram for the root of the number of errors: 100 errors of four stages fill 20 bins."""
+_PARTS = 8
+"""Parts of a joint's range that are compared in words: of 100 held-out configurations each has a dozen."""
+_FEW = 5
+"""A part of fewer configurations has no mean worth a sentence."""
+_UNEVEN = 1.3
+"""A part of a joint's range is named where its mean error is that much above the mean of all: a dozen errors of one
+spread differ by less."""
+_METHOD_STYLES: Mapping[Method, int] = {"method_1": 1, "method_2": 4, "proposed": 2, "effects": 3}
+"""Styles of the methods of the pair: those of the stages that they build on."""
+_CURVE = 30
+"""Points of a curve on a logarithmic axis."""
+_NO_HELD_OUT = "No held-out readings: calibrate first."
+
+
+def stage_chart(name: str, arm: ArmCalibrationResult) -> Chart:
+    """Held-out rms position error of each stage as bars."""
+    rms = {stage: arm.validate_[stage].position_mm.rms for stage in STAGES if stage in arm.validate_}
+    message = _NO_HELD_OUT
+    if rms:
+        first, last = next(iter(rms)), list(rms)[-1]
+        message = f"Held-out rms error: {mm(rms[first])} {STAGE_WORDS[first]}, {mm(rms[last])} {STAGE_WORDS[last]}."
+        if arm.tracker_mm:
+            message += f" The tracker's own noise is {mm(arm.tracker_mm)}."
+    bars = {STAGE_WORDS[stage]: (value, mm(value)) for stage, value in rms.items()}
+    return bar_chart(f"Arm {name}: held-out error by stage", bars, Axis("rms", "mm"), message)
+
+
+# -- histograms -------------------------------------------------------------------------------------------------------
+
+
+def error_histogram_chart(name: str, errors_mm: Mapping[str, Array], floor_mm: float | None) -> Chart:
+    """Histogram of the held-out position errors (n,) [mm] by stage, with the noise floor."""
+    errors: dict[str, Array] = {stage: errors_mm[stage] for stage in STAGES if stage in errors_mm}
+    x = Axis("position error", "mm", logarithmic=True)
+    return _histogram(f"Arm {name}: held-out errors", x, errors, STAGE_STYLES, STAGE_WORDS, floor_mm)
+
+
+def pair_held_out(calibrate: CalibrateResult) -> dict[Method, PairHeldOut]:
+    """Errors of the held-out stops by method of the pair, for methods whose errors were stored by stop."""
+    found = {method: calibrate.pair[method].held_out for method in _METHOD_STYLES if method in calibrate.pair}
+    return {method: stops for method, stops in found.items() if stops is not None}
+
+
+def pair_histogram_chart(calibrate: CalibrateResult) -> Chart:
+    """Histogram of the cooperative errors by method, with the noise that the tracker alone would cause."""
+    errors = {method: np.array(stops.cooperative_mm) for method, stops in pair_held_out(calibrate).items()}
+    x = Axis("cooperative error", "mm", logarithmic=True)
+    floor_mm = cooperative_noise_mm(calibrate)
+    return _histogram("Pair: held-out errors", x, errors, _METHOD_STYLES, METHOD_WORDS, floor_mm)
+
+
+def _histogram(
+    title: str,
+    x: Axis,
+    errors_mm: Mapping[Key, Array],
+    style: Mapping[Key, int],
+    words: Mapping[Key, str],
+    floor_mm: float | None,
+) -> Chart:
+    """Outlines of the histograms of some errors, each with its style, and its words in the message."""
+    y = Axis("configurations")
+    errors = {key: finite for key, values in errors_mm.items() if len(finite := values[np.isfinite(values)])}
+    if not errors:
+        return Chart(title, x, y, (), _NO_HELD_OUT)
+    every = drawable_mm(np.concatenate([*errors.values(), [floor_mm] if floor_mm else []]))
+    bins = math.ceil(_BINS_A_ROOT * math.sqrt(max(len(values) for values in errors.values())))
+    edges, counts = error_counts(errors, float(every.min()) / 1.25, float(every.max()) * 1.25, bins)
+    drawn = tuple(_outline(key, edges, count, style[key]) for key, count in counts.items())
+    ends = [next(iter(errors)), list(errors)[-1]][: len(errors)]
+    medians = [f"{mm(float(np.median(errors[key])))} ({words[key]})" for key in ends]
+    message = f"Median error: {', '.join(medians)}." + (f" The noise floor is {mm(floor_mm)}." if floor_mm else "")
+    return Chart(title, x, y, drawn, message, noise_limit(floor_mm, "x"), by_stage=True)
+
+
+def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> Series:
+    """The outline of a histogram from its first to its last error."""
+    used = np.flatnonzero(counts)
+    first, last = int(used[0]), int(used[-1]) + 1
+    x = [edges[first], *edges[first : last + 1]]
+    return series(name, x, [0.0, *counts[first:last], 0.0], "steps", style=style)
+
+
+# -- errors stop by stop ----------------------------------------------------------------------------------------------
+
+
+def stop_error_chart(name: str, held_out: HeldOutArm, floor_mm: float | None) -> Chart:
+    """Position error of each held-out configuration by stage, with the noise floor."""
+    title = f"Arm {name}: position error of each held-out configuration"
+    errors: dict[str, Array] = {stage: held_out.errors_mm[stage] for stage in STAGES if stage in held_out.errors_mm}
+    stops = held_out.readings.configuration
+    return _stop_errors(title, "position error", stops, errors, STAGE_STYLES, STAGE_WORDS, floor_mm)
+
+
+def pair_stop_chart(calibrate: CalibrateResult) -> Chart:
+    """Cooperative error of each held-out stop by method of the pair, with the tracker's noise."""
+    stored = pair_held_out(calibrate)
+    errors = {method: np.array(stops.cooperative_mm) for method, stops in stored.items()}
+    stops = np.array(next(iter(stored.values())).configuration if stored else [])
+    title, floor = "Pair: cooperative error of each held-out stop", cooperative_noise_mm(calibrate)
+    return _stop_errors(title, "cooperative error", stops, errors, _METHOD_STYLES, METHOD_WORDS, floor)
+
+
+def _stop_errors(
+    title: str,
+    label: str,
+    stops: NDArray[np.int64],
+    errors_mm: Mapping[Key, Array],
+    style: Mapping[Key, int],
+    words: Mapping[Key, str],
+    floor_mm: float | None,
+) -> Chart:
+    x, y = Axis("configuration"), Axis(label, "mm", logarithmic=True)
+    if not errors_mm or not len(stops):
+        return Chart(title, x, y, (), _NO_HELD_OUT)
+    drawn = tuple(
+        series(key, stops, drawable_mm(errors), "points", style=style[key]) for key, errors in errors_mm.items()
+    )
+    first, last = next(iter(errors_mm)), list(errors_mm)[-1]
+    before, after = errors_mm[first], errors_mm[last]
+    worst = int(np.argmax(after))
+    message = f"The largest of {len(stops)} errors is {mm(float(after[worst]))} ({words[last]}), at {stops[worst]}"
+    if last != first:
+        message += f"; it was {mm(float(before.max()))} ({words[first]})"
+    return Chart(title, x, y, drawn, f"{message}.", noise_limit(floor_mm), by_stage=True)
+
+
+def certainty_chart(name: str, predicted_mm: Array, errors_mm: Array, noise_mm: float) -> Chart:
+    """Position error (n,) [mm] over the standard deviation of a coordinate (n,) that the model predicts for it.
+
+    The line is the root mean square error that predictions stand for, with ``noise_mm`` of a measured coordinate.
+    """
+    x = Axis("predicted standard deviation", "mm", logarithmic=True)
+    predicted, errors = drawable_mm(predicted_mm), drawable_mm(errors_mm)
+    at = np.geomspace(predicted.min(), predicted.max(), _CURVE)
+    expected = math.sqrt(3.0) * np.hypot(at, noise_mm)
+    drawn = (
+        series("one held-out configuration", predicted, errors, "points", style=STAGE_STYLES["effects"]),
+        series("error to be expected with the noise of measuring (rms)", at, expected, style=5, mark=":"),
+    )
+    ratio = float(np.sqrt(np.mean(errors**2) / np.mean(3.0 * (predicted**2 + noise_mm**2))))
+    message = (
+        f"Errors are {ratio:.2f} times as large as expected (rms); of that, the model alone is predicted to be off by"
+        f" {mm(float(at[0]))} to {mm(float(at[-1]))} in each coordinate."
+    )
+    title = f"Arm {name}: position error against predicted uncertainty"
+    return Chart(title, x, Axis("position error", "mm", logarithmic=True), drawn, message, by_stage=True)
+
+
+# -- residuals over the joints and in space ---------------------------------------------------------------------------
+
+
+def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int, stages: Sequence[str] = STAGES) -> Chart:
+    """Held-out position error of some stages over the angle of one joint (from 1)."""
+    angle = np.degrees(held_out.readings.q[:, joint - 1])
+    errors = {stage: errors for stage, errors in held_out.errors_mm.items() if stage in stages}
+    drawn = tuple(
+        series(stage, angle, drawable_mm(values), "points", style=STAGE_STYLES[stage])
+        for stage, values in errors.items()
+    )
+    message = _NO_HELD_OUT
+    if errors and len(angle):
+        stage, values = list(errors.items())[-1]
+        message = f"{STAGE_WORDS[stage].capitalize()}: {along_joint(angle, values)}"
+    x, y = Axis(f"joint {joint}", "deg"), Axis("position error", "mm", logarithmic=True)
+    return Chart(f"Arm {name}: error over joint {joint}", x, y, drawn, message, by_stage=True)
+
+
+def along_joint(angle: Array, errors_mm: Array) -> str:
+    """Where along the angles (n,) [deg] of a joint the mean of the errors (n,) [mm] is largest, in a sentence's end.
+
+    Parts of the range are compared that have the same number of configurations.
+    """
+    parts = np.array_split(np.argsort(angle), max(min(_PARTS, len(angle) // _FEW), 1))
+    mean = float(np.mean(errors_mm))
+    worst = max(parts, key=lambda rows: float(np.mean(errors_mm[rows])))
+    largest = float(np.mean(errors_mm[worst]))
+    if largest < _UNEVEN * mean:
+        return f"mean error {mm(mean)}, about the same along the whole range."
+    low, high = angle[worst].min(), angle[worst].max()
+    return f"mean error {mm(mean)}, largest from {low:.0f}° to {high:.0f}° ({mm(largest)})."
+
+
+def residual_space_chart(
+    name: str, held_out: HeldOutArm, stage: str, view: Literal["above", "side"] = "above"
+) -> Chart:
+    """Held-out position errors of one stage where the SMR was, in the tracker frame with its z axis up.
+
+    Three classes of size are drawn: the smaller half, up to the 90th percentile, and the largest tenth.
+    """
+    up = 1 if view == "above" else 2
+    title = f"Arm {name}: error in space, {STAGE_WORDS[stage]}, from {'above' if view == 'above' else 'the side'}"
+    axes = Axis("x", "m"), Axis("xyz"[up], "m")
+    errors = held_out.errors_mm.get(stage)
+    if errors is None or len(errors) == 0:
+        return Chart(title, *axes, (), _NO_HELD_OUT)
+    position = held_out.readings.p_M @ levelling_rotation(held_out.calibrated.up_M).T
+    half, most = np.quantile(errors, (0.5, 0.9))
+    classes = (
+        (f"up to {mm(half)}", errors <= half, "·", 0),
+        (f"up to {mm(most)}", (errors > half) & (errors <= most), "○", 1),
+        ("larger", errors > most, "●", 5),
+    )
+    drawn = tuple(
+        series(words, position[rows, 0], position[rows, up], "points", style=style, mark=mark)
+        for words, rows, mark, style in classes
+        if rows.any()
+    )
+    worst = int(np.argmax(errors))
+    x, y, z = position[worst]
+    message = (
+        f"Nine of ten errors are below {mm(most)}; the largest, {mm(errors[worst])}, is at x = {x:.2f},"
+        f" y = {y:.2f}, z = {z:.2f} m."
+    )
+    return Chart(title, *axes, drawn, message, equal=True)

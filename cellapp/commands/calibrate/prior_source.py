@@ -1,0 +1,178 @@
+"""The earlier run whose calibration is taken as prior: read, checked, and turned into beliefs about its arms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+
+from cellapp.cell.driving.controllers import ControllerIdentity, recorded_controllers
+from cellapp.cell.run import RunFile
+from cellapp.commands.stages import PriorBasis, StoredStage, earlier_digest, read_stages
+from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.estimation.calibration.records import ArmPriorResult, CalibrateResult
+from cellapp.estimation.prior.belief import Belief
+from cellapp.estimation.prior.earlier import Earlier, believed
+from cellapp.ground.errors import InputError
+from cellapp.ground.results import CALIBRATE
+from cellapp.ground.times import day_of
+from cellapp.robot.model.nominal import nominal_arm
+
+_MOST_EARLIER = 20
+"""Earlier runs in a row that are followed; more would be a circle."""
+
+
+def earlier_arms(run: RunFile, folder: Path) -> dict[str, Earlier]:
+    """The earlier calibration in ``folder`` of every arm of ``run`` that it has.
+
+    Raises
+    ------
+    InputError
+        If ``folder`` is no run, is this run, is not calibrated or out of date, or holds no arm of this run; or if an
+        arm is of another type or has another controller there.
+    """
+    if folder.is_file():
+        raise InputError(
+            f"--prior {folder}: a file does not hold how certain all values are; give the folder of the earlier run"
+        )
+    if folder.resolve() == run.folder.resolve():
+        raise InputError(f"--prior {folder}: this is the same run; give the folder of an earlier one")
+    with RunFile.open(folder) as earlier:
+        stages = read_stages(earlier)
+        stage = stage_in_force(earlier, stages)
+        if stale := stages.outdated_arms():  # an arm that changed since is what a prior is for
+            raise InputError(f"--prior {folder}: {stale}; run '{stages.next_step(folder)}' first")
+        if all(_same_readings(run, earlier, name) for name in run.profile.arms):
+            raise InputError(f"--prior {folder}: it holds the same readings as {run.folder}; they would count twice")
+        names = [name for name in run.profile.arms if name in earlier.profile.arms]
+        if not names:
+            raise InputError(
+                f"--prior {folder}: it has the arms {', '.join(earlier.profile.arms)}, this run has"
+                f" {', '.join(run.profile.arms)}"
+            )
+        notes = {name: _same_arm(run, earlier, name) for name in names}
+        return {name: _earlier(earlier, stage, name, notes[name]) for name in names}
+
+
+def _same_readings(run: RunFile, earlier: RunFile, name: str) -> bool:
+    if name not in earlier.profile.arms:
+        return False
+    now, then = run.readings(name), earlier.readings(name)
+    return len(now) == len(then) > 0 and bool(np.array_equal(now.p_M, then.p_M) and np.array_equal(now.q, then.q))
+
+
+def _same_arm(run: RunFile, earlier: RunFile, name: str) -> tuple[str, ...]:
+    """Notes on the identity of an arm. Raises ``InputError`` if it is another one."""
+    here, there = run.profile.arms[name].type, earlier.profile.arms[name].type
+    where = f"--prior {earlier.folder}: arm '{name}'"
+    if here.model != there.model:
+        raise InputError(f"{where} is a {there.model} there and a {here.model} here; give the same arm's earlier run")
+    rows, its = (nominal_arm(one.profile.arms[name]).rows for one in (run, earlier))
+    if not np.array_equal(rows, its):
+        raise InputError(f"{where} has another nominal D-H table there; use the same arm file for both runs")
+    now, then = recorded_controllers(run).get(name), recorded_controllers(earlier).get(name)
+    if now is None or then is None:
+        return (
+            f"arm '{name}': {_who_knows(now, then)} knows its controller; that {earlier.folder} is of the"
+            " same arm is taken from you",
+        )
+    for what, a, b in (("model", then.model, now.model), ("serial number", then.serial, now.serial)):
+        if a and b and a != b:
+            raise InputError(f"{where} has another controller: {what} {a} there, {b} here. Its calibration is not used")
+    if then.dh_checksum != now.dh_checksum:
+        return (f"arm '{name}': the controller's own D-H calibration was changed since {earlier.folder}",)
+    return ()
+
+
+def _who_knows(now: ControllerIdentity | None, then: ControllerIdentity | None) -> str:
+    if now is None and then is None:
+        return "neither this nor the earlier run"
+    return "only the earlier run" if now is None else "only this run"
+
+
+def _earlier(run: RunFile, stage: StoredStage, name: str, notes: tuple[str, ...]) -> Earlier:
+    belief, count = _believed(run, stage, name, 0)
+    kept = {term.slug for term in belief.terms}
+    controller = recorded_controllers(run).get(name)
+    return Earlier(
+        belief=belief,
+        run=run.folder.resolve(),
+        stage=cast(Literal["calibrate", "discover"], stage.name),
+        digest=earlier_digest(run, name),
+        since=day_of(run.created or stage.written),
+        readings=count,
+        controller=None if controller is None else controller.serial or None,
+        left_behind=tuple(
+            dict.fromkeys(term.slug for term in model_of(run, stage).arms[name].effects if term.slug not in kept)
+        ),
+        notes=notes,
+    )
+
+
+def _believed(run: RunFile, stage: StoredStage, name: str, depth: int) -> tuple[Belief, int]:
+    """What a run says of an arm, with the earlier runs that it had as prior, and the number of its readings."""
+    models, readings = model_of(run, stage).arms, {arm: run.readings(arm) for arm in run.profile.arms}
+    record = _prior_of(run, name)
+    if record is None:
+        return believed(run.profile, name, models, readings)
+    if depth >= _MOST_EARLIER:
+        raise InputError(f"{run.folder}: more than {_MOST_EARLIER} earlier runs in a row")
+    with open_recorded(run, record) as earlier:
+        before, _ = _believed(earlier, stage_in_force(earlier, read_stages(earlier)), name, depth + 1)
+    return believed(run.profile, name, models, readings, before, record.since)
+
+
+def open_recorded(run: RunFile, record: ArmPriorResult) -> RunFile:
+    """Open the earlier run that a calibration names. Raises ``InputError`` if it is not there any more."""
+    try:
+        return RunFile.open(Path(record.run))
+    except InputError as error:
+        raise InputError(
+            f"{run.folder} was calibrated with {record.run} as prior, which cannot be read ({error}); put it back,"
+            " or calibrate again with --prior"
+        ) from None
+
+
+def _prior_of(run: RunFile, name: str) -> ArmPriorResult | None:
+    """The record of the prior that an arm's calibration used; None without one."""
+    stage = read_stages(run).current.get(CALIBRATE)
+    if stage is None:
+        return None
+    result = CalibrateResult.from_json(stage.text, f"{run.path}: {CALIBRATE}")
+    return result.arms[name].prior if name in result.arms else None
+
+
+def basis_of_priors(earlier: Mapping[str, Earlier]) -> dict[str, PriorBasis]:
+    """What a stage rests on beside its own run."""
+    return {name: PriorBasis(run=str(its.run), sha256=its.digest) for name, its in earlier.items()}
+
+
+def earlier_of_calibration(run: RunFile) -> dict[str, Earlier]:
+    """The earlier calibrations that the calibration of a run used; empty if it used none.
+
+    Raises
+    ------
+    InputError
+        If the earlier run is not there any more, or has changed since.
+    """
+    records = recorded_priors(run)
+    if not records:
+        return {}
+    folder = Path(next(iter(records.values())).run)
+    with open_recorded(run, next(iter(records.values()))):
+        found = earlier_arms(run, folder)
+    changed = [name for name, record in records.items() if name not in found or found[name].digest != record.sha256]
+    if changed:
+        raise InputError(
+            f"{run.path}: the earlier calibration {folder} has changed since; run 'cellapp calibrate {run.folder}"
+            f" --prior {folder}' again"
+        )
+    return {name: found[name] for name in records}
+
+
+def recorded_priors(run: RunFile) -> dict[str, ArmPriorResult]:
+    """The record of the prior of every arm that has one."""
+    found = {name: _prior_of(run, name) for name in run.profile.arms}
+    return {name: record for name, record in found.items() if record is not None}

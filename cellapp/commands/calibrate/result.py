@@ -1,0 +1,120 @@
+"""The result of ``calibrate`` from the calibration's own objects."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
+from cellapp.estimation.calibration.inter_base_transform import PAIR_NAMES
+from cellapp.estimation.calibration.network_training import Shape, Training
+from cellapp.estimation.calibration.pair_calibration import PairCalibration, PairMethod
+from cellapp.estimation.calibration.records import (
+    ArmCalibrationResult,
+    CalibrateResult,
+    NetworkResult,
+    NetworkTrial,
+    PairEstimate,
+    PairHeldOut,
+    PairMethodResult,
+    Scatter,
+)
+from cellapp.ground.results import Estimate, Method
+from cellapp.robot.kinematics.transforms import zyx_angles
+
+_SCATTER = "root of chi-square per degree of freedom against the stated uncertainty, or metres without one"
+
+
+def calibrate_result(calibration: Calibration) -> CalibrateResult:
+    """The object that ``calibrate --json`` writes and that the run file keeps."""
+    return CalibrateResult(
+        arms={name: arm_result(arm) for name, arm in calibration.arms.items()},
+        pair={} if calibration.pair is None else pair_result(calibration.pair),
+        notes=calibration.notes,
+        provenance=calibration.provenance,
+    )
+
+
+def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
+    """Calibration of one arm."""
+    found = arm.identification
+    estimates = zip(found.names, found.values.tolist(), found.standard_errors.tolist(), found.units, strict=True)
+    return ArmCalibrationResult(
+        identified={
+            name: Estimate(value=value, standard_error=error, unit=unit) for name, value, error, unit in estimates
+        },
+        rank=len(found.parameter_set.columns),
+        parameter_set=found.parameter_set.name,
+        merged=found.parameter_set.merged,
+        iterations=found.iterations,
+        converged=found.converged,
+        message=found.message,
+        condition=found.condition if math.isfinite(found.condition) else None,
+        observability=found.observability,
+        scatter=Scatter(value=found.scale, meaning=_SCATTER),
+        excess_mm=arm.excess_m * 1e3,
+        degrees_of_freedom=found.degrees_of_freedom,
+        splits=arm.counts,
+        tracker_mm=arm.tracker_mm,
+        repeatability_mm=arm.repeatability,
+        network=None if arm.training is None else _network(arm.training),
+        prior=arm.prior,
+        left_out_configurations=arm.left_out,
+        left_out_splits=arm.left_out_counts,
+        validate_=arm.validate,
+    )
+
+
+def pair_result(pair: PairCalibration) -> dict[Method, PairMethodResult]:
+    """The pair by method."""
+    return {name: _method(method, pair) for name, method in pair.methods.items()}
+
+
+def _network(training: Training) -> NetworkResult:
+    return NetworkResult(
+        used=training.network is not None,
+        inputs=training.shape.inputs,
+        hidden=(training.shape.hidden,),
+        turning=training.shape.rotates_with_joint_1,
+        left_out_rms_mm=training.left_out_rms * 1e3,
+        without_rms_mm=training.without_rms * 1e3,
+        tried=tuple(_trial(shape, error) for shape, error in training.tried),
+    )
+
+
+def _trial(shape: Shape, left_out_rms_m: float) -> NetworkTrial:
+    return NetworkTrial(
+        inputs=shape.inputs,
+        hidden=(shape.hidden,),
+        turning=shape.rotates_with_joint_1,
+        left_out_rms_mm=left_out_rms_m * 1e3,
+    )
+
+
+def _method(method: PairMethod, pair: PairCalibration) -> PairMethodResult:
+    found, tracker = method.identification, method.T_R_L_tracker
+    by_tracker = [*tracker[:3, 3].tolist(), *zyx_angles(tracker[:3, :3])]
+    estimates = zip(PAIR_NAMES, found.values.tolist(), found.standard_errors.tolist(), by_tracker, strict=True)
+    summaries = {"distances": method.by_distances, "tracker": method.by_tracker}
+    return PairMethodResult(
+        cooperative_mm=summaries[pair.chosen],
+        transform=pair.chosen,
+        by_transform_mm=summaries,
+        identified={
+            name: PairEstimate(
+                value=value, standard_error=error, unit="m" if name in "xyz" else "rad", by_tracker=other
+            )
+            for name, value, error, other in estimates
+        },
+        iterations=found.iterations,
+        converged=found.converged,
+        splits=pair.counts,
+        held_out=PairHeldOut(
+            configuration=tuple(pair.stops.tolist()),
+            cooperative_mm=tuple(abs(error) * 1e3 for error in method.errors[pair.chosen].tolist()),
+            position_mm={
+                arm: tuple(error * 1e3 for error in cast("list[float]", errors.tolist()))
+                for arm, errors in method.position_errors.items()
+            },
+        ),
+    )

@@ -1,0 +1,224 @@
+"""Accuracy tables of calibration and verification, for terminal, TUI and page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
+from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
+from cellapp.commands.compensate.words import all_measured, arms_words, shown_tolerance
+from cellapp.commands.discover.tables import discovery_tables
+from cellapp.commands.locate.view import location_tables
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.view.table import Cell, Column, Interval, Table, most_urgent, number_column, part_table
+from cellapp.commands.view.words import geometry_unit
+from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult
+from cellapp.ground.results import METHODS, STAGES, ErrorSummary
+
+MM = ".4f"
+"""Number format of errors in mm: a tenth of a micrometre, below the tracker's resolution."""
+
+_ERROR_COLUMNS = (
+    *(number_column(title, MM) for title in ("mean", "rms", "std", "max")),
+    number_column("n", "d"),
+)
+_DETAILED_COLUMNS = (
+    *(number_column(title, MM) for title in ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")),
+    number_column("n", "d"),
+)
+_TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
+_PAIRS = "between arms"
+_PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
+
+
+def all_tables(results: RunResults) -> list[Table]:
+    """Tables of the calibration, and of a discovery, a location and a verification that are not out of date."""
+    tables: list[Table] = []
+    if results.calibrate is not None:
+        tables += calibration_tables(results.calibrate)
+    if results.discover is not None and "discover" not in results.out_of_date:
+        tables += discovery_tables(results.discover)
+    if results.locate is not None and "locate" not in results.out_of_date:
+        tables += location_tables(results.locate)
+    if results.verify is not None and "verify" not in results.out_of_date:
+        tables += verification_tables(results.verify)
+    return tables
+
+
+def out_of_date_sentences(results: RunResults) -> list[str]:
+    """One sentence for each result that no longer holds, with the reason."""
+    return [f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items()]
+
+
+def calibration_tables(result: CalibrateResult) -> list[Table]:
+    """Held-out errors by stage, one table for each arm, and of the pair by method; priors and what has changed."""
+    tables = []
+    for name, arm in result.arms.items():
+        rows = [(label, *_error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
+        tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *_ERROR_COLUMNS), tuple(rows)))
+    if result.pair:
+        rows = [
+            (method, *_error_cells(result.pair[method].cooperative_mm)) for method in METHODS if method in result.pair
+        ]
+        tables.append(Table(_PAIR_TITLE, (Column("method"), *_ERROR_COLUMNS), tuple(rows)))
+    return [*tables, *prior_tables(result)]
+
+
+def detailed_tables(result: CalibrateResult) -> list[Table]:
+    """``calibration_tables`` with percentiles, the 95 % interval of each mean, and the ratio to the tracker's noise.
+
+    The ratio is the rms error over the rms error that the stated uncertainty of the tracker alone would cause.
+    """
+    columns = (*_DETAILED_COLUMNS, number_column("rms / tracker", ".1f"))
+    tables = []
+    for name, arm in result.arms.items():
+        noise_mm = {"position": arm.tracker_mm or None, "distance": distance_mm(arm.tracker_mm, arm.tracker_mm)}
+        rows = [
+            (label, *_detailed_cells(summary), _ratio(summary, noise_mm[measure]))
+            for label, measure, summary in _stage_summaries(arm)
+        ]
+        tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *columns), tuple(rows)))
+    if result.pair:
+        noise = cooperative_noise_mm(result)
+        summaries = {method: result.pair[method].cooperative_mm for method in METHODS if method in result.pair}
+        rows = [(method, *_detailed_cells(errors), _ratio(errors, noise)) for method, errors in summaries.items()]
+        tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
+    return [*tables, *prior_tables(result)]
+
+
+def transform_tables(result: CalibrateResult) -> list[Table]:
+    """Cooperative errors with either inter-base transform on the same held-out stops; empty without a pair."""
+    rows = [
+        (f"{method}, by {_TRANSFORMS[transform]}", *_detailed_cells(summary))
+        for method in METHODS
+        if method in result.pair
+        for transform, summary in result.pair[method].by_transform_mm.items()
+    ]
+    if not rows:
+        return []
+    columns = (Column("method, transform"), *_DETAILED_COLUMNS)
+    return [Table("Pair: cooperative errors by either transform [mm]", columns, tuple(rows))]
+
+
+def parameter_tables(result: CalibrateResult) -> list[Table]:
+    """Identified parameters with standard errors, one table for each arm."""
+    columns = (
+        Column("parameter"),
+        number_column("value", ".5f"),
+        number_column("standard error", ".5f"),
+        Column("unit"),
+    )
+    tables = []
+    for name, arm in result.arms.items():
+        rows: list[tuple[Cell, ...]] = []
+        for parameter, estimate in arm.identified.items():
+            factor, unit = geometry_unit(estimate.unit)
+            error = estimate.standard_error
+            rows.append((parameter, estimate.value * factor, None if error is None else error * factor, unit))
+        tables.append(Table(f"Arm {name}: identified parameters", columns, tuple(rows)))
+    return tables
+
+
+def merged_words(shares: Mapping[str, float]) -> str:
+    """Parameters that take the place of a dropped one, with their shares."""
+    return ", ".join(f"{share:+.4g} {kept}" for kept, share in shares.items()) or "nothing (no effect)"
+
+
+def verification_tables(result: VerifyResult) -> list[Table]:
+    """Errors at new targets before and after compensation, and the targets with a tolerance.
+
+    Empty if no target was measured with both commands.
+    """
+    measured = dict(result.arms) if result.cooperative is None else {**result.arms, _PAIRS: result.cooperative}
+    rows = [
+        (f"{name}, {label}", *_error_cells(summary))
+        for name, arm in measured.items()
+        for label, summary in (("uncompensated", arm.nominal_mm), ("compensated", arm.compensated_mm))
+    ]
+    if not rows:
+        return []
+    title = "Targets: measured distance from where they should be [mm]"
+    return [Table(title, (Column("arm, command"), *_ERROR_COLUMNS), tuple(rows)), *_tolerance_tables(result)]
+
+
+def _tolerance_tables(result: VerifyResult) -> list[Table]:
+    """Single and cooperative targets with a tolerance; where these are many, those with the largest share of it."""
+    judged = [one for one in all_measured(result) if one.tolerance_mm is not None]
+    rows: list[tuple[Cell, ...]] = [
+        (
+            one.name,
+            one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms),
+            one.final_mm,
+            shown_tolerance(one.tolerance_mm),
+            one.verdict,
+        )
+        for one in most_urgent(judged, lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf))
+    ]
+    columns = (
+        Column("target"),
+        Column("arm"),
+        number_column("compensated", MM),
+        number_column("tolerance", "g"),
+        Column("tolerance met"),
+    )
+    return [part_table("Targets with a tolerance [mm]", columns, rows, len(judged))] if rows else []
+
+
+def tracker_sentences(result: CalibrateResult) -> list[str]:
+    """Compare the error of each arm's last stage with the stated uncertainty of the tracker; where priors come from."""
+    sentences = []
+    for name, arm in result.arms.items():
+        if arm.tracker_mm is None:
+            sentences.append(f"arm {name}: the readings state no uncertainty to compare with")
+            continue
+        rms = arm.validate_[arm.best_stage].position_mm.rms
+        sentences.append(
+            f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
+            f" {arm.tracker_mm:.4f} mm"
+        )
+    return [*sentences, *prior_sentences(result)]
+
+
+def distance_mm(first: float | None, second: float | None) -> float | None:
+    """Root mean square error [mm] of the distance of two points, from the rms lengths of their noise [mm].
+
+    A distance has the noise of each point along one direction of three: sqrt((a^2 + b^2) / 3). None if either length
+    is not known.
+    """
+    return None if not first or not second else math.sqrt((first**2 + second**2) / 3.0)
+
+
+def cooperative_noise_mm(result: CalibrateResult) -> float | None:
+    """Root mean square cooperative error [mm] that the stated uncertainty of the tracker alone would cause."""
+    lengths = [arm.tracker_mm for arm in result.arms.values()]
+    return distance_mm(lengths[0], lengths[1]) if len(lengths) == 2 else None
+
+
+def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
+    return f"Arm {name}: held-out errors [mm] ({arm.rank} parameters, {arm.iterations} iterations)"
+
+
+def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSummary]]:
+    """Label, measure (position or distance) and errors of each stage."""
+    found = []
+    for stage in STAGES:
+        if stage in arm.validate_:
+            errors = arm.validate_[stage]
+            found.append((f"{stage}, position", "position", errors.position_mm))
+            if errors.distance_mm is not None:
+                found.append((f"{stage}, distance", "distance", errors.distance_mm))
+    return found
+
+
+def _error_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
+    return summary.mean, summary.rms, summary.std, summary.max, summary.n
+
+
+def _detailed_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
+    interval = None if summary.mean_ci95 is None else Interval(*summary.mean_ci95)
+    return summary.mean, interval, summary.rms, summary.std, summary.p50, summary.p95, summary.max, summary.n
+
+
+def _ratio(summary: ErrorSummary, noise_mm: float | None) -> float | None:
+    return None if noise_mm is None else summary.rms / noise_mm

@@ -1,0 +1,263 @@
+"""Uncertainty budget of a measured error of position, by JCGM 100:2008 (GUM). Pure functions, no I/O.
+
+The measured error is the distance of the measured SMR from where it was commanded. Each contribution is the standard
+uncertainty of a coordinate in its worst direction; the error is a length, whose sensitivity to a shift is at most 1
+(GUM 5.1.3). The contributions are independent of each other, so that their variances add (GUM 5.1.2, equation 10), and
+the expanded uncertainty is twice the combined one (GUM 6.2.1, k = 2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from cellapp.cell.targets.records import MeasuredTarget, UncertaintyParts
+from cellapp.commands.certificate.result import UncertaintyContribution
+from cellapp.commands.run_results import RunResults
+from cellapp.estimation.discovery.records import ArmDiscoveryResult
+from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.acceptance import MPE_SHARE, MpeRule
+from cellapp.ground.profile.schema import ArmType, PermissibleError
+from cellapp.ground.results import COMPENSATE, DISCOVER, LOCATE, VERIFY
+
+COVERAGE = 2.0
+"""Coverage factor k; about 95 % for a normal distribution (GUM 6.2.1, G.6.6)."""
+AIR_PER_KELVIN = 1e-6
+"""Change of a measured range with the air temperature [1/K]: the refractive index of air falls by 0.93e-6 per kelvin at
+20 degC, 1013 hPa (Ciddor, Applied Optics 35 (1996) 1566)."""
+ALUMINIUM = 23e-6
+"""Thermal expansion [1/K] of the links of most arms; magnesium and steel are at 26e-6 and 12e-6."""
+
+MPE_WORDS: Mapping[MpeRule, str] = {
+    "rectangular": "divided by the square root of 3 (rectangular: any error up to it is as likely)",
+    "half": "divided by 2 (tolerances.mpe: half was chosen)",
+}
+"""How the standard uncertainty is taken from a maximum permissible error."""
+
+TRACKER, CENTERING, AIR = "tracker", "SMR centering", "air temperature"
+REPEATABILITY, MODEL, STATION, GROWTH = "arm repeatability", "calibrated model", "station", "thermal growth of the arm"
+
+
+def position_budget(
+    profile: Profile, results: RunResults, arm: str, measured: MeasuredConditions | None = None
+) -> tuple[UncertaintyContribution, ...]:
+    """Contributions to the uncertainty of a position error of ``arm``; those that nobody gave have no value.
+
+    ``measured`` are the conditions of its readings: the thermal growth of the arm is only stated where they have
+    temperatures, and distances are theirs where no target was verified.
+    """
+    return _position(profile, results, arm, _farthest_m(results, arm, measured), _model(results, arm), measured)
+
+
+def target_budget(
+    profile: Profile,
+    results: RunResults,
+    arm: str,
+    distance_m: float,
+    parts: UncertaintyParts | None = None,
+    measured: MeasuredConditions | None = None,
+) -> tuple[UncertaintyContribution, ...]:
+    """The same contributions at one place, ``distance_m`` from the tracker; ``parts`` are those of the command."""
+    model = _model(results, arm)
+    if parts is not None:
+        model = _line(MODEL, _of_model_mm(parts), "A", "posterior of the model in force at the command")
+    return _position(profile, results, arm, distance_m, model, measured)
+
+
+def distance_budget(position: Sequence[UncertaintyContribution]) -> tuple[UncertaintyContribution, ...]:
+    """Contributions to the error of the distance between two positions of one arm, from those of a position.
+
+    Both positions count, as if they were independent: a bound, because what both have in common cancels. The station
+    does not matter: a motion of the whole frame changes no distance.
+    """
+    return tuple(
+        one if one.standard_mm is None else one.model_copy(update={"standard_mm": math.sqrt(2.0) * one.standard_mm})
+        for one in position
+        if one.source != STATION
+    )
+
+
+def combined_mm(contributions: Iterable[UncertaintyContribution]) -> float | None:
+    """Combined standard uncertainty [mm]; None where a contribution was not given, as the sum would be too small."""
+    values = [one.standard_mm for one in contributions]
+    known = [value for value in values if value is not None]
+    return math.hypot(*known) if known and len(known) == len(values) else None
+
+
+def expanded_mm(contributions: Iterable[UncertaintyContribution]) -> float | None:
+    """Expanded uncertainty [mm], k = 2; None as in ``combined_mm``."""
+    combined = combined_mm(contributions)
+    return None if combined is None else COVERAGE * combined
+
+
+def not_given(contributions: Iterable[UncertaintyContribution]) -> list[str]:
+    """Names of the contributions without a value."""
+    return list(dict.fromkeys(one.source for one in contributions if one.standard_mm is None))
+
+
+def permissible_mm(error: PermissibleError, distance_m: float) -> float:
+    """A maximum permissible error at a distance [mm]."""
+    return (error.constant + error.proportional * distance_m) * 1e3
+
+
+# -- contributions ----------------------------------------------------------------------------------------------------
+
+
+def _tracker(profile: Profile, farthest_m: float | None) -> UncertaintyContribution:
+    tracker = profile.tracker
+    if tracker is None or farthest_m is None:
+        return _line(TRACKER, None, "B", "not given: the profile states no tracker, or no distance was measured")
+    across, along = (permissible_mm(error, farthest_m) for error in (tracker.transverse, tracker.range))
+    rule = profile.tolerances.mpe
+    basis = (
+        f"stated maximum permissible error at {farthest_m:.2f} m: {across:.4f} mm across the beam, {along:.4f} mm along"
+        f" it; the larger counts, {MPE_WORDS[rule]}"
+    )
+    return _line(TRACKER, max(across, along) * MPE_SHARE[rule], "B", basis)
+
+
+def _centering(profile: Profile) -> UncertaintyContribution:
+    stated = profile.traceability.smr_centering
+    if stated is None:
+        return _line(CENTERING, None, "B", "not given (traceability.smr_centering)")
+    return _line(CENTERING, stated * 1e3, "B", "stated standard uncertainty of the optical centre (traceability)")
+
+
+def _air(profile: Profile, farthest_m: float | None) -> UncertaintyContribution:
+    kelvin = profile.traceability.air_temperature_uncertainty
+    if kelvin is None or farthest_m is None:
+        return _line(AIR, None, "B", "not given (traceability.air_temperature_uncertainty)")
+    basis = f"stated {kelvin:g} K along the beam, {AIR_PER_KELVIN * 1e6:g} µm/m per kelvin, at {farthest_m:.2f} m"
+    return _line(AIR, AIR_PER_KELVIN * kelvin * farthest_m * 1e3, "B", basis)
+
+
+def _repeatability(results: RunResults, arm: str) -> UncertaintyContribution:
+    """What the readings scatter beyond the tracker's statement: about the model with its effects, else of repeats.
+
+    The model with effects comes first: repeats of an arm with backlash scatter by the side that they came from, which
+    a compensated command accounts for.
+    """
+    found = _discovered(results, arm)
+    if found is not None and found.scatter is not None and found.noise_mm is not None:
+        tracker = found.noise_mm.rms / math.sqrt(3.0)
+        excess = tracker * math.sqrt(max(found.scatter**2 - 1.0, 0.0))
+        basis = (
+            f"scatter of the readings about the model is {found.scatter:.2f} times the {found.noise_mm.source} noise of"
+            f" {tracker:.4f} mm a coordinate; what exceeds it"
+        )
+        return _line(REPEATABILITY, excess, "A", basis)
+    calibrated = None if results.calibrate is None else results.calibrate.arms.get(arm)
+    repeats = None if calibrated is None else calibrated.repeatability_mm
+    if calibrated is None or repeats is None:
+        return _line(REPEATABILITY, None, "A", "not given: no stop was repeated and no discovery holds")
+    scatter = repeats.coordinate
+    tracker = (calibrated.tracker_mm or 0.0) / math.sqrt(3.0)
+    basis = (
+        f"{repeats.n} repeated stops scatter by {scatter:.4f} mm a coordinate; what exceeds the tracker's"
+        f" {tracker:.4f} mm"
+    )
+    return _line(REPEATABILITY, math.sqrt(max(scatter**2 - tracker**2, 0.0)), "A", basis)
+
+
+def _model(results: RunResults, arm: str) -> UncertaintyContribution:
+    """Where the target is in the tracker frame rests on the calibrated model: its posterior at the commands."""
+    commands = [] if results.compensate is None or COMPENSATE in results.out_of_date else results.compensate.targets
+    parts = [one.parts for one in commands if one.arm == arm and one.parts is not None]
+    if parts:
+        return _line(
+            MODEL,
+            max(map(_of_model_mm, parts)),
+            "A",
+            f"posterior of the model in force, largest of {len(parts)} commands",
+        )
+    found = _discovered(results, arm)
+    if found is not None and found.uncertainty_mm is not None:
+        return _line(MODEL, found.uncertainty_mm.largest, "A", "posterior of the model, largest at held-out stops")
+    return _line(MODEL, None, "A", "not given: no posterior of the model in force is stored")
+
+
+def _station(results: RunResults) -> list[UncertaintyContribution]:
+    """Only where the tracker was located after it was moved."""
+    located = results.locate
+    if located is None or not located.moved or LOCATE in results.out_of_date:
+        return []
+    return [_line(STATION, located.uncertainty_mm, "A", "the tracker was moved and located by a few points")]
+
+
+def _growth(
+    arm_type: ArmType, found: ArmDiscoveryResult | None, measured: MeasuredConditions | None
+) -> UncertaintyContribution | None:
+    """Growth of the arm over the temperatures that were measured; None without any.
+
+    Where a discovery holds, readings at all these temperatures were compared with the model: growth that it lacks is
+    part of their scatter, which counts as repeatability.
+    """
+    spans = [] if measured is None else [span for span in (measured.air_c, measured.joints_c) if span is not None]
+    if not spans:
+        return None
+    half = max(high - low for low, high in spans) / 2.0
+    if found is not None and found.scatter is not None:
+        grows = any(one.effect == "thermal_growth" for one in found.accepted)
+        how = "the model corrects it" if grows else "none was found"
+        basis = f"{how} over the {2.0 * half:.1f} K that were measured; what is left is part of the arm's scatter above"
+        return _line(GROWTH, 0.0, "A", basis)
+    reach = sum(abs(joint.a) + abs(joint.d) for joint in arm_type.joints)
+    basis = (
+        f"temperatures within {half:.1f} K of their middle, rectangular; aluminium ({ALUMINIUM * 1e6:g} µm/m per"
+        f" kelvin) over {reach:.2f} m of links"
+    )
+    return _line(GROWTH, ALUMINIUM * reach * half / math.sqrt(3.0) * 1e3, "B", basis)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _position(
+    profile: Profile,
+    results: RunResults,
+    arm: str,
+    distance_m: float | None,
+    model: UncertaintyContribution,
+    measured: MeasuredConditions | None,
+) -> tuple[UncertaintyContribution, ...]:
+    growth = _growth(profile.arms[arm].type, _discovered(results, arm), measured)
+    return (
+        _tracker(profile, distance_m),
+        _centering(profile),
+        _air(profile, distance_m),
+        _repeatability(results, arm),
+        model,
+        *_station(results),
+        *([] if growth is None else [growth]),
+    )
+
+
+def _of_model_mm(parts: UncertaintyParts) -> float:
+    """Standard uncertainty [mm] of a coordinate by the model alone."""
+    return math.hypot(parts.parameters, parts.effects, parts.network, parts.extrapolation)
+
+
+def _line(source: str, standard_mm: float | None, evaluation: str, basis: str) -> UncertaintyContribution:
+    return UncertaintyContribution.model_validate(
+        {"source": source, "standard_mm": standard_mm, "evaluation": evaluation, "basis": basis}
+    )
+
+
+def _discovered(results: RunResults, arm: str) -> ArmDiscoveryResult | None:
+    """The discovery of an arm, while it holds."""
+    if results.discover is None or DISCOVER in results.out_of_date:
+        return None
+    return results.discover.arms.get(arm)
+
+
+def _farthest_m(results: RunResults, arm: str, measured: MeasuredConditions | None) -> float | None:
+    """Largest distance of the SMR from the tracker at the verified targets, else of the readings [m]."""
+    verify = None if VERIFY in results.out_of_date else results.verify
+    targets: Sequence[MeasuredTarget] = () if verify is None else verify.targets
+    points = [one.measured_M for one in targets if one.arm == arm and one.measured_M is not None]
+    if points:
+        return float(np.linalg.norm(np.array(points), axis=1).max())
+    return None if measured is None or measured.distance_m is None else measured.distance_m[1]

@@ -1,0 +1,109 @@
+"""Characteristics of ISO 9283 against the tolerances of a profile: the worst pose of each arm decides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from cellapp.cell.driving.iso9283.programme import NORM_CYCLES, NORM_DRIFT_MIN, wanted_cycles
+from cellapp.estimation.iso9283.records import (
+    ISO_COMMANDS,
+    ArmIso9283,
+    CommandedTests,
+    IsoCommands,
+    IsoTest,
+    IsoValue,
+    PairIso9283,
+)
+from cellapp.estimation.uncertainty.decision import conformity
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.ground.profile.acceptance import Tolerances
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A characteristic at one place of one test."""
+
+    characteristic: Characteristic
+    test: IsoTest
+    at: str
+    value: IsoValue
+
+
+def judge_characteristics(
+    tolerances: Tolerances, arms: Mapping[str, ArmIso9283], pairs: tuple[PairIso9283, ...], cycles: int
+) -> tuple[Judgement, ...]:
+    """Judge each characteristic that has a tolerance, at the place where it is largest.
+
+    Calibrated commands are judged where they were measured, else nominal ones. A characteristic from fewer cycles than
+    the norm's is not judged, unless fewer were asked for (``cycles``).
+    """
+    found: list[Judgement] = []
+    for name, arm in arms.items():
+        kind = _last(arm.tests)
+        if kind is not None:
+            found += _judged(tolerances, name, kind, list(_of_arm(arm.tests[kind])), cycles)
+    for pair in pairs:
+        kind = _last(pair.distance)
+        if kind is not None:
+            each = [
+                _Found("cooperative", "cooperative", " and ".join(one.between), one.accuracy)
+                for one in pair.distance[kind]
+            ]
+            found += _judged(tolerances, " and ".join(pair.arms), kind, each, cycles)
+    return tuple(found)
+
+
+def _judged(
+    tolerances: Tolerances, where: str, kind: IsoCommands, found: list[_Found], cycles: int
+) -> Iterator[Judgement]:
+    for characteristic in dict.fromkeys(one.characteristic for one in found):
+        tolerance_m = getattr(tolerances, characteristic)
+        if tolerance_m is None:
+            continue
+        own = [one for one in found if one.characteristic == characteristic]
+        worst = max(own, key=lambda one: abs(one.value.value_mm))
+        asked, n = wanted_cycles(worst.test, cycles), min(one.value.n for one in own)
+        norm = NORM_CYCLES[worst.test]
+        value = abs(worst.value.value_mm)
+        enough = n >= min(asked, norm)
+        expanded = worst.value.expanded_mm
+        yield Judgement(
+            characteristic=characteristic,
+            where=where,
+            value_mm=value,
+            expanded_mm=expanded,
+            tolerance_mm=tolerance_m * 1e3,
+            rule=tolerances.decision,
+            conformity=conformity(value, expanded, tolerance_m * 1e3, tolerances.decision) if enough else "cannot say",
+            source=_source(worst, kind, n, norm, enough=enough),
+            n=n,
+        )
+
+
+def _source(worst: _Found, kind: IsoCommands, n: int, norm: int, *, enough: bool) -> str:
+    cycles = f"{n} cycles" if n >= norm else f"{n} of {norm} cycles"
+    short = "" if enough else ", too few to judge"
+    return f"ISO 9283, {worst.at}, {kind} commands, {cycles}{short}"
+
+
+def _last(measured: Mapping[IsoCommands, object]) -> IsoCommands | None:
+    return next((kind for kind in reversed(ISO_COMMANDS) if measured.get(kind)), None)
+
+
+def _of_arm(tests: CommandedTests) -> Iterator[_Found]:
+    for pose in tests.pose:
+        yield _Found("pose_accuracy", "pose", pose.pose, pose.accuracy)
+        yield _Found("pose_repeatability", "pose", pose.pose, pose.repeatability)
+    for one in tests.multidirectional:
+        yield _Found("multidirectional", "multidirectional", one.pose, one.variation)
+    for pair in tests.distance:
+        at = " to ".join(pair.between)
+        yield _Found("distance_accuracy", "distance", at, pair.accuracy)
+        yield _Found("distance_repeatability", "distance", at, pair.repeatability)
+    if tests.drift is not None:
+        at = f"{tests.drift.pose}, {tests.drift.minutes:.0f} of {NORM_DRIFT_MIN:.0f} min"
+        yield _Found("drift", "drift", at, tests.drift.accuracy)
+    for path in tests.path:
+        yield _Found("path_accuracy", "path", path.path, path.accuracy)
+        yield _Found("path_repeatability", "path", path.path, path.repeatability)

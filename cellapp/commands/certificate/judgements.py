@@ -1,0 +1,243 @@
+"""Judgements of a run against the tolerances of its profile. Pure functions, no I/O.
+
+Only what was measured after compensation is judged: the newest verification that holds. ``position`` is the largest
+distance of an arm's SMR from its targets, ``distance`` the largest error of the distance between any two verified
+targets of an arm, ``cooperative`` the largest error of the distance between the SMRs of two arms. Without a
+verification nothing is decided; the held-out error of the calibration, which is a prediction, is named in ``source``.
+The characteristics of ISO 9283 are those that its test measured. After a check that found other arms, nothing that was
+measured before is decided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from cellapp.cell.driving.iso9283.programme import NORM_CYCLES
+from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
+from cellapp.commands.certificate.budget import distance_budget, expanded_mm, not_given, position_budget
+from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
+from cellapp.commands.certificate.result import UncertaintyContribution
+from cellapp.commands.run_results import RunResults
+from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.decision import conformity
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.acceptance import Tolerances
+from cellapp.ground.results import BEST_METHODS, CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName
+
+_ISO: tuple[Characteristic, ...] = (
+    "pose_accuracy",
+    "pose_repeatability",
+    "multidirectional",
+    "distance_accuracy",
+    "distance_repeatability",
+    "drift",
+    "path_accuracy",
+    "path_repeatability",
+)
+
+Budget = Sequence[UncertaintyContribution]
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Errors [mm] of one characteristic; where, from what, and what contributes to their uncertainty."""
+
+    characteristic: Characteristic
+    where: str
+    errors_mm: Sequence[float]
+    source: str
+    budget: Budget = ()
+
+
+def judge_run(
+    profile: Profile, results: RunResults, measured: Mapping[str, MeasuredConditions] | None = None
+) -> tuple[Judgement, ...]:
+    """Judge the results of a run by the tolerances of a profile; empty if it gives none.
+
+    Parameters
+    ----------
+    measured : mapping, optional
+        Conditions of the readings by arm, for the part of temperature in the uncertainty.
+    """
+    if not profile.tolerances.any_given:
+        return ()
+    conditions = measured or {}
+    budgets = {arm: position_budget(profile, results, arm, conditions.get(arm)) for arm in profile.arms}
+    own = [
+        *(_position(results, arm, budget) for arm, budget in budgets.items()),
+        *(_distance(results, arm, budget) for arm, budget in budgets.items()),
+        *_cooperative(profile.tolerances, results, budgets),
+    ]
+    judged = [_judged(profile.tolerances, one) for one in own]
+    changed = other_arms_found(results)
+    return tuple(_undecided(one, changed) for one in (*judged, *_iso(profile, results)) if one is not None)
+
+
+# -- what was measured ------------------------------------------------------------------------------------------------
+
+
+def _position(results: RunResults, arm: str, budget: Budget) -> _Measured:
+    verify = held_verification(results)
+    targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
+    errors = [one.final_mm for one in targets if one.final_mm is not None]
+    if verify is None or not errors:
+        return _Measured("position", arm, (), _unverified(results, "position", _held_out(results, arm, "position_mm")))
+    return _Measured("position", arm, errors, _verified(verify, len(errors), len(targets), "targets"), budget)
+
+
+def _distance(results: RunResults, arm: str, budget: Budget) -> _Measured:
+    """All pairs of verified targets with the compensated commands: a corrected one has no measured position."""
+    verify = held_verification(results)
+    targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
+    errors = _distance_errors_mm(targets)
+    if verify is None or not len(errors):
+        return _Measured("distance", arm, (), _unverified(results, "distance", _held_out(results, arm, "distance_mm")))
+    points = sum(one.measured_M is not None for one in targets)
+    source = f"{_verified(verify, points, len(targets), 'targets')}, {len(errors)} distances between them"
+    return _Measured("distance", arm, errors, source, distance_budget(budget))
+
+
+def _cooperative(tolerances: Tolerances, results: RunResults, budgets: Mapping[str, Budget]) -> list[_Measured]:
+    """Every pair of arms that has verified cooperative targets; the only two arms of a cell also without."""
+    verify = held_verification(results)
+    pairs = () if verify is None else verify.pairs
+    found: dict[tuple[str, str], list[float]] = {}
+    for pair in pairs:
+        if pair.final_mm is not None:
+            found.setdefault(pair.arms, []).append(pair.final_mm)
+    if verify is not None and found:
+        return [
+            _Measured(
+                "cooperative",
+                _both(arms),
+                errors,
+                _verified(verify, len(errors), sum(one.arms == arms for one in pairs), "pairs of targets"),
+                [one for arm in arms for one in budgets[arm]],
+            )
+            for arms, errors in found.items()
+        ]
+    tested = any(one.characteristic == "cooperative" for one in _held_iso(tolerances, results))
+    if len(budgets) != 2 or tested:
+        return []
+    calibrate = None if CALIBRATE in results.out_of_date else results.calibrate
+    computed = {} if calibrate is None else calibrate.pair
+    best = next((computed[method].cooperative_mm for method in BEST_METHODS if method in computed), None)
+    return [_Measured("cooperative", _both(list(budgets)), (), _unverified(results, "cooperative", best))]
+
+
+def _iso(profile: Profile, results: RunResults) -> list[Judgement | None]:
+    """What the test measured, and what it did not measure although it has a tolerance."""
+    held = _held_iso(profile.tolerances, results)
+    why = _outdated(results, ISO9283, "the test by ISO 9283") or "not measured (cellapp iso9283)"
+    return [
+        *held,
+        *(
+            _judged(profile.tolerances, _Measured(name, arm, (), why))
+            for name in _ISO
+            for arm in profile.arms
+            if not any(one.characteristic == name and one.where == arm for one in held)
+        ),
+    ]
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _judged(tolerances: Tolerances, one: _Measured) -> Judgement | None:
+    """Judge the largest error; None where the profile gives no tolerance."""
+    limit: float | None = getattr(tolerances, one.characteristic)
+    if limit is None:
+        return None
+    value = max(one.errors_mm, default=None)
+    expanded = expanded_mm(one.budget) if value is not None else None
+    missing = not_given(one.budget) if value is not None else []
+    unknown = f"; uncertainty not known, as not given: {', '.join(missing)}" if missing else ""
+    return Judgement(
+        characteristic=one.characteristic,
+        where=one.where,
+        value_mm=value,
+        expanded_mm=expanded,
+        tolerance_mm=limit * 1e3,
+        rule=tolerances.decision,
+        conformity=conformity(value, expanded, limit * 1e3, tolerances.decision),
+        source=one.source + unknown,
+        n=len(one.errors_mm),
+    )
+
+
+def _undecided(one: Judgement, why: str) -> Judgement:
+    """The same error without a decision; unchanged if nothing stands against it or nothing was measured."""
+    if not why or one.value_mm is None:
+        return one
+    return one.model_copy(update={"conformity": "cannot say", "source": f"{one.source}; {why}"})
+
+
+def _held_iso(tolerances: Tolerances, results: RunResults) -> tuple[Judgement, ...]:
+    """What the test by ISO 9283 measured, while it holds, judged by these tolerances."""
+    stored = None if ISO9283 in results.out_of_date else results.iso9283
+    if stored is None:
+        return ()
+    cycles = NORM_CYCLES["pose"] if stored.conditions is None else stored.conditions.cycles
+    return judge_characteristics(tolerances, stored.arms, stored.pairs, cycles)
+
+
+def held_verification(results: RunResults) -> VerifyResult | None:
+    """The newest verification while it holds; None if no target was measured."""
+    verify = None if VERIFY in results.out_of_date else results.verify
+    return None if verify is None or not verify.arms else verify
+
+
+def other_arms_found(results: RunResults) -> str:
+    """What the last check found of the arms, while it holds; empty if nothing."""
+    checked = results.held_check
+    return f"a later check found: {checked.verdict}" if checked is not None and checked.found_other_arms else ""
+
+
+def _outdated(results: RunResults, name: StageName, what: str) -> str:
+    reason = results.out_of_date.get(name)
+    return f"{what} is out of date ({reason})" if reason else ""
+
+
+def _verified(verify: VerifyResult, measured: int, asked: int, what: str) -> str:
+    count = f"{measured} {what}" if measured == asked else f"{measured} of {asked} {what}"
+    return f"verification, {count}" + (f" ({verify.stopped})" if verify.stopped else "")
+
+
+def _unverified(results: RunResults, characteristic: Characteristic, held_out: ErrorSummary | None) -> str:
+    """Why nothing was verified, and the error of the calibration at stops that it did not use."""
+    verify = results.verify
+    if (reason := _outdated(results, VERIFY, "the verification")) == "":
+        reason = "not verified" if verify is None else f"the verification measured no {characteristic} error"
+    if held_out is None:
+        return _outdated(results, CALIBRATE, f"{reason}; the calibration") or f"{reason}; no held-out figure"
+    p95 = "" if held_out.p95 is None else f"95 % within {held_out.p95:.3f} mm, "
+    return f"{reason}; predicted at {held_out.n} held-out values: {p95}largest {held_out.max:.3f} mm"
+
+
+def _held_out(results: RunResults, arm: str, error: Literal["position_mm", "distance_mm"]) -> ErrorSummary | None:
+    calibrate = None if CALIBRATE in results.out_of_date else results.calibrate
+    found = None if calibrate is None else calibrate.arms.get(arm)
+    if found is None:
+        return None
+    stage = found.validate_[found.best_stage]
+    return stage.position_mm if error == "position_mm" else stage.distance_mm
+
+
+def _distance_errors_mm(targets: Sequence[MeasuredTarget]) -> list[float]:
+    """Errors [mm] of all distances between measured positions against those between the targets."""
+    points = [(one.measured_M, one.wanted_M) for one in targets if one.measured_M and one.wanted_M]
+    if len(points) < 2:
+        return []
+    measured, wanted = np.array(points).transpose(1, 0, 2)
+    errors: list[float] = (np.abs(pdist(measured) - pdist(wanted)) * 1e3).tolist()
+    return errors
+
+
+def _both(arms: Sequence[str]) -> str:
+    return " and ".join(arms)

@@ -1,0 +1,249 @@
+"""Results of ``certificate``, ``check-certificate`` and ``sign-key``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.estimation.iso9283.records import IsoCommands
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.ground.results import ErrorSummary, Record, Result, StageName
+
+Range = tuple[float, float]
+DocumentState = Literal["as certified", "changed", "not here"]
+
+
+class UncertaintyContribution(Record):
+    """One line of the uncertainty budget: standard uncertainty of a position [mm]; None where it was not given.
+
+    ``where`` is the arm whose position error the line is of.
+    """
+
+    source: str
+    standard_mm: float | None
+    evaluation: Literal["A", "B"]
+    basis: str
+    where: str = ""
+
+
+class CertifiedErrors(Record):
+    """Errors before and after compensation [mm]; None where they were not measured.
+
+    ``found`` and ``left`` were measured at the verified targets: with commands of the published geometry, and with
+    those that are kept. ``predicted_found`` and ``predicted_left`` are errors of the nominal and of the calibrated
+    model at stops that the calibration did not use: predictions, not measurements of a compensated arm.
+    """
+
+    found: ErrorSummary | None = None
+    left: ErrorSummary | None = None
+    predicted_found: ErrorSummary | None = None
+    predicted_left: ErrorSummary | None = None
+
+
+class CertifiedArm(Record):
+    """One arm: what identifies it, what it was measured under, its errors.
+
+    Empty texts and None were not given. Ranges are those of the readings; ``expanded_mm`` is the expanded uncertainty
+    (k = 2) of a position error, None where a contribution was not given.
+    """
+
+    type: str
+    serial: str = ""
+    asset: str = ""
+    controller_model: str = ""
+    controller_serial: str = ""
+    controller_software: str = ""
+    readings: int
+    errors: CertifiedErrors
+    expanded_mm: float | None = None
+    payload_kg: Range | None = None
+    air_c: Range | None = None
+    joints_c: Range | None = None
+    distance_m: Range | None = None
+
+
+class CertifiedInstrument(Record):
+    """An instrument or standard; empty texts were not given. ``note`` says why it was not in order when it was used."""
+
+    role: str
+    model: str = ""
+    serial: str = ""
+    calibrated: str = ""
+    due: str = ""
+    certificate: str = ""
+    note: str = ""
+
+
+class CertifiedCharacteristic(Record):
+    """A characteristic of ISO 9283 of one arm, at the pose, distance or path where its size is largest [mm].
+
+    ``commands`` "nominal" are as found, "calibrated" as left; ``n`` is the number of cycles.
+    """
+
+    where: str
+    characteristic: Characteristic
+    commands: IsoCommands
+    value_mm: float
+    expanded_mm: float | None
+    n: int
+
+
+class CertifiedTests(Record):
+    """What the tests by ISO 9283 found, and under which conditions; ``missing`` is what could not be measured.
+
+    ``cycles`` and ``speed_share`` (of the profile's speed) are None where that was not recorded.
+    """
+
+    characteristics: tuple[CertifiedCharacteristic, ...]
+    cycles: int | None = None
+    speed_share: float | None = None
+    payload_kg: Mapping[str, float] = {}
+    missing: tuple[str, ...] = ()
+
+
+class CertifiedTarget(Record):
+    """A verified target of one arm: position in the tracker frame [m]; its errors [mm], None where not measured.
+
+    ``found_mm`` is with the command of the published geometry, ``left_mm`` with the one that is kept.
+    """
+
+    name: str
+    arm: str
+    wanted_M: tuple[float, float, float] | None = None
+    found_mm: float | None = None
+    left_mm: float | None = None
+
+    @property
+    def wanted_M_mm(self) -> tuple[float, ...]:
+        """The position [mm]; empty where it is not known."""
+        return () if self.wanted_M is None else tuple(1e3 * value for value in self.wanted_M)
+
+
+class CertifiedData(Record):
+    """SHA-256 of what the certificate rests on; empty or None where there is none.
+
+    ``stages`` are the results of which it states figures, ``model`` that whose model is in force. ``data_file`` is the
+    file that completed the profile.
+    """
+
+    profile: str
+    readings: Mapping[str, str]
+    model: StageName | None = None
+    stages: Mapping[StageName, str] = {}
+    data_file: str | None = None
+
+
+class CertificateResult(Result):
+    """``certificate``: what was found and left, measured with what, judged how.
+
+    Attributes
+    ----------
+    measured : tuple
+        First and last time of measuring (ISO 8601, UTC); empty where it was not recorded.
+    limits : tuple
+        What the figures hold for, and what they do not cover.
+    missing : tuple
+        Data that a reader would expect and that nobody gave.
+    warnings : tuple
+        What a reader must know first: a simulated cell, no verification, an instrument whose calibration was overdue.
+    out_of_date : tuple
+        Results that no longer hold, with the reason.
+    files : tuple
+        Names of the files that were written.
+    documents : mapping
+        File name -> SHA-256 of each file that shows this certificate to people: the page, and its print. Whoever signs
+        this file signs them.
+    key_id : str
+        Of the key that signs them; empty if none does.
+    method : str
+        How positions were measured and errors computed, with the version of the program.
+    procedure : str
+        The written procedure of the organisation.
+    air_pressure_hpa, relative_humidity_percent : (float, float) or None
+        Smallest and largest while measuring, as stated.
+    targets : tuple
+        Those that were verified.
+    """
+
+    schema_: Literal["cellapp-certificate"] = "cellapp-certificate"
+    version: Literal[1] = 1
+    number: str
+    run: str
+    profile: str = ""
+    issued: str = ""
+    measured: tuple[str, ...] = ()
+    program: str = ""
+    organisation: str = ""
+    location: str = ""
+    operator: str = ""
+    client: str = ""
+    method: str = ""
+    procedure: str = ""
+    air_pressure_hpa: Range | None = None
+    relative_humidity_percent: Range | None = None
+    arms: Mapping[str, CertifiedArm] = {}
+    pair: CertifiedErrors = CertifiedErrors()
+    instruments: tuple[CertifiedInstrument, ...] = ()
+    judgements: tuple[Judgement, ...] = ()
+    contributions: tuple[UncertaintyContribution, ...] = ()
+    targets: tuple[CertifiedTarget, ...] = ()
+    iso9283: CertifiedTests | None = None
+    limits: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    out_of_date: tuple[str, ...] = ()
+    data: CertifiedData | None = None
+    files: tuple[str, ...] = ()
+    documents: Mapping[str, str] = {}
+    key_id: str = ""
+    omitted_when_none = frozenset({"iso9283"})
+
+    @property
+    def signed(self) -> bool:
+        """Whether a signature stands beside the file."""
+        return bool(self.key_id)
+
+    def complaints(self) -> list[str]:
+        """Why the certificate does not confirm conformity; empty if it does or nothing is judged."""
+        unjudged = [
+            f"{one.characteristic.replace('_', ' ')} of {one.where}: {one.conformity}"
+            for one in self.judgements
+            if one.conformity != "conforms"
+        ]
+        return [*self.warnings, *self.out_of_date, *unjudged]
+
+
+class CertificateCheckResult(Result):
+    """``check-certificate``: whether signature and data are those that were signed; ``problems`` is empty if so.
+
+    ``signature`` is "not checked" where no public key was given. ``comment`` is the signed comment of a valid
+    signature: time, file and number. ``documents`` are the files that show the certificate to people, and whether each
+    is the one whose hash the certificate states. ``run`` is the run whose data were compared; empty if none was.
+    """
+
+    schema_: Literal["cellapp-certificate-check"] = "cellapp-certificate-check"
+    version: Literal[1] = 1
+    certificate: str
+    number: str = ""
+    signature: Literal["valid", "wrong", "missing", "other key", "not checked"]
+    key_id: str = ""
+    comment: str = ""
+    documents: Mapping[str, DocumentState] = {}
+    run: str = ""
+    problems: tuple[str, ...] = ()
+
+    def complaints(self) -> list[str]:
+        """Why the certificate cannot be relied on; empty if it can."""
+        return list(self.problems)
+
+
+class SignKeyResult(Result):
+    """``sign-key``: the files of a new key pair. The private key is in no result."""
+
+    schema_: Literal["cellapp-sign-key"] = "cellapp-sign-key"
+    version: Literal[1] = 1
+    private_file: str
+    public_file: str
+    key_id: str
+    public_key: str
+    encrypted: bool

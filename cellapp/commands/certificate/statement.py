@@ -1,0 +1,288 @@
+"""The certificate of a run from what is known of it. Pure functions, no I/O: nothing is assumed that nobody gave."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from cellapp.cell.targets.records import ArmVerification, VerifyResult
+from cellapp.commands.certificate.budget import expanded_mm, position_budget
+from cellapp.commands.certificate.judgements import held_verification, judge_run
+from cellapp.commands.certificate.result import (
+    CertificateResult,
+    CertifiedArm,
+    CertifiedCharacteristic,
+    CertifiedData,
+    CertifiedErrors,
+    CertifiedTarget,
+    CertifiedTests,
+)
+from cellapp.commands.run_results import RunResults
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
+from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.instruments import missing_data, used_instruments
+from cellapp.estimation.uncertainty.records import Characteristic
+from cellapp.ground.profile import Profile
+from cellapp.ground.results import BEST_METHODS, CALIBRATE, CERTIFICATE, COMPENSATE, ISO9283, VERIFY
+
+_METHOD = (
+    "Each target is driven with the command of the published geometry and with the compensated one. While the arm"
+    " rests, the laser tracker measures the position of the SMR on its flange; the error is the distance from the"
+    " target."
+)
+_MOST_NAMED = 5
+"""Targets that a sentence names; further ones are counted."""
+
+
+@dataclass(frozen=True)
+class Controller:
+    """A controller as the run recorded it; empty where it did not say."""
+
+    model: str = ""
+    serial: str = ""
+    software: str = ""
+
+
+@dataclass(frozen=True)
+class CertificateInput:
+    """All that a certificate is made from.
+
+    Attributes
+    ----------
+    profile : Profile
+        That of the run, completed by what the operator gave.
+    measured : tuple
+        First and last time of measuring (ISO 8601, UTC); empty where it was not recorded.
+    """
+
+    number: str
+    run: str
+    issued: str
+    program: str
+    profile: Profile
+    results: RunResults
+    conditions: Mapping[str, MeasuredConditions]
+    controllers: Mapping[str, Controller]
+    measured: tuple[str, ...]
+    data: CertifiedData
+    files: tuple[str, ...] = ()
+    key_id: str = ""
+
+
+def certificate_of(given: CertificateInput) -> CertificateResult:
+    """State what is known, judge it, and name what is missing."""
+    profile, results, stated = given.profile, given.results, given.profile.traceability
+    instruments = used_instruments(profile, given.measured)
+    budgets = {arm: position_budget(profile, results, arm, given.conditions.get(arm)) for arm in profile.arms}
+    arms = {arm: _arm(given, arm, expanded_mm(budget)) for arm, budget in budgets.items()}
+    lines = [one.model_copy(update={"where": arm}) for arm, budget in budgets.items() for one in budget]
+    return CertificateResult(
+        number=given.number,
+        run=given.run,
+        profile=profile.name,
+        issued=given.issued,
+        measured=given.measured,
+        program=given.program,
+        organisation=stated.organisation,
+        location=stated.location,
+        operator=stated.operator,
+        client=stated.client,
+        method=f"{_METHOD} Computed by {given.program}.",
+        procedure=stated.procedure,
+        air_pressure_hpa=stated.air_pressure,
+        relative_humidity_percent=stated.relative_humidity,
+        arms=arms,
+        pair=_pair(results),
+        instruments=instruments,
+        judgements=judge_run(profile, results, given.conditions),
+        contributions=tuple(lines),
+        targets=_targets(held_verification(results)),
+        iso9283=_tests(results),
+        limits=tuple(_limits(results, held_verification(results))),
+        missing=missing_data(profile, instruments, arms, given.conditions, given.measured, lines),
+        warnings=(
+            *_simulated(profile),
+            *_unverified(profile, results),
+            *(f"{one.role}: {one.note}" for one in instruments if one.note),
+        ),
+        out_of_date=tuple(f"{name}: {why}" for name, why in results.out_of_date.items() if name != CERTIFICATE),
+        data=given.data,
+        files=given.files,
+        key_id=given.key_id,
+    )
+
+
+# -- figures ----------------------------------------------------------------------------------------------------------
+
+
+def _arm(given: CertificateInput, arm: str, expanded: float | None) -> CertifiedArm:
+    stated = given.profile.traceability.arms.get(arm)
+    controller = given.controllers.get(arm, Controller())
+    conditions = given.conditions.get(arm, MeasuredConditions(readings=0))
+    return CertifiedArm(
+        type=given.profile.arms[arm].type.model,
+        serial="" if stated is None else stated.serial,
+        asset="" if stated is None else stated.asset,
+        controller_model=controller.model,
+        controller_serial=controller.serial,
+        controller_software=controller.software,
+        readings=conditions.readings,
+        errors=_errors(given.results, arm),
+        expanded_mm=expanded,
+        payload_kg=conditions.payload_kg,
+        air_c=conditions.air_c,
+        joints_c=conditions.joints_c,
+        distance_m=conditions.distance_m,
+    )
+
+
+def _errors(results: RunResults, arm: str) -> CertifiedErrors:
+    verify, calibrate = held_verification(results), _calibration(results)
+    calibrated = None if calibrate is None else calibrate.arms.get(arm)
+    predicted = {} if calibrated is None else calibrated.validate_
+    return _measured(None if verify is None else verify.arms.get(arm)).model_copy(
+        update={
+            "predicted_found": predicted["nominal"].position_mm if "nominal" in predicted else None,
+            "predicted_left": None if calibrated is None else predicted[calibrated.best_stage].position_mm,
+        }
+    )
+
+
+def _pair(results: RunResults) -> CertifiedErrors:
+    verify, calibrate = held_verification(results), _calibration(results)
+    predicted = {} if calibrate is None else calibrate.pair
+    best = next((predicted[method].cooperative_mm for method in BEST_METHODS if method in predicted), None)
+    return _measured(None if verify is None else verify.cooperative).model_copy(
+        update={
+            "predicted_found": predicted["nominal"].cooperative_mm if "nominal" in predicted else None,
+            "predicted_left": best,
+        }
+    )
+
+
+def _measured(verified: ArmVerification | None) -> CertifiedErrors:
+    if verified is None:
+        return CertifiedErrors()
+    return CertifiedErrors(found=verified.nominal_mm, left=verified.corrected_mm or verified.compensated_mm)
+
+
+def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
+    return tuple(
+        CertifiedTarget(
+            name=one.name,
+            arm=one.arm,
+            wanted_M=None if one.wanted_M is None else (one.wanted_M[0], one.wanted_M[1], one.wanted_M[2]),
+            found_mm=one.nominal_mm,
+            left_mm=one.final_mm,
+        )
+        for one in (() if verify is None else verify.targets)
+    )
+
+
+def _tests(results: RunResults) -> CertifiedTests | None:
+    """The largest value of each characteristic that the test by ISO 9283 measured, while it holds."""
+    tested = None if ISO9283 in results.out_of_date else results.iso9283
+    if tested is None:
+        return None
+    return CertifiedTests(
+        characteristics=tuple(
+            CertifiedCharacteristic(
+                where=name,
+                characteristic=characteristic,
+                commands=kind,
+                value_mm=largest.value_mm,
+                expanded_mm=largest.expanded_mm,
+                n=largest.n,
+            )
+            for name, arm in tested.arms.items()
+            for kind, made in arm.tests.items()
+            for characteristic, largest in _largest(made).items()
+        ),
+        cycles=None if tested.conditions is None else tested.conditions.cycles,
+        speed_share=None if tested.conditions is None else tested.conditions.speed_share,
+        payload_kg={name: arm.payload_kg for name, arm in tested.arms.items()},
+        missing=(*([tested.stopped] if tested.stopped else []), *tested.missing),
+    )
+
+
+def _largest(tests: CommandedTests) -> dict[Characteristic, IsoValue]:
+    measured: dict[Characteristic, list[IsoValue]] = {
+        "pose_accuracy": [one.accuracy for one in tests.pose],
+        "pose_repeatability": [one.repeatability for one in tests.pose],
+        "multidirectional": [one.variation for one in tests.multidirectional],
+        "distance_accuracy": [one.accuracy for one in tests.distance],
+        "distance_repeatability": [one.repeatability for one in tests.distance],
+        "drift": [] if tests.drift is None else [tests.drift.accuracy],
+        "path_accuracy": [one.accuracy for one in tests.path],
+        "path_repeatability": [one.repeatability for one in tests.path],
+    }
+    return {name: max(found, key=lambda one: abs(one.value_mm)) for name, found in measured.items() if found}
+
+
+def _calibration(results: RunResults) -> CalibrateResult | None:
+    return None if CALIBRATE in results.out_of_date else results.calibrate
+
+
+# -- words ------------------------------------------------------------------------------------------------------------
+
+
+def _simulated(profile: Profile) -> list[str]:
+    """A simulated cell must not pass for a real one."""
+    kinds = {arm.driver.kind for arm in profile.arms.values()} | {profile.tracker.driver.kind}
+    return ["simulated cell: no real arm and no real tracker was measured"] if "simulated" in kinds else []
+
+
+def _unverified(profile: Profile, results: RunResults) -> list[str]:
+    if VERIFY in results.out_of_date:
+        why = results.out_of_date[VERIFY]
+        return [f"not verified: the verification is out of date ({why}); its figures are left out"]
+    verify = held_verification(results)
+    if verify is None:
+        return ["not verified: no compensated target was measured; the figures are predictions"]
+    return [
+        *([f"the verification is not complete: {verify.stopped}"] if verify.stopped else []),
+        *(f"arm {arm}: not verified" for arm in profile.arms if arm not in verify.arms),
+    ]
+
+
+def _limits(results: RunResults, verify: VerifyResult | None) -> list[str]:
+    """What the as-left figures hold for, and what they do not cover."""
+    if verify is None:
+        return []
+    sentences = [
+        "The as-left figures are of the verified targets; payload and temperatures are those of the calibration's"
+        " readings."
+    ]
+    for arm in dict.fromkeys(target.arm for target in verify.targets):
+        own = [target for target in verify.targets if target.arm == arm]
+        sentences += _not_measured(arm, [target.name for target in own if target.final_mm is None], len(own))
+        corrected = sum(target.corrected_mm is not None for target in own)
+        if corrected:
+            sentences.append(f"Arm {arm}: {corrected} of {len(own)} targets were corrected by measuring them.")
+        sentences += _conditions(results, arm)
+    return sentences
+
+
+def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
+    if not names:
+        return []
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return [f"Arm {arm}: {len(names)} of {count} targets were not measured: {', '.join(names[:_MOST_NAMED])}{more}."]
+
+
+def _conditions(results: RunResults, arm: str) -> list[str]:
+    """Working conditions that the commands were made for, and by how much others move the SMR."""
+    if results.compensate is None or COMPENSATE in results.out_of_date:
+        return []
+    largest: dict[str, float] = {}
+    effects: dict[str, list[str]] = {}
+    for command in results.compensate.targets:
+        for one in command.unknown if command.arm == arm else ():
+            largest[one.condition] = max(one.mm, largest.get(one.condition, 0.0))
+            effects[one.condition] = [*effects.get(one.condition, []), *one.effects]
+    return [
+        f"Arm {arm}: verified with the {condition} that the commands are made for; with another one the SMR may be"
+        f" elsewhere by up to {mm:.3f} mm ({', '.join(dict.fromkeys(effects[condition])).replace('_', ' ')})."
+        for condition, mm in largest.items()
+    ]

@@ -1,0 +1,261 @@
+"""The certificate of a run as tables and sentences, for terminal, TUI, page and print."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from cellapp.commands.certificate.budget import COVERAGE, combined_mm
+from cellapp.commands.certificate.result import (
+    CertificateCheckResult,
+    CertificateResult,
+    CertifiedCharacteristic,
+    CertifiedErrors,
+    CertifiedTests,
+    SignKeyResult,
+    UncertaintyContribution,
+)
+from cellapp.commands.view.acceptance_words import (
+    CHARACTERISTIC_WORDS,
+    RULE_WORDS,
+    Verdict,
+    judgement_words,
+    verdict_of,
+)
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.estimation.iso9283.records import ISO_COMMANDS
+from cellapp.ground.results import ErrorSummary
+
+NOT_GIVEN = "not given"
+_COMPLETE = "Every entry of this certificate that a person gives was given."
+_TRACEABLE = (
+    "Traceability is as the instruments' own calibration certificates state it; this program does not verify those."
+)
+_COPIES = (
+    "This certificate may be copied as a whole only; extracts need the written permission of the organisation that"
+    " issued it."
+)
+_NOWHERE = (None, None, None)
+"""Coordinates of a target whose position was not stored."""
+
+
+def certificate_tables(result: CertificateResult) -> list[Table]:
+    """Errors as found and as left, judgements, uncertainty budget, instruments."""
+    judged = [judgement_table(result)] if result.judgements else []
+    tested = [iso_table(result.iso9283)] if result.iso9283 is not None else []
+    return [errors_table(result), *judged, *tested, budget_table(result), instruments_table(result)]
+
+
+def certificate_sentences(result: CertificateResult) -> list[str]:
+    """Verdict, marks, limits, what is not given, and where the certificate was written."""
+    verdict = certificate_verdict(result)
+    signed = "signed" if result.signed else "not signed"
+    written = [f"certificate {result.number}, {signed}: {', '.join(result.files)}"] if result.files else []
+    return [
+        *(f"MARK: {mark}" for mark in (*result.warnings, *(f"out of date: {one}" for one in result.out_of_date))),
+        f"{verdict.title}: {verdict.sentence}" if verdict.sentence else verdict.title,
+        *result.limits,
+        *([f"not given: {'; '.join(result.missing)}"] if result.missing else []),
+        *written,
+    ]
+
+
+def check_sentences(result: CertificateCheckResult) -> list[str]:
+    """What of a certificate holds, and every problem."""
+    named = f"certificate {result.number}" if result.number else result.certificate
+    key = f" (key {result.key_id})" if result.key_id else ""
+    said = [f"{named}: signature {result.signature}{key}"]
+    said += [f"{name}: {state}" for name, state in result.documents.items() if state != "changed"]
+    if result.comment:
+        said.append(f"signed comment: {result.comment.replace(chr(9), ', ')}")
+    if result.run and not result.problems:
+        said.append(f"the data of {result.run} are those that were signed")
+    return [*said, *(f"PROBLEM: {problem}" for problem in result.problems)]
+
+
+def sign_key_sentences(result: SignKeyResult) -> list[str]:
+    """Where the keys are, and what to do with each."""
+    protected = "encrypted with your passphrase" if result.encrypted else "NOT encrypted: whoever reads it can sign"
+    return [
+        f"private key: {result.private_file}, {protected}; keep it to yourself and keep a copy in a safe place",
+        f"public key: {result.public_file}; give it to whoever checks certificates",
+        f"key {result.key_id}: {result.public_key}",
+    ]
+
+
+def certificate_verdict(result: CertificateResult) -> Verdict:
+    """All judgements of a certificate in a title and a sentence."""
+    if result.judgements:
+        return verdict_of(result.judgements)
+    return Verdict(None, "Not judged", "No tolerance is given: the figures stand without a verdict.")
+
+
+def rule_sentence(result: CertificateResult) -> str:
+    """The decision rule in words; empty where nothing is judged."""
+    if not result.judgements:
+        return ""
+    words = RULE_WORDS[result.judgements[0].rule]
+    return f"Decision rule: {words[0].lower()}{words[1:]}"
+
+
+def statements(result: CertificateResult) -> list[str]:
+    """What a certificate says besides its figures: method, rule, limits, what is not given, copies."""
+    rule = rule_sentence(result)
+    missing = f"Not given: {'; '.join(result.missing)}." if result.missing else _COMPLETE
+    return [
+        *([f"Method: {result.method}"] if result.method else []),
+        *([rule] if rule else []),
+        *result.limits,
+        missing,
+        _TRACEABLE,
+        _COPIES,
+    ]
+
+
+def targets_table(result: CertificateResult) -> Table:
+    """Every verified target: where it is in the tracker frame, its error as found and as left [mm]."""
+    rows = tuple(
+        (one.name, one.arm, *(one.wanted_M_mm or _NOWHERE), one.found_mm, one.left_mm) for one in result.targets
+    )
+    axes = (number_column(f"{axis} (tracker)", ".1f") for axis in "xyz")
+    errors = (number_column(title, ".3f") for title in ("as found", "as left"))
+    return Table("Verified targets [mm]", (Column("target"), Column("arm"), *axes, *errors), rows)
+
+
+def errors_table(result: CertificateResult) -> Table:
+    """Errors as found and as left [mm]: measured at targets, where they were, else predicted at held-out stops."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, arm in result.arms.items():
+        rows += _error_rows(f"Arm {name}, position", arm.errors)
+    rows += _error_rows("Both arms, distance between them", result.pair)
+    columns = (
+        Column("error"),
+        Column("from"),
+        number_column("as found: mean", ".3f"),
+        number_column("largest", ".3f"),
+        number_column("as left: mean", ".3f"),
+        number_column("95 %", ".3f"),
+        number_column("largest", ".3f"),
+        number_column("n", "d"),
+    )
+    return Table("Errors as found (published geometry) and as left (compensated) [mm]", columns, tuple(rows))
+
+
+def judgement_table(result: CertificateResult) -> Table:
+    """Every characteristic with a tolerance [mm]."""
+    columns = (
+        Column("characteristic"),
+        number_column("measured", ".3f"),
+        number_column("U (k = 2)", ".3f"),
+        number_column("tolerance", "g"),
+        Column("result"),
+        Column("from"),
+    )
+    rows = tuple(
+        (judgement_words(one), one.value_mm, one.expanded_mm, one.tolerance_mm, one.conformity, one.source)
+        for one in result.judgements
+    )
+    return Table("Conformity with the tolerances [mm]", columns, rows)
+
+
+def iso_table(tests: CertifiedTests) -> Table:
+    """The characteristics of ISO 9283 [mm], as found and as left, of all arms beside each other."""
+    values = {(one.where, one.characteristic, one.commands): one for one in tests.characteristics}
+    arms = list(dict.fromkeys(one.where for one in tests.characteristics))
+    rows: list[tuple[Cell, ...]] = [
+        (
+            CHARACTERISTIC_WORDS[name],
+            *(cell for arm in arms for cell in _iso_cells(*(values.get((arm, name, kind)) for kind in ISO_COMMANDS))),
+        )
+        for name in dict.fromkeys(one.characteristic for one in tests.characteristics)
+    ]
+    titles = ("as found", "as left", "U (k = 2)", "cycles")
+    columns = [
+        number_column(f"{arm}: {title}", "d" if title == "cycles" else ".3f") for arm in arms for title in titles
+    ]
+    return Table("Tests by ISO 9283 [mm]", (Column("characteristic"), *columns), tuple(rows))
+
+
+def iso_sentence(tests: CertifiedTests) -> str:
+    """Under which conditions the tests were made, and what is missing."""
+    speed = "" if tests.speed_share is None else f"{tests.speed_share:.0%} of the profile's speed; "
+    loads = ", ".join(f"{name} {mass:g} kg" for name, mass in tests.payload_kg.items())
+    missing = f" Missing: {'; '.join(tests.missing)}." if tests.missing else ""
+    return f"{speed}payload {loads}; U and cycles are those of the errors as left, where there are any.{missing}"
+
+
+def budget_table(result: CertificateResult) -> Table:
+    """Standard uncertainties of a position error by arm [mm], combined and expanded by the GUM."""
+    by_arm: dict[str, list[UncertaintyContribution]] = {}
+    for one in result.contributions:
+        by_arm.setdefault(one.where, []).append(one)
+    sources = dict.fromkeys(one.source for one in result.contributions)
+    rows: list[tuple[Cell, ...]] = [_budget_row(source, by_arm) for source in sources]
+    combined = {arm: combined_mm(lines) for arm, lines in by_arm.items()}
+    rows.append(("combined, u", *(_or_unknown(value) for value in combined.values()), "", "root of the sum of squares"))
+    expanded = [None if value is None else COVERAGE * value for value in combined.values()]
+    coverage = f"k = {COVERAGE:g}, about 95 %"
+    rows.append(("expanded, U", *(_or_unknown(value) for value in expanded), "", coverage))
+    columns = (
+        Column("contribution"),
+        *(number_column(f"arm {arm}", ".4f") for arm in by_arm),
+        Column("type"),
+        Column("basis"),
+    )
+    return Table("Uncertainty of a measured position error [mm]", columns, tuple(rows))
+
+
+def instruments_table(result: CertificateResult) -> Table:
+    """What was measured with."""
+    columns = tuple(map(Column, ("instrument", "model", "serial", "calibrated", "due", "certificate")))
+    rows = tuple(
+        (one.role, *(text or NOT_GIVEN for text in texts))
+        for one in result.instruments
+        for texts in [(one.model, one.serial, one.calibrated, one.due, one.certificate)]
+    )
+    return Table("Instruments", columns, rows)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _error_rows(what: str, errors: CertifiedErrors) -> list[tuple[Cell, ...]]:
+    measured = _error_row(what, "verified targets", errors.found, errors.left)
+    predicted = _error_row(what, "predicted, held out", errors.predicted_found, errors.predicted_left)
+    return [row for row in (measured, predicted) if row is not None]
+
+
+def _error_row(
+    what: str, source: str, found: ErrorSummary | None, left: ErrorSummary | None
+) -> tuple[Cell, ...] | None:
+    if left is None:
+        return None
+    before = (None, None) if found is None else (found.mean, found.max)
+    return (what, source, *before, left.mean, left.p95, left.max, left.n)
+
+
+def _budget_row(source: str, by_arm: Mapping[str, Sequence[UncertaintyContribution]]) -> tuple[Cell, ...]:
+    """One source for all arms; the basis is that of the arm where it counts most."""
+    found = {arm: next((one for one in lines if one.source == source), None) for arm, lines in by_arm.items()}
+    largest = max((one for one in found.values() if one is not None), key=lambda one: one.standard_mm or 0.0)
+    values = [None if one is None else _or_unknown(one.standard_mm) for one in found.values()]
+    return (source, *values, largest.evaluation, largest.basis)
+
+
+def _iso_cells(
+    found: CertifiedCharacteristic | None, left: CertifiedCharacteristic | None
+) -> tuple[Cell, Cell, Cell, Cell]:
+    last = left or found
+    return (
+        _without_minus_zero(found),
+        _without_minus_zero(left),
+        None if last is None else last.expanded_mm,
+        None if last is None else last.n,
+    )
+
+
+def _without_minus_zero(one: CertifiedCharacteristic | None) -> float | None:
+    return None if one is None else round(one.value_mm, 3) + 0.0
+
+
+def _or_unknown(value: float | None) -> Cell:
+    return NOT_GIVEN if value is None else value

@@ -1,0 +1,261 @@
+"""The verb ``check``: a few stops that show whether the stored calibration of a run still holds, and what changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, drive_check
+from cellapp.cell.driving.check_stops import check_candidates
+from cellapp.cell.driving.controllers import noting_controllers
+from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.driving.smr_search import points_of
+from cellapp.cell.driving.supervision import Opened
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
+from cellapp.commands.station import excess_of_readings, profile_at_station
+from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
+from cellapp.estimation.calibration.station_location import displacement_m, predicted_points
+from cellapp.estimation.monitoring.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops
+from cellapp.estimation.monitoring.check.model import FALSE_ALARM, MISS
+from cellapp.estimation.monitoring.check.records import (
+    CHANGES_OF_ARMS,
+    CheckedPoint,
+    CheckedStop,
+    CheckResult,
+    CheckVerdict,
+    WeakChange,
+)
+from cellapp.estimation.monitoring.check.statistics import SPENT_EARLY
+from cellapp.estimation.readings import Readings
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.schema import Plant
+from cellapp.ground.progress import Listener, ignore, with_eta
+from cellapp.ground.results import CHECK, LOCATE
+from cellapp.robot.kinematics.transforms import Array, invert, rows_of, xyz_of
+from cellapp.robot.model import CellModel
+
+STOPS = 20
+FEWEST_STOPS = 4
+"""Fewer stops of one arm do not tell a motion of its base from one of its joints."""
+
+
+def check_run(
+    run: RunFile,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    stops: int = STOPS,
+    simulated_plant: Plant | None = None,
+    ask: Ask | None = None,
+    open_with: Opened | None = None,
+) -> CheckResult:
+    """Measure at most ``stops`` stops of all arms, judge the model in force by them, and store the result.
+
+    The test ends early when it is sure. ``simulated_plant`` takes the place of the simulated cell's hidden physics for
+    this job, to show a change. ``ask`` is asked before the first motion of real arms, ``open_with`` opens the cell.
+
+    Raises
+    ------
+    InputError
+        If the run is not calibrated, or an argument does not fit. Nothing has moved.
+    CheckFailed
+        If the doctor finds a fault before real arms move. Nothing has moved.
+    HardwareError
+        If a device failed, or no SMR is found. Nothing is stored.
+    Cancelled
+        Nothing is stored.
+    """
+    control = control or JobControl()
+    if stops < FEWEST_STOPS:
+        raise InputError(f"check: at least {FEWEST_STOPS} stops are needed, better {STOPS}; not {stops}")
+    checked = _checked(run)
+    chosen = _stops(run.profile, checked, stops)
+    profile = _with_plant(profile_at_station(run, checked.stages), simulated_plant)
+    task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
+    test = SequentialTest(checked.belief, len(chosen))
+    notes: list[str] = []
+    if checked.stale:
+        notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
+
+    opened = noting_controllers(run, notes)
+    with running_job(run, control, "check", listener) as listener:
+        confirm = confirmation(run.profile, ask)
+        driven = drive_check(
+            task, test, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with
+        )
+        result = _result(run, checked, len(chosen), driven, test.conclusion())
+        result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
+        _store(run, checked, result)  # those who watch read the run when they hear of the end
+    return result
+
+
+def plant_of(path: Path) -> Plant:
+    """The hidden physics of another profile. Raises ``InputError`` if it has none."""
+    plant = load_profile(path).plant
+    if plant is None:
+        raise InputError(f"--simulated-plant {path}: this profile has no section 'plant'")
+    return plant
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Checked:
+    """The model that is checked and what is known of it.
+
+    ``used`` is the stage in force, ``arms`` that whose model is in the tracker frame of the readings. ``located_T``
+    (4, 4) maps coordinates in that frame into the one of a tracker that was located since; None if it was not.
+    """
+
+    stages: RunStages
+    used: StoredStage
+    arms: StoredStage
+    model: CellModel
+    belief: CheckBelief
+    readings: Mapping[str, Readings]
+    located_T: Array | None
+
+    @property
+    def stale(self) -> str:
+        """Why the model did not hold even before the check, whatever an earlier check found."""
+        return "; ".join(filter(None, (self.stages.outdated_arms(), self.stages.outdated_station())))
+
+
+def _checked(run: RunFile) -> _Checked:
+    """Raises ``InputError`` if the run is not calibrated."""
+    stages = read_stages(run)
+    used, arms = stage_in_force(run, stages), arms_stage(run, stages, "check")
+    readings = {name: run.readings(name) for name in run.profile.arms}
+    located_T = None
+    if used.name == LOCATE:
+        located_T = np.array(LocateResult.from_json(used.text, f"{run.path}: {LOCATE}").T_new_old)
+    belief = check_belief(
+        run.profile, model_of(run, arms), readings, station_free=located_T is not None, T_new_old=located_T
+    )
+    return _Checked(stages, used, arms, model_of(run, used), belief, readings, located_T)
+
+
+def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
+    """The profile with other hidden physics; the tracker stays where it is unless ``plant`` places it."""
+    if plant is None:
+        return profile
+    own, simulated = profile.plant, all(arm.driver.needs_plant for arm in profile.arms.values())
+    if own is None or not simulated or not profile.tracker.driver.needs_plant:
+        raise InputError("check: --simulated-plant changes a simulated cell; this one is not simulated. Nothing moved")
+    unknown = [name for name in plant.effects if name not in profile.arms]
+    if unknown:
+        raise InputError(f"check: --simulated-plant: plant.effects: unknown arm {', '.join(unknown)}")
+    placed = plant.model_copy(update={"tracker_pose": plant.tracker_pose or own.tracker_pose})
+    return profile.model_copy(update={"plant": placed})
+
+
+def _stops(profile: Profile, checked: _Checked, count: int) -> list[dict[str, Array]]:
+    """The stops to measure, arm -> joint positions (N,) [rad], in the order of driving."""
+    candidates = check_candidates(profile, checked.model, checked.readings)
+    free = len(next(iter(candidates.values())))
+    chosen = choose_stops(checked.belief, candidates, min(count, free), start=home_positions(profile))
+    return [{name: q[row] for name, q in candidates.items()} for row in chosen.order.tolist()]
+
+
+def _result(run: RunFile, checked: _Checked, planned: int, driven: DrivenCheck, found: Conclusion) -> CheckResult:
+    verdict = _verdict(run.profile, checked, driven, found)
+    return CheckResult(
+        verdict=verdict,
+        model=checked.used.name,
+        planned=planned,
+        sure_after=found.sure_after,
+        p_value=found.p_value,
+        false_alarm=FALSE_ALARM,
+        miss=MISS,
+        sure_change=-math.log(SPENT_EARLY * FALSE_ALARM),
+        sure_valid=-math.log(SPENT_EARLY * MISS),
+        arms=found.arms,
+        changes=found.changes,
+        weak=tuple(
+            WeakChange(arm=one.arm, what=one.what, moved_mm=one.moved_mm, detected=one.detected, unit=one.unit)
+            for one in found.weak
+        ),
+        station_shift_mm=found.station_shift_mm,
+        station_turn_deg=found.station_turn_deg,
+        T_new_old=None if found.T_new_old is None else rows_of(found.T_new_old),
+        moved_bases={name: rows_of(T) for name, T in found.moved_bases.items()},
+        smr_offsets_F={name: xyz_of(offset) for name, offset in found.smr_offsets_F.items()},
+        stops=tuple(_checked_stop(checked.model, stop) for stop in driven.stops),
+        seconds=driven.seconds,
+        stale=checked.stale,
+        next_step=_next_step(verdict, run.folder),
+        notes=(*driven.notes, *found.notes),
+    )
+
+
+def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: Conclusion) -> CheckVerdict:
+    """The verdict of the test; beyond it, a located tracker may have moved again, and an arm may not be seen."""
+    if found.verdict != "valid":
+        return found.verdict
+    if checked.located_T is not None and found.T_new_old is not None:
+        points = points_of([one for stop in driven.stops for one in stop.found.values()])
+        since = found.T_new_old @ invert(checked.located_T)
+        if displacement_m(checked.model, points, since) > profile.collection.reference.drift:
+            return "tracker moved"
+    return "cannot say" if driven.lost else "valid"
+
+
+def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
+    points = points_of(list(stop.found.values()))
+    expected = predicted_points(model, points)
+    standing = stop.standing
+    return CheckedStop(
+        points={
+            name: CheckedPoint(
+                q=tuple(own.q[0].tolist()),
+                measured_M=xyz_of(own.measured_M[0]),
+                error_mm=float(np.linalg.norm(own.measured_M[0] - expected[name][0])) * 1e3,
+            )
+            for name, own in points.items()
+        },
+        log_evidence=standing.log_evidence,
+        log_valid=standing.log_valid,
+        p_value=standing.p_value,
+        time_s=stop.time_s,
+    )
+
+
+def _next_step(verdict: CheckVerdict, folder: Path) -> str:
+    """What to do now, as a sentence with its commands; empty if nothing."""
+    again = (
+        "measure the cell anew ('cellapp plan PROFILE --run NEW', 'cellapp collect NEW') and calibrate it with this run"
+        f" as prior: 'cellapp calibrate NEW --prior {folder}'"
+    )
+    match verdict:
+        case "valid":
+            return ""
+        case "tracker moved":
+            return f"cellapp locate {folder}"
+        case "base moved":
+            return f"put the base back, or {again}"
+        case "smr moved":
+            return f"put the SMR back, or {again}"
+        case "cannot say":
+            return f"mend what the notes say, then check again: 'cellapp check {folder}'"
+        case _:
+            return again
+
+
+def _store(run: RunFile, checked: _Checked, result: CheckResult) -> None:
+    """Store the result. What it says of arms rests on their model, wherever the tracker is located from then on."""
+    used = checked.arms if result.verdict in CHANGES_OF_ARMS else checked.used
+    append_stage(run, CHECK, result, basis_on_model(run, used))
+    for line in (*result.complaints(), *result.notes):
+        run.log("note" if result.verdict == "valid" else "warning", line)

@@ -1,0 +1,112 @@
+"""Charts of a collection: residuals and standard errors as they come in, and drift of the references."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from cellapp.cell.driving.records import ReferenceDrift
+from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series, styles
+from cellapp.ground.progress import ReferenceReport, StopReport
+
+NO_READINGS = "No readings yet: collect first."
+NO_REFERENCES = "No reference was measured yet."
+_STOP = Axis("stop")
+
+
+def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = ()) -> Chart:
+    """Residual of each stop from the model that was refitted with it, by arm.
+
+    ``arms`` fixes the order of the arms, and with it their colours and marks, before all have reported.
+    """
+    by_arm = _by_arm(reports, arms)
+    message = NO_READINGS
+    if reports:
+        latest = [
+            f"{name} {mm(rows[-1].residual_mm)} at stop {rows[-1].stop + 1}"
+            f" (median {mm(statistics.median(row.residual_mm for row in rows))})"
+            for name, rows in by_arm.items()
+            if rows
+        ]
+        message = f"Last residual: {enumerated(latest)}."
+    drawn = _arm_series(by_arm, lambda report: report.residual_mm, "points")
+    return Chart("Residual of each stop", _STOP, Axis("residual", "mm"), drawn, message)
+
+
+def standard_error_chart(reports: Sequence[StopReport], arms: Sequence[str] = ()) -> Chart:
+    """Standard error of a predicted SMR position over the stops, by arm; ``arms`` as in ``live_residual_chart``."""
+    by_arm = _by_arm(reports, arms)
+    message = NO_READINGS
+    if reports:
+        changes = [
+            f"{name} {mm(rows[-1].standard_error_mm)} (at stop {rows[0].stop + 1}: {mm(rows[0].standard_error_mm)})"
+            for name, rows in by_arm.items()
+            if rows
+        ]
+        message = f"Standard error of a predicted position: {enumerated(changes)}."
+    axis = Axis("standard error", "mm", logarithmic=True)
+    drawn = _arm_series(by_arm, lambda report: report.standard_error_mm, "line")
+    return Chart("Standard error of a prediction", _STOP, axis, drawn, message)
+
+
+def _by_arm(reports: Sequence[StopReport], arms: Sequence[str]) -> dict[str, list[StopReport]]:
+    by_arm: dict[str, list[StopReport]] = {name: [] for name in arms}
+    for report in reports:
+        by_arm.setdefault(report.arm, []).append(report)
+    return by_arm
+
+
+def _arm_series(
+    by_arm: Mapping[str, Sequence[StopReport]], value: Callable[[StopReport], float], kind: Kind
+) -> tuple[Series, ...]:
+    number = styles(list(by_arm))
+    return tuple(
+        series(name, [row.stop + 1 for row in rows], [value(row) for row in rows], kind, style=number[name])
+        for name, rows in by_arm.items()
+        if rows
+    )
+
+
+def drift_by_reference(references: Iterable[ReferenceDrift]) -> dict[str, list[tuple[int, float]]]:
+    """Stops done and drift [mm] of each reference, in the order of measurement."""
+    drift_mm: dict[str, list[tuple[int, float]]] = {}
+    for row in references:
+        drift_mm.setdefault(row.name, []).append((row.stops_done, row.drift_mm))
+    return drift_mm
+
+
+def drift_chart(references: Iterable[ReferenceDrift], limit_mm: float) -> Chart:
+    """Distance of every reference from its first measurement over the stops of a run, with the limit [mm]."""
+    return _drift_chart(drift_by_reference(references), limit_mm, Axis("stops done"))
+
+
+def live_drift_chart(reports: Sequence[ReferenceReport]) -> Chart:
+    """The same from the events of a running collection, which count reference measurements from 1."""
+    drift_mm: dict[str, list[tuple[int, float]]] = {}
+    for number, report in enumerate(reports, start=1):
+        for name, drift in report.drift_mm.items():
+            drift_mm.setdefault(name, []).append((number, drift))
+    limit_mm = reports[-1].limit_mm if reports else None
+    return _drift_chart(drift_mm, limit_mm, Axis("reference measurement"))
+
+
+def _drift_chart(drift_mm: Mapping[str, Sequence[tuple[int, float]]], limit_mm: float | None, x: Axis) -> Chart:
+    number = styles(list(drift_mm))
+    drawn = tuple(
+        series(name, [at for at, _ in rows], [drift for _, drift in rows], style=number[name])
+        for name, rows in drift_mm.items()
+        if rows
+    )
+    limits = () if limit_mm is None or not drawn else (Limit("limit", limit_mm),)
+    message = _drift_message(drift_mm, limit_mm) if drawn else NO_REFERENCES
+    return Chart("Drift of the references", x, Axis("distance from the first", "mm"), drawn, message, limits)
+
+
+def _drift_message(drift_mm: Mapping[str, Sequence[tuple[int, float]]], limit_mm: float | None) -> str:
+    farthest, name = max((drift, name) for name, rows in drift_mm.items() for _, drift in rows)
+    words = f"{name} moved farthest, {mm(farthest)} from its first measurement"
+    if limit_mm is None:
+        return f"{words}."
+    if farthest > limit_mm:
+        return f"{words}: beyond the limit of {mm(limit_mm)}. Check its nest and the tracker's stand."
+    return f"{words}; the limit is {mm(limit_mm)}."

@@ -1,0 +1,129 @@
+"""Tables and sentences on collecting: what a session stored and what it lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cellapp.cell.driving.records import CollectionResult, CollectResult, MissingReading, ReplayResult
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.times import second_of
+
+_MOST_LISTED = 10
+"""Missing readings that are printed one by one; ``show DIR collection`` has all."""
+
+
+def collect_lines(result: CollectResult) -> list[str]:
+    """How many stops are stored, how the session ended, which readings are missing."""
+    lines = [f"{result.stops} stops stored: {result.outcome}"]
+    if result.missing:
+        share = f"{result.missing_share:.1%}, tolerated {result.tolerated_share:.1%}"
+        lines.append(f"{len(result.missing)} planned readings are missing ({share}):")
+        groups = _grouped(result.missing)
+        lines += [f"  stop {stops}, arm {arm}: {kind}: {reason}" for stops, arm, kind, reason in groups[:_MOST_LISTED]]
+        if len(groups) > _MOST_LISTED:
+            lines.append(f"  and {len(groups) - _MOST_LISTED} more: 'cellapp show DIR collection' lists all")
+    errors = ", ".join(f"{name} {error:.4f} mm" for name, error in result.standard_error_mm.items())
+    return [*lines, f"standard error of a predicted position: {errors}"] if errors else lines
+
+
+def replay_lines(result: ReplayResult) -> list[str]:
+    """What was played back, and how fast."""
+    counts = ", ".join(f"{name} {count}" for name, count in result.readings.items())
+    pace = "recorded in" if result.timed else "without times, at a fixed pace"
+    return [
+        f"{result.stops} stops played back, readings: {counts}",
+        f"{pace} {result.duration_s / 60.0:.1f} min, played {result.speed:g} times as fast",
+    ]
+
+
+def other_notes(result: CollectResult | None, notes: Sequence[str]) -> list[str]:
+    """Notes that do not repeat why a reading is missing."""
+    reasons = {f": {one.reason}" for one in result.missing} if result is not None else set()
+    return [note for note in notes if not any(note.endswith(reason) for reason in reasons)]
+
+
+def collection_tables(state: CollectionResult) -> list[Table]:
+    """Sessions, what happened in them, missing readings, reference drift, standard errors; only those with rows."""
+    tables = [_sessions(state), _requests(state), _missing(state), _drift(state), _standard_errors(state)]
+    return [table for table in tables if table.rows]
+
+
+def _grouped(missing: Sequence[MissingReading]) -> list[tuple[str, str, str, str]]:
+    """Stops, arm, kind and reason of missing readings; stops in a row that differ in nothing else are one row."""
+    groups: list[list[MissingReading]] = []
+    latest: dict[str, list[MissingReading]] = {}
+    for one in missing:
+        group = latest.get(one.arm)
+        last = group[-1] if group else None
+        if group and last and (last.stop + 1, last.kind, last.reason) == (one.stop, one.kind, one.reason):
+            group.append(one)
+        else:
+            latest[one.arm] = [one]
+            groups.append(latest[one.arm])
+    return [
+        (_stop_words(group[0].stop, group[-1].stop), group[0].arm, group[0].kind, group[0].reason) for group in groups
+    ]
+
+
+def _stop_words(first: int, last: int) -> str:
+    """Numbers of stops as persons count them, from 1."""
+    return f"{first + 1}" if first == last else f"{first + 1} to {last + 1}"
+
+
+def _sessions(state: CollectionResult) -> Table:
+    columns = (
+        Column("session"),
+        Column("began (UTC)"),
+        Column("ended (UTC)"),
+        Column("outcome"),
+        Column("reason"),
+    )
+    rows = tuple(
+        (
+            str(session.number),
+            _time(session.began),
+            _time(session.ended),
+            session.outcome or "the program died",
+            session.reason or "",
+        )
+        for session in state.sessions
+    )
+    return Table("Sessions of collecting", columns, rows)
+
+
+def _requests(state: CollectionResult) -> Table:
+    columns = (Column("session"), Column("when (UTC)"), Column("what"), Column("reason"))
+    rows = tuple(
+        (str(session.number), _time(request.written), request.kind, request.reason)
+        for session in state.sessions
+        for request in session.requests
+    )
+    return Table("Requests of persons and interruptions", columns, rows)
+
+
+def _missing(state: CollectionResult) -> Table:
+    columns = (Column("stop"), Column("arm"), Column("what"), Column("reason"))
+    share = f"{state.missing_share:.1%} of the planned ones, tolerated {state.tolerated_share:.1%}"
+    return Table(f"Missing readings: {len(state.missing)} ({share})", columns, tuple(_grouped(state.missing)))
+
+
+def _drift(state: CollectionResult) -> Table:
+    names = tuple(dict.fromkeys(row.name for row in state.references))
+    by_stop: dict[int, dict[str, float]] = {}
+    for row in state.references:
+        by_stop.setdefault(row.stops_done, {})[row.name] = row.drift_mm
+    columns = (number_column("stops done", "d"), *(number_column(name, ".4f") for name in names))
+    rows: list[tuple[Cell, ...]] = [
+        (stops, *(drift.get(name) for name in names)) for stops, drift in sorted(by_stop.items())
+    ]
+    title = f"Reference measurements: distance from the first one [mm], limit {state.drift_limit_mm:.3f} mm"
+    return Table(title, columns, tuple(rows))
+
+
+def _standard_errors(state: CollectionResult) -> Table:
+    columns = (Column("arm"), number_column("standard error", ".4f", "mm"))
+    return Table("Standard error of a predicted SMR position", columns, tuple(state.standard_error_mm.items()))
+
+
+def _time(written: str | None) -> str:
+    return "" if written is None else second_of(written)

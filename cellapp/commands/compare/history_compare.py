@@ -1,0 +1,271 @@
+"""Where two runs differ: profile, parameters, held-out errors, effects, inter-base transform, verification."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
+from typing import Literal
+
+from cellapp.cell.profile import profile_to_json
+from cellapp.cell.profile.messages import KeyPath, dotted
+from cellapp.cell.run.arm_identity import arm_identities
+from cellapp.cell.run.file import RunFile
+from cellapp.cell.targets.records import ArmVerification
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.runs.result import (
+    ArmComparison,
+    EffectComparison,
+    ErrorComparison,
+    PairComparison,
+    ProfileDifference,
+    RunComparison,
+    ValueComparison,
+)
+from cellapp.commands.stages import read_results
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.discovery.records import AcceptedEffect
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.results import BEST_METHODS, METHODS, STAGES, ErrorSummary, Estimate
+
+_MISSING: Mapping[str, str] = {
+    "calibrate": "is not calibrated",
+    "discover": "was not searched for missing effects",
+    "verify": "was not verified at targets",
+}
+
+
+def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
+    """Compare two runs; what only one of them has, or what cannot be compared, is said in the notes.
+
+    Raises
+    ------
+    InputError
+        If both are the same run, or what one of them stored is damaged.
+    """
+    if a.folder.resolve() == b.folder.resolve():
+        raise InputError(f"compare: {a.folder} and {b.folder} are the same run; give two different runs")
+    first, second = read_results(a), read_results(b)
+    common = [name for name in a.profile.arms if name in b.profile.arms]
+    others = dict(_other_serials(a, b, common))
+    notes = [*_other_arms(a, b), *_other_types(a, b, common), *others.values(), *_missing(first), *_missing(second)]
+    return RunComparison(
+        a=str(a.folder),
+        b=str(b.folder),
+        profile=tuple(_profile_differences(a.profile, b.profile)),
+        arms={
+            name: _arm(name, first, second, same_arm=name not in others and _same_type(a, b, name)) for name in common
+        },
+        pair=_pair(first.calibrate, second.calibrate),
+        notes=tuple(notes),
+    )
+
+
+# -- what cannot be compared ------------------------------------------------------------------------------------------
+
+
+def _other_arms(a: RunFile, b: RunFile) -> Iterator[str]:
+    for run, other in ((a, b), (b, a)):
+        for name in run.profile.arms:
+            if name not in other.profile.arms:
+                names = ", ".join(other.profile.arms)
+                yield f"arm '{name}' is in {run.folder} only; the arms of {other.folder} are {names}"
+
+
+def _same_type(a: RunFile, b: RunFile, name: str) -> bool:
+    return a.profile.arms[name].type.model == b.profile.arms[name].type.model
+
+
+def _other_types(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[str]:
+    for name in common:
+        if not _same_type(a, b, name):
+            types = [run.profile.arms[name].type.model for run in (a, b)]
+            yield (
+                f"arm '{name}' is of type {types[0]} in {a.folder} and {types[1]} in {b.folder}; parameters of"
+                " different arms are not compared"
+            )
+
+
+def _other_serials(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Arms of one name whose serial numbers differ, each with its note."""
+    first, second = arm_identities(a), arm_identities(b)
+    for name in common:
+        if first[name].is_other_than(second[name]):
+            yield (
+                name,
+                f"arm '{name}' has the serial number {first[name].serial} in {a.folder} and {second[name].serial} in"
+                f" {b.folder}; parameters of different arms are not compared",
+            )
+
+
+def _missing(results: RunResults) -> Iterator[str]:
+    """Results that a run lacks, and those that no longer hold."""
+    for name, words in _MISSING.items():
+        if getattr(results, name) is None and name not in results.out_of_date:
+            yield f"{results.run} {words}"
+    reasons: dict[str, list[str]] = {}
+    for stage, reason in results.out_of_date.items():
+        reasons.setdefault(reason, []).append(stage)
+    for reason, stages in reasons.items():
+        yield f"{results.run}: out of date: {', '.join(stages)} ({reason})"
+
+
+# -- profile ----------------------------------------------------------------------------------------------------------
+
+
+def _profile_differences(a: Profile, b: Profile) -> Iterator[ProfileDifference]:
+    first, second = _leaves(a), _leaves(b)
+    for key in dict.fromkeys([*first, *second]):
+        if first.get(key) != second.get(key):
+            yield ProfileDifference(key=key, a=first.get(key), b=second.get(key))
+
+
+def _leaves(profile: Profile) -> dict[str, str]:
+    """Every value of a profile as JSON, by its key as in ``arms.left.base.position[0]``."""
+    return {dotted(at): json.dumps(value, ensure_ascii=False) for at, value in _walk((), _content(profile))}
+
+
+def _content(profile: Profile) -> object:
+    content: object = json.loads(profile_to_json(profile))
+    return content
+
+
+def _walk(at: KeyPath, value: object) -> Iterator[tuple[KeyPath, object]]:
+    if isinstance(value, dict) and value:
+        for key, inside in value.items():
+            yield from _walk((*at, str(key)), inside)
+    elif isinstance(value, list) and value:
+        for index, inside in enumerate(value):
+            yield from _walk((*at, index), inside)
+    else:
+        yield at, value
+
+
+# -- arms -------------------------------------------------------------------------------------------------------------
+
+
+def _arm(name: str, a: RunResults, b: RunResults, *, same_arm: bool) -> ArmComparison:
+    first, second = (None if run.calibrate is None else run.calibrate.arms.get(name) for run in (a, b))
+    found = [None if run.discover is None else run.discover.arms.get(name) for run in (a, b)]
+    verified = [None if run.verify is None else run.verify.arms.get(name) for run in (a, b)]
+    errors = [{} if arm is None else arm.validate_ for arm in (first, second)]
+    return ArmComparison(
+        parameters=_values(
+            first.identified if first and same_arm else {}, second.identified if second and same_arm else {}
+        ),
+        heldout_mm={
+            stage: _errors(*(own[stage].position_mm if stage in own else None for own in errors))
+            for stage in STAGES
+            if any(stage in own for own in errors)
+        },
+        effects=_effects(*(() if arm is None else arm.accepted for arm in found)),
+        verified_mm=_verified(*verified),
+    )
+
+
+def _verified(
+    a: ArmVerification | None, b: ArmVerification | None
+) -> dict[Literal["nominal", "compensated"], ErrorComparison]:
+    if a is None and b is None:
+        return {}
+    return {
+        "nominal": _errors(None if a is None else a.nominal_mm, None if b is None else b.nominal_mm),
+        "compensated": _errors(None if a is None else a.compensated_mm, None if b is None else b.compensated_mm),
+    }
+
+
+def _errors(a: ErrorSummary | None, b: ErrorSummary | None) -> ErrorComparison:
+    return ErrorComparison(
+        a_mean_mm=None if a is None else a.mean,
+        b_mean_mm=None if b is None else b.mean,
+        a_rms_mm=None if a is None else a.rms,
+        b_rms_mm=None if b is None else b.rms,
+    )
+
+
+def _values(a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> tuple[ValueComparison, ...]:
+    return tuple(_value(name, a.get(name), b.get(name)) for name in dict.fromkeys([*a, *b]))
+
+
+def _value(name: str, a: Estimate | None, b: Estimate | None) -> ValueComparison:
+    difference = z = None
+    if a is not None and b is not None and a.unit == b.unit:
+        difference = b.value - a.value
+        if a.unit == "rad":
+            difference = math.remainder(difference, math.tau)  # an angle near half a turn may have either sign
+        if a.standard_error is not None and b.standard_error is not None:
+            combined = math.hypot(a.standard_error, b.standard_error)
+            z = difference / combined if combined > 0.0 else None
+    return ValueComparison(
+        name=name,
+        unit=" or ".join(dict.fromkeys(estimate.unit for estimate in (a, b) if estimate is not None)),
+        a=None if a is None else a.value,
+        b=None if b is None else b.value,
+        a_standard_error=None if a is None else a.standard_error,
+        b_standard_error=None if b is None else b.standard_error,
+        difference=difference,
+        z=z,
+    )
+
+
+# -- effects ----------------------------------------------------------------------------------------------------------
+
+
+def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> tuple[EffectComparison, ...]:
+    """Pair the effects of two runs by name, and those of one name by place, then by order."""
+    compared = []
+    for slug in dict.fromkeys(effect.effect for effect in (*a, *b)):
+        first = [effect for effect in a if effect.effect == slug]
+        second = [effect for effect in b if effect.effect == slug]
+        for effect in first.copy():
+            twin = next((other for other in second if other.where == effect.where), None)
+            if twin is not None:
+                compared.append(_effect(effect, twin))
+                first.remove(effect)
+                second.remove(twin)
+        compared += [_effect(one, other) for one, other in zip_longest(first, second)]
+    return tuple(compared)
+
+
+def _effect(a: AcceptedEffect | None, b: AcceptedEffect | None) -> EffectComparison:
+    known = a or b
+    assert known is not None
+    return EffectComparison(
+        effect=known.effect,
+        title=known.title,
+        a_where=None if a is None else a.where,
+        b_where=None if b is None else b.where,
+        parameters=_values(a.parameters if a else {}, b.parameters if b else {}),
+    )
+
+
+# -- pair -------------------------------------------------------------------------------------------------------------
+
+
+def _pair(a: CalibrateResult | None, b: CalibrateResult | None) -> PairComparison | None:
+    """None where neither run has a pair."""
+    first, second = ({} if run is None else run.pair for run in (a, b))
+    if not first and not second:
+        return None
+    method = next((method for method in BEST_METHODS if method in first and method in second), None)
+    parameters = () if method is None else _values(first[method].identified, second[method].identified)
+    return PairComparison(
+        method=method,
+        parameters=parameters,
+        distance_mm=_distance_mm(parameters),
+        cooperative_mm={
+            method: _errors(*(own[method].cooperative_mm if method in own else None for own in (first, second)))
+            for method in METHODS
+            if method in first or method in second
+        },
+    )
+
+
+def _distance_mm(parameters: Sequence[ValueComparison]) -> float | None:
+    """Length of the difference of the transform's translations x, y, z [m]."""
+    differences = {value.name: value.difference for value in parameters}
+    lengths = [differences.get(axis) for axis in ("x", "y", "z")]
+    known = [length for length in lengths if length is not None]
+    return math.hypot(*known) * 1e3 if len(known) == 3 else None

@@ -1,0 +1,134 @@
+"""Charts of targets: errors before and after, whether stated bounds hold, what an uncertainty is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cellapp.cell.targets.records import UncertaintyParts, VerifyResult
+from cellapp.commands.compensate.tables import measured_targets
+from cellapp.commands.compensate.words import PART_WORDS, Measured, bounds_and_errors, promise_words
+from cellapp.commands.view.charts import (
+    STAGE_STYLES,
+    Axis,
+    Chart,
+    bar_chart,
+    drawable_mm,
+    mm,
+    noise_limit,
+    series,
+    styles,
+)
+
+_BEFORE, _AFTER = STAGE_STYLES["nominal"], STAGE_STYLES["effects"]
+_CORRECTED, _OUT = STAGE_STYLES["network"], 5
+_NOT_YET = "No target was measured with both commands yet: push with verification first."
+
+
+def target_charts(verify: VerifyResult | None, floors_mm: Mapping[str, float | None]) -> list[Chart]:
+    """All charts of measured targets; ``floors_mm`` has the noise floor of each arm of the cell.
+
+    The errors of each arm, always; then, where there are any, those of cooperative targets, the bounds, the rounds.
+    """
+    charts = [target_chart(name, verify, floor) for name, floor in floors_mm.items()]
+    if verify is None:
+        return charts
+    if verify.pairs:
+        charts.append(pair_chart(verify))
+    if bounds_and_errors(verify):
+        charts.append(bound_chart(verify))
+    if any(len(target.rounds_mm) > 1 for target in verify.targets):
+        charts.append(rounds_chart(verify))
+    return charts
+
+
+def target_chart(name: str, verify: VerifyResult | None, floor_mm: float | None) -> Chart:
+    """Measured error at each target of one arm without and with compensation, in the order of the table."""
+    measured = [] if verify is None else measured_targets(verify, name)
+    return _errors(f"Arm {name}: targets", "measured error", measured, floor_mm)
+
+
+def pair_chart(verify: VerifyResult) -> Chart:
+    """Error of the distance between both SMRs at each cooperative target, in the order of the table."""
+    measured = [pair for pair in verify.pairs if pair.nominal_mm is not None and pair.compensated_mm is not None]
+    return _errors("Cooperative targets", "error of the distance", measured, None)
+
+
+def bound_chart(verify: VerifyResult) -> Chart:
+    """Measured error of the model alone against the 95 % bound that it stated; below the line the bound holds."""
+    title, x, y = "Stated bounds", Axis("predicted 95 % bound", "mm", True), Axis("measured error", "mm", True)
+    known = {name: bounds_and_errors(verify, name) for name in verify.arms}
+    drawn = []
+    for name, style in styles(list(known)).items():
+        if known[name]:
+            bound, error = np.array(known[name]).T
+            drawn.append(series(f"arm {name}", drawable_mm(bound), drawable_mm(error), "points", style=style))
+    if not drawn:
+        return Chart(title, x, y, (), "No measured target has a predicted bound.")
+    ends = np.concatenate([values for one in drawn for values in (one.x, one.y)])  # bounds alone are much alike
+    diagonal = np.array([ends.min(), ends.max()])
+    drawn.append(series("error = bound", diagonal, diagonal, "line", style=len(STAGE_STYLES) + 1, mark=":"))
+    message = f"{promise_words(verify)[0].capitalize()}: 95 % are to be expected."
+    return Chart(title, x, y, tuple(drawn), message)
+
+
+def rounds_chart(verify: VerifyResult) -> Chart:
+    """Mean and largest measured error after the model alone (0) and after each correction by measuring."""
+    corrected = [target.rounds_mm for target in verify.targets if len(target.rounds_mm) > 1]
+    length = max(map(len, corrected), default=0)
+    # a target that needed fewer corrections stays where its last one left it
+    errors = np.array([[*rounds, *[rounds[-1]] * (length - len(rounds))] for rounds in corrected]).reshape(-1, length)
+    title, x, y = "Corrections by measuring", Axis("corrections"), Axis("measured error", "mm", True)
+    if not corrected:
+        return Chart(title, x, y, (), "No target was corrected by measuring.")
+    mean, largest = errors.mean(axis=0), errors.max(axis=0)
+    number = np.arange(float(length))
+    drawn = (
+        series("largest", number, drawable_mm(largest), style=_BEFORE),
+        series("mean", number, drawable_mm(mean), style=_AFTER),
+    )
+    message = f"Mean error at {len(corrected)} targets: {mm(mean[0])} by the model alone, {mm(mean[-1])} in the end."
+    return Chart(title, x, y, drawn, message, by_stage=True)
+
+
+def parts_chart(title: str, parts: Sequence[UncertaintyParts]) -> Chart:
+    """Standard uncertainty of a coordinate by its sources: of one command, or root mean square over several."""
+    bars = {}
+    for part, words in PART_WORDS.items():
+        value = float(np.sqrt(np.mean([getattr(one, part) ** 2 for one in parts]))) if parts else 0.0
+        if value > 0.0:
+            bars[words] = (value, mm(value))
+    message = "The model states no uncertainty."
+    if bars:
+        largest = max(bars, key=lambda words: bars[words][0])
+        message = f"Most of it is {largest}: {bars[largest][1]}."
+    return bar_chart(title, bars, Axis("standard uncertainty", "mm"), message)
+
+
+def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: float | None) -> Chart:
+    """Errors without and with compensation, and after corrections; those out of tolerance are marked."""
+    x, y = Axis("target"), Axis(label, "mm", logarithmic=True)
+    if not measured:
+        return Chart(title, x, y, (), _NOT_YET)
+    number = np.arange(1.0, len(measured) + 1.0)
+    before = np.array([one.nominal_mm for one in measured], dtype=np.float64)
+    after = np.array([one.compensated_mm for one in measured], dtype=np.float64)
+    last = np.array([one.final_mm for one in measured], dtype=np.float64)
+    drawn = [
+        series("uncompensated", number, drawable_mm(before), "points", style=_BEFORE),
+        series("compensated", number, drawable_mm(after), "points", style=_AFTER, mark="■"),
+    ]
+    corrected = np.array([len(one.rounds_mm) > 1 for one in measured])
+    if corrected.any():
+        drawn.append(series("corrected", number[corrected], drawable_mm(last[corrected]), "points", style=_CORRECTED))
+    out = np.array([one.verdict == "out" for one in measured])
+    if out.any():
+        drawn.append(series("out of tolerance", number[out], drawable_mm(last[out]), "points", style=_OUT, mark="X"))
+    better = int(np.sum(last < before))
+    by_measuring = f", {mm(float(last.mean()))} corrected by measuring" if corrected.any() else ""
+    message = (
+        f"Mean error at {len(measured)} targets: {mm(float(before.mean()))} uncompensated, {mm(float(after.mean()))}"
+        f" compensated{by_measuring}; {'all' if better == len(measured) else better} became better."
+    )
+    return Chart(title, x, y, tuple(drawn), message, noise_limit(floor_mm), by_stage=True)

@@ -1,0 +1,244 @@
+"""A list of targets with what a run says about each: the table of the screen Targets, and one target in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, TargetCommand, TargetRecord
+from cellapp.cell.targets.targets import Target, same_target
+from cellapp.commands.compensate.words import Measured, arms_words, shown_tolerance
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.stage_text import change_words
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE
+
+R = TypeVar("R", bound=TargetRecord)
+
+_COLUMNS = (
+    Column("target"),
+    Column("arm"),
+    number_column("tol.", "g", "mm"),
+    Column("state"),
+    Column("error", unit="mm"),
+    Column("frame"),
+    number_column("95 %", ".3f", "mm"),
+    number_column("uncertainty", ".4f", "mm"),
+    number_column("rounds", "d"),
+    *(number_column(axis, ".1f", "mm") for axis in ("x", "y", "z")),
+    *(number_column(angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
+)
+_MEASURED_WORDS = {
+    "in": "within tolerance, by its uncertainty",
+    "out": "out of tolerance, by its uncertainty",
+    "cannot say": "not decided: nearer to its tolerance than its uncertainty",
+}
+COLUMN_GROUPS = (5, 6, 7, 9, 12, 15)
+"""How many columns a narrow place can show without parting a position or a rotation."""
+
+
+@dataclass(frozen=True)
+class TargetState:
+    """What a run says about one target as it is now.
+
+    Attributes
+    ----------
+    commands, measured : tuple
+        One for each arm that goes there; empty where nothing was computed or driven.
+    pair : MeasuredPair or None
+        What was measured between both arms of a cooperative target.
+    """
+
+    commands: tuple[TargetCommand, ...] = ()
+    measured: tuple[MeasuredTarget, ...] = ()
+    pair: MeasuredPair | None = None
+
+    @property
+    def refusals(self) -> list[str]:
+        """Why the target is not commanded, with the arm where two go there."""
+        several = len(self.commands) > 1
+        return [
+            f"{command.arm}: {command.refusal}" if several else command.refusal
+            for command in self.commands
+            if command.refusal
+        ]
+
+    @property
+    def notes(self) -> list[str]:
+        """Why the target was not measured."""
+        notes = [one.note for one in self.measured] + ([] if self.pair is None else [self.pair.note])
+        return list(dict.fromkeys(filter(None, notes)))
+
+    @property
+    def verdict(self) -> str:
+        """The worst verdict of what was measured; without measurements, of what is predicted."""
+        judged: list[Measured] = [*self.measured, *([] if self.pair is None else [self.pair])]
+        words: list[str] = [one.verdict for one in judged if one.verdict] or [one.verdict for one in self.commands]
+        return next((word for word in ("out", "cannot say", "in") if word in words), "")
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether an error was measured."""
+        return any(one.compensated_mm is not None for one in self.measured)
+
+    @property
+    def needs_attention(self) -> bool:
+        """Whether it is refused, not measured, out of tolerance or undecided."""
+        return bool(self.refusals or self.notes) or self.verdict in ("out", "cannot say")
+
+
+def target_state(target: Target, results: RunResults | None) -> TargetState:
+    """What the run says about one target."""
+    return target_states((target,), results)[0]
+
+
+def target_states(targets: Sequence[Target], results: RunResults | None) -> list[TargetState]:
+    """What the run says about each target. A result counts while the target is as it was when the result was made.
+
+    Of measurements and motions the last measurement counts; without one, the last motion.
+    """
+    if results is None:
+        return [TargetState()] * len(targets)
+    commands = {} if results.compensate is None else _by_name(results.compensate.targets)
+    pushes = [
+        (_by_name(pushed.targets), {pair.name: pair for pair in pushed.pairs})
+        for pushed in (results.verify, results.push)
+        if pushed is not None
+    ]
+    states = []
+    for target in targets:
+        state = TargetState(_about(target, commands))
+        for measured, pairs in pushes:
+            if not state.measured and (found := _about(target, measured)):
+                state = replace(state, measured=found, pair=pairs.get(target.name))
+        states.append(state)
+    return states
+
+
+def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
+    """Each target with its state."""
+    return Table("Targets", _COLUMNS, tuple(map(_row, targets, target_states(targets, results))))
+
+
+def target_words(target: Target, results: RunResults | None) -> str:
+    """What the run says about one target, and where it is."""
+    x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
+    rotation = "any rotation"
+    if target.rpy is not None:
+        rotation = "roll {:.2f}, pitch {:.2f}, yaw {:.2f} deg".format(*(math.degrees(angle) for angle in target.rpy))
+    frame = "" if target.frame == "base" else f" in frame {target.frame}"
+    state = _state_words(target, target_state(target, results))
+    return f"{target.name}: {state}.\nx {x}, y {y}, z {z} mm{frame}; {rotation}"
+
+
+def stale_model(results: RunResults) -> str:
+    """Why the model in force should not be used as it is; empty if it holds."""
+    located = results.locate
+    if located is not None and located.verdict != "located":
+        return "no motion of the tracker explains the points of the last 'locate'"
+    asked = (CALIBRATE, DISCOVER, LOCATE) if located is not None and located.moved else (CALIBRATE, DISCOVER)
+    reasons = [
+        f"'{name}' is out of date ({results.out_of_date[name]})" for name in asked if name in results.out_of_date
+    ]
+    if (checked := results.held_check) is not None and checked.found_change:
+        reasons.append(change_words(checked.verdict))
+    return "; ".join(reasons)
+
+
+def _state_words(target: Target, state: TargetState) -> str:
+    if not state.commands and not state.measured:
+        return "not compensated yet as it is now"
+    words = []
+    if state.refusals:
+        words.append(f"refused: {'; '.join(state.refusals)}")
+    elif state.commands:
+        words.append(f"compensated; {_uncertainty_words(state.commands)}")
+    predicted = TargetState(state.commands).verdict
+    if predicted:
+        words.append(f"tolerance {shown_tolerance(target.tolerance_mm):g} mm predicted: {predicted}")
+    several = len(state.measured) > 1
+    for one in state.measured:
+        if (mm := one.final_mm) is not None:
+            arm = f"arm {one.arm} " if several else ""
+            before = "" if one.nominal_mm is None else f", {one.nominal_mm:.4f} mm without compensation"
+            words.append(f"{arm}measured {mm:.4f} mm from the target{before}{_rounds_words(one)}")
+    if state.pair is not None and (mm := state.pair.final_mm) is not None:
+        words.append(f"distance of both SMRs off by {mm:.4f} mm{_rounds_words(state.pair)}")
+    if state.is_measured and state.verdict:
+        words.append(_MEASURED_WORDS[state.verdict])
+    return "; ".join([*words, *(note for note in state.notes if not state.refusals)])
+
+
+def _uncertainty_words(commands: Iterable[TargetCommand]) -> str:
+    known = [one.uncertainty_mm for one in commands if one.uncertainty_mm is not None]
+    if not known:
+        return "the model states no uncertainty"
+    bounds = [one.within_mm for one in commands if one.within_mm is not None]
+    within = f", 95 % of errors within {max(bounds):.4f} mm" if bounds else ""
+    return f"standard uncertainty of a coordinate {max(known):.4f} mm{within}"
+
+
+def _rounds_words(one: Measured) -> str:
+    """How far the model alone came, where the target was corrected by measuring."""
+    rounds = len(one.rounds_mm) - 1
+    return "" if rounds < 1 else f" ({one.compensated_mm:.4f} mm by the model alone, {rounds} corrected)"
+
+
+def _row(target: Target, state: TargetState) -> tuple[Cell, ...]:
+    degrees = (None, None, None) if target.rpy is None else [math.degrees(angle) for angle in target.rpy]
+    bounds = [one.within_mm for one in state.commands if one.within_mm is not None]
+    known = [one.uncertainty_mm for one in state.commands if one.uncertainty_mm is not None]
+    return (
+        target.name,
+        arms_words(target.arms),
+        shown_tolerance(target.tolerance_mm),
+        _short_state(state),
+        _errors(state),
+        target.frame,
+        max(bounds, default=None),
+        max(known, default=None),
+        max((len(one.rounds_mm) - 1 for one in state.measured if one.rounds_mm), default=None),
+        *(value * 1e3 for value in target.position),
+        *degrees,
+    )
+
+
+def _errors(state: TargetState) -> str:
+    """Error before and after: the distance of both SMRs of a cooperative target, else the largest of its arms."""
+    shown: list[Measured] = [one for one in state.measured if one.compensated_mm is not None]
+    if state.pair is not None and state.pair.compensated_mm is not None:
+        shown = [state.pair]
+    if not shown:
+        return ""
+    worst = max(shown, key=lambda one: one.final_mm or 0.0)
+    before = "" if worst.nominal_mm is None else f"{worst.nominal_mm:.3f} -> "
+    return f"{before}{worst.final_mm:.3f}"
+
+
+def _short_state(state: TargetState) -> str:
+    """The verdict, or why there is none."""
+    if state.refusals:
+        return "; ".join(state.refusals)
+    if state.measured:
+        if state.notes:
+            return "; ".join(state.notes)
+        if state.verdict and (state.is_measured or not state.commands):
+            return f"{state.verdict}, measured"
+    if state.commands and state.verdict and not state.is_measured:
+        return f"{state.verdict}, predicted"
+    if state.measured:
+        return "measured" if state.is_measured else "reached"
+    return "compensated" if state.commands else ""
+
+
+def _by_name(stored: Sequence[R]) -> dict[str, list[R]]:
+    found: dict[str, list[R]] = {}
+    for entry in stored:
+        found.setdefault(entry.name, []).append(entry)
+    return found
+
+
+def _about(target: Target, stored: Mapping[str, Sequence[R]]) -> tuple[R, ...]:
+    return tuple(entry for entry in stored.get(target.name, ()) if same_target(target, entry))

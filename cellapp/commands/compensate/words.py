@@ -1,0 +1,294 @@
+"""Targets in words: what was compensated, refused, measured; what is unknown, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.cell.targets.records import CompensateResult, MeasuredPair, MeasuredTarget, TargetCommand, VerifyResult
+from cellapp.commands.view.acceptance_words import RULE_WORDS, undecided_words
+
+PART_WORDS: Mapping[str, str] = {
+    "parameters": "geometry",
+    "effects": "effects",
+    "network": "network",
+    "extrapolation": "extrapolation",
+    "noise": "noise",
+    "conditions": "conditions",
+}
+"""Column headings of the parts of an uncertainty."""
+_MOST_NOTES = 20
+"""Notes on single targets that are printed; all are in the JSON."""
+Measured = MeasuredTarget | MeasuredPair
+"""A measured target of one arm, or of two."""
+_MOST_NAMED = 5
+"""Targets that a sentence names; further ones are counted."""
+_ADVICE: Mapping[str, str] = {
+    "temperature": "state conditions: {temperature: ...} of the target, or measure again at its temperature",
+    "payload": "state conditions: {payload: ...} of the target, or the payload of the arm in the profile",
+    "time": "state conditions: {time: ...} of the target, or calibrate again shortly before the work",
+    "dwell": "state conditions: {dwell: ...} of the target: how long the arm rests before it works",
+    "approach": "drive so, or state a side: approach: [1, 0, ...] of the target, one sign for each joint",
+    "with any rotation": "move the target nearer to the arm",
+    "out of reach": "move the target nearer to the arm, or leave its rotation free",
+    "beyond limits": "turn the target about the tool's axis, or leave its rotation free",
+    "singular": "turn or move the target a little, or leave its rotation free",
+    "collide": "move or turn the target; bodies and obstacles are those of the profile",
+    "asked": "move or turn the target; clearance, bodies and obstacles are those of the profile",
+}
+"""What to do, by a word of the condition or of the reason."""
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A condition that nobody stated, over all targets: the largest displacement [mm], where, at how many targets."""
+
+    condition: str
+    effects: tuple[str, ...]
+    mm: float
+    worst: str
+    targets: int
+
+
+def advice(reason: str) -> str:
+    """What to do about an unknown condition or a refusal; empty where the words say it themselves."""
+    return next((text for word, text in _ADVICE.items() if word in reason), "")
+
+
+def all_measured(verify: VerifyResult) -> list[Measured]:
+    """Single and cooperative targets."""
+    return [*verify.targets, *verify.pairs]
+
+
+def shown_tolerance(tolerance_mm: float | None) -> float | None:
+    """A tolerance without what the conversion from metres left in its last digits."""
+    return None if tolerance_mm is None else round(tolerance_mm, 6)
+
+
+def arms_words(arms: Iterable[str]) -> str:
+    """The arms of a target."""
+    return " + ".join(dict.fromkeys(arms))
+
+
+def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
+    """Conditions that nobody stated, the most important first."""
+    found: dict[str, list[tuple[float, str, tuple[str, ...]]]] = {}
+    for target in targets:
+        for one in target.unknown:
+            found.setdefault(one.condition, []).append((one.mm, target.name, one.effects))
+    summaries = []
+    for condition, entries in found.items():
+        mm, worst, _ = max(entries, key=lambda entry: entry[0])
+        effects = tuple(dict.fromkeys(effect for _, _, effects in entries for effect in effects))
+        summaries.append(Unknown(condition, effects, mm, worst, len({name for _, name, _ in entries})))
+    return sorted(summaries, key=lambda one: -one.mm)
+
+
+# -- compensate -------------------------------------------------------------------------------------------------------
+
+
+def compensate_lines(result: CompensateResult) -> list[str]:
+    """What ``compensate`` prints: the summary, what is unknown, each refusal, notes."""
+    lines = [*unknown_lines(result.targets), *note_lines(result.targets), *refusal_lines(result), *result.notes]
+    return [*compensate_summary(result), *dict.fromkeys(lines)]
+
+
+def compensate_summary(result: CompensateResult) -> list[str]:
+    """How many targets can be commanded, how many are predicted in and out, the largest bound, what is not seen."""
+    return [_count_words(result), *_prediction_words(result), *_bound_words(result), *_unseen_words(result)]
+
+
+def refusal_lines(result: CompensateResult) -> list[str]:
+    """Why targets cannot be commanded, one line each, and what to do."""
+    lines = []
+    for target in result.targets:
+        if target.refusal:
+            arm = f", arm {target.arm}" if target.partner else ""
+            what = advice(target.refusal)
+            lines.append(f"target {target.name}{arm}: {target.refusal}" + (f"; {what}" if what else ""))
+    return lines
+
+
+def note_lines(targets: Sequence[TargetCommand]) -> list[str]:
+    """What to know about commands that are not refused; of many, the first ones."""
+    lines = [f"target {target.name}, arm {target.arm}: {target.note}" for target in targets if target.note]
+    more = [f"and {len(lines) - _MOST_NOTES} more notes on targets"] if len(lines) > _MOST_NOTES else []
+    return [*lines[:_MOST_NOTES], *more]
+
+
+def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
+    """What was not stated, by how much it moves the SMR, and what to do; one line for each condition."""
+    lines = []
+    for one in unknown_conditions(targets):
+        where = "" if one.targets == 1 else f", the most of {one.targets} targets"
+        what = advice(one.condition)
+        taken = ""
+        if one.condition == "approach":
+            taken = " commands are for the side that stands beside each (approach); with another side"
+        lines.append(
+            f"{one.condition} is not stated:{taken} {', '.join(one.effects)} may move the SMR by {one.mm:.3f} mm"
+            f" at {one.worst}{where}" + (f"; {what}" if what else "")
+        )
+    return lines
+
+
+def _count_words(result: CompensateResult) -> str:
+    commands = by_name(result.targets)
+    refused = sum(any(command.refusal for command in of_target) for of_target in commands.values())
+    pairs = sum(len(of_target) > 1 for of_target in commands.values())
+    cooperative = f", {pairs} of them cooperative" if pairs else ""
+    return f"{len(commands) - refused} of {len(commands)} targets compensated{cooperative}" + (
+        f", {refused} refused" if refused else ""
+    )
+
+
+def _prediction_words(result: CompensateResult) -> list[str]:
+    judged = [target for target in result.targets if target.verdict]
+    if not judged:
+        return []
+    counts = [f"{sum(target.verdict == word for target in judged)} {word}" for word in ("in", "out", "cannot say")]
+    out = dict.fromkeys(target.name for target in judged if target.verdict == "out")
+    named = f"; out: {named_few(list(out))}" if out else ""
+    rule = "in if the 95 % bound is inside the tolerance, out if the SMR is outside with 95 % probability"
+    return [f"tolerances, predicted: {', '.join(counts)}{named} ({rule}, else nobody can say: ISO 14253-1)"]
+
+
+def _bound_words(result: CompensateResult) -> list[str]:
+    bounds = [(target.within_mm, target.name) for target in result.targets if target.within_mm is not None]
+    if not bounds:
+        return []
+    largest, name = max(bounds)
+    median = float(np.median([bound for bound, _ in bounds]))
+    sided = "; for the side of approach that stands beside each" if any(one.approach for one in result.targets) else ""
+    return [f"95 % bound of the measured error: median {median:.3f} mm, largest {largest:.3f} mm at {name}{sided}"]
+
+
+def _unseen_words(result: CompensateResult) -> list[str]:
+    unseen = dict.fromkeys(target.name for target in result.targets if target.visible is False and not target.refusal)
+    if not unseen:
+        return []
+    return [f"not seen by the tracker, so that a push cannot measure them: {named_few(list(unseen))}"]
+
+
+# -- measured ---------------------------------------------------------------------------------------------------------
+
+
+def verify_message(verify: VerifyResult) -> str:
+    """The verification in one sentence: how many targets are within tolerance, and the mean error before and after."""
+    parts = [_tolerance_message(verify)] if _judged(verify) else []
+    before = [target.nominal_mm for target in verify.targets if target.nominal_mm is not None]
+    after = [mm for target in verify.targets if (mm := target.final_mm) is not None]
+    if before and after:
+        parts.append(f"mean error {np.mean(before):.2f} -> {np.mean(after):.3f} mm at {len(after)} targets")
+    pairs = [pair for pair in verify.pairs if pair.nominal_mm is not None and pair.final_mm is not None]
+    if pairs:
+        nominal = np.mean([pair.nominal_mm for pair in pairs if pair.nominal_mm is not None])
+        last = np.mean([mm for pair in pairs if (mm := pair.final_mm) is not None])
+        parts.append(f"distance of both SMRs {nominal:.2f} -> {last:.3f} mm at {len(pairs)} cooperative targets")
+    return "; ".join(parts)
+
+
+def push_lines(pushed: VerifyResult) -> list[str]:
+    """What ``push`` prints: with measurements those; without, how many targets were reached, why not the others."""
+    if any(target.compensated_mm is not None for target in pushed.targets):
+        return verify_lines(pushed)
+    notes = {target.name: target.note for target in reversed(pushed.targets) if target.note}
+    count = len({target.name for target in pushed.targets})
+    missing = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
+    return [f"{count - len(notes)} of {count} targets reached", *dict.fromkeys([*missing, *pushed.notes])]
+
+
+def verify_lines(verify: VerifyResult) -> list[str]:
+    """What ``push --verify`` prints: the summary, what was not measured, notes."""
+    missing = [f"target {target.name}: {target.note}" for target in verify.targets if target.note]
+    missing += [f"target {pair.name}, both arms: {pair.note}" for pair in verify.pairs if pair.note]
+    return [*verify_summary(verify), *dict.fromkeys([*missing, *verify.notes])]
+
+
+def verify_summary(verify: VerifyResult) -> list[str]:
+    """The message, how far the model alone came, whether its bounds held."""
+    message = verify_message(verify)
+    return [
+        *([message] if message else []),
+        *rounds_words(verify),
+        *promise_words(verify),
+        *decision_words(verify),
+        *([verify.stopped] if verify.stopped else []),
+    ]
+
+
+def rounds_words(verify: VerifyResult) -> list[str]:
+    """How far the model alone came, and what correcting by measuring left; empty without corrections."""
+    lines = []
+    for measured, what in ((verify.targets, ""), (verify.pairs, ", of the distance of both SMRs")):
+        corrected = [one for one in measured if one.corrected_mm is not None]
+        asked = sum(bool(one.rounds_mm) for one in measured)
+        if asked:
+            lines.append(
+                f"corrected by measuring{what}: {len(corrected)} of {asked} targets; the error of the others is not"
+                " significant, or no correction made it significantly smaller"
+            )
+        if corrected:
+            alone = np.mean([one.rounds_mm[0] for one in corrected])
+            last = np.mean([mm for one in corrected if (mm := one.final_mm) is not None])
+            rounds = max(len(one.rounds_mm) for one in corrected) - 1
+            times = "1 correction" if rounds == 1 else f"up to {rounds} corrections"
+            lines.append(
+                f"the model alone came to {alone:.4f} mm in the mean{what};"
+                f" {times} by measuring brought it to {last:.4f} mm ({len(corrected)} targets)"
+            )
+    return lines
+
+
+def decision_words(verify: VerifyResult) -> list[str]:
+    """By which rule tolerances were decided, and what is missing for it; empty without a tolerance."""
+    if not _judged(verify):
+        return []
+    return [line for line in (RULE_WORDS[verify.rule], undecided_words(verify.not_given)) if line]
+
+
+def promise_words(verify: VerifyResult) -> list[str]:
+    """How many errors of the model alone are within the bound that it stated; empty where it stated none."""
+    known = bounds_and_errors(verify)
+    if not known:
+        return []
+    kept = sum(error <= bound for bound, error in known)
+    return [f"{kept} of {len(known)} measured errors are within the predicted 95 % bound"]
+
+
+def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tuple[float, float]]:
+    """Predicted 95 % bound and measured error [mm] of the model alone, for the targets (of one arm) that have both."""
+    return [
+        (target.within_mm, error)
+        for target in verify.targets
+        if arm in (None, target.arm) and target.within_mm is not None and (error := target.compensated_mm) is not None
+    ]
+
+
+def by_name(commands: Sequence[TargetCommand]) -> dict[str, list[TargetCommand]]:
+    """The commands of each target: one, or one for each arm of a cooperative target."""
+    found: dict[str, list[TargetCommand]] = {}
+    for command in commands:
+        found.setdefault(command.name, []).append(command)
+    return found
+
+
+def named_few(names: Sequence[str]) -> str:
+    """Some names; further ones are counted."""
+    more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
+    return ", ".join([*names[:_MOST_NAMED], *more])
+
+
+def _judged(verify: VerifyResult) -> list[Measured]:
+    return [one for one in all_measured(verify) if one.verdict]
+
+
+def _tolerance_message(verify: VerifyResult) -> str:
+    judged = _judged(verify)
+    out = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "out"]
+    unsure = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "cannot say"]
+    within = f"{len(judged) - len(out) - len(unsure)} of {len(judged)} measurements within tolerance"
+    within += f", {len(out)} out: {named_few(out)}" if out else ""
+    return within + (f", {len(unsure)} not decided: {named_few(unsure)}" if unsure else "")

@@ -1,0 +1,150 @@
+"""The verb ``correct``: a controller's program, its targets corrected so that the real arm reaches them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.cell.profile.files import write_new_bytes
+from cellapp.cell.programs.gate_findings import gate_findings
+from cellapp.cell.programs.records import CorrectResult, LeftLine
+from cellapp.cell.programs.rewriting import rewritten
+from cellapp.cell.programs.script_targets import read_script, six
+from cellapp.cell.programs.solving import Workplace, solve_targets
+from cellapp.cell.programs.targets import ReadProgram, Six
+from cellapp.cell.programs.urp_targets import read_urp
+from cellapp.cell.programs.words import assumptions, model_notes
+from cellapp.cell.run import RunFile
+from cellapp.commands.stages import read_stages
+from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.robot.model import ArmModel
+
+_JOINTS = 6
+_LARGEST = 32 * 1024 * 1024
+"""Bytes of a program that are read."""
+
+
+def correct_run(
+    run: RunFile,
+    program: Path,
+    out: Path,
+    arm: str | None = None,
+    *,
+    tcp: Six | None = None,
+    partly: bool = False,
+    extrapolate: bool = False,
+    outputs: Outputs = NEW_ONLY,
+) -> CorrectResult:
+    """Write a copy of a program whose targets a plain controller reaches truly.
+
+    Nothing is written while a target has no correction: the result lists them, and its ``out`` is None.
+
+    Parameters
+    ----------
+    run : RunFile
+        A calibrated run.
+    program, out : Path
+        ``.script`` or ``.urp``, both the same.
+    arm : str or None
+        The arm; needed where the run has several.
+    tcp : six numbers or None
+        x, y, z [m] and rotation vector [rad] of the TCP in the flange frame, where the program sets none.
+    partly : bool
+        Write although some targets stay as they are.
+    extrapolate : bool
+        Correct targets outside the joint ranges of the readings too.
+    outputs : Outputs
+        What may be replaced; left out, nothing.
+
+    Raises
+    ------
+    InputError
+        If the program cannot be read, the run is not calibrated or has no such arm, or the copy cannot be written.
+    """
+    stages = read_stages(run)
+    model = model_of(run, stage_in_force(run, stages))
+    name = _arm(run, list(model.arms), arm)
+    model_arm = model.arms[name]
+    read = _read(program, out, model_arm, tcp)
+    if not read.targets and not read.left:
+        raise InputError(f"{program}: no motion with a target found; nothing was written")
+    settings = run.profile.arms[name]
+    limits = np.array(settings.limits or [joint.limit for joint in settings.type.joints])
+    home = np.zeros(_JOINTS) if settings.home is None else np.array(settings.home)
+    place = Workplace(model_arm, limits, home, run.readings(name).q, run.profile.seed, read.payload_kg, extrapolate)
+    corrected = solve_targets(place, read.targets)
+    stale = stages.stale_arms()
+    result = CorrectResult(
+        program=str(program),
+        out=str(out),
+        arm=name,
+        targets=tuple(corrected),
+        left=tuple(
+            LeftLine(line=one.line, command=one.command, reason=one.reason, refused=one.refused) for one in read.left
+        ),
+        assumptions=tuple(assumptions(place, settings, read, corrected)),
+        notes=(
+            *([f"the model was used although {stale}"] if stale else []),
+            *model_notes(model_arm),
+            *read.notes,
+            *gate_findings(run.profile, model, name, corrected),
+        ),
+    )
+    if result.refused and not partly:
+        return result.model_copy(update={"out": None})
+    write_new_bytes({out: read.encode(rewritten(read.text, read.targets, corrected))}, outputs)
+    return result
+
+
+def typed_tcp(text: str) -> Six:
+    """A TCP as a person types it: ``x,y,z,rx,ry,rz``. Raises ``InputError``."""
+    try:
+        numbers = [float(part) for part in text.removeprefix("p").strip("[] ").split(",")]
+        if not np.isfinite(numbers).all():
+            raise ValueError
+        tcp = six(numbers)
+    except ValueError:
+        raise InputError(
+            f"--tcp {text}: expected six numbers x,y,z,rx,ry,rz in m and rad, for example 0,0,0.12,0,0,0"
+        ) from None
+    if np.abs(tcp[:3]).max() > 5.0:
+        raise InputError(f"--tcp {text}: a TCP more than 5 m from the flange; positions are in metres")
+    return tcp
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _arm(run: RunFile, arms: Sequence[str], asked: str | None) -> str:
+    if asked is None and len(arms) > 1:
+        choice = " or ".join(f"--arm {name}" for name in arms)
+        raise InputError(f"correct: {run.path} has several arms; say whose program it is: {choice}")
+    name = arms[0] if asked is None else asked
+    if name not in arms:
+        raise InputError(f"correct: {run.path} has no calibrated arm '{name}'; arms are {', '.join(arms)}")
+    joints = len(run.profile.arms[name].type.joints)
+    if joints != _JOINTS:
+        raise InputError(f"correct: arm '{name}' has {joints} joints; programs of UR controllers have {_JOINTS}")
+    return name
+
+
+def _read(program: Path, out: Path, arm: ArmModel, tcp: Six | None) -> ReadProgram:
+    kind = program.suffix.lower()
+    if kind not in (".script", ".urp"):
+        raise InputError(f"{program}: expected a program of a UR controller, .script or .urp")
+    if out.suffix.lower() != kind:
+        raise InputError(f"--out {out}: the copy is of the same kind as the program; give a name that ends in {kind}")
+    try:
+        with program.open("rb") as file:
+            data = file.read(_LARGEST + 1)
+    except OSError as error:
+        raise InputError(f"{program}: cannot be read ({error.strerror}); give a program, .script or .urp") from None
+    if len(data) > _LARGEST:
+        raise InputError(f"{program}: larger than {_LARGEST // 2**20} MB; no program is")
+    if kind == ".script":
+        return read_script(data, str(program), tcp)
+    return read_urp(data, str(program), arm.nominal.rows[:, :4])

@@ -1,0 +1,98 @@
+"""The handbook's chapters, the sections of single effects, and the anchors of headings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from importlib import resources
+
+from cellapp.ground.errors import InputError
+
+CHAPTERS: Mapping[str, str] = {
+    "tutorial": "from an empty folder to a signed report, on the simulated twin",
+    "install": "a wheel, extras, completion in the shell, Windows, a container",
+    "commands": "every command, JSON, exit codes",
+    "cell": "connecting the real cell step by step, with its risks; writing a profile",
+    "readings": "readings that you measured elsewhere: any table, any arm, in ten minutes",
+    "terminal": "the terminal application: a day, its screens and its keys",
+    "planning": "which stops are measured, obstacles, editing a plan",
+    "faults": "stopping, pausing, resuming; each fault and what to do",
+    "frames": "frames and conventions: where each frame sits, signs, D-H rows, order of rotations",
+    "files": "every file that goes in or comes out: columns, units, frames, examples",
+    "discovery": "how discovery decides, and what its words mean",
+    "effects": "the physical effects that discovery knows",
+    "signature": "an arm calibrated again, with its earlier calibration as prior",
+    "targets": "targets of calibrated arms: lists, verdicts, uncertainty, measuring them",
+    "paths": "lines and arcs that the true SMR follows: the file, driving, measuring",
+    "programs": "programs of UR controllers, corrected so that the real arm reaches their targets",
+    "exports": "calibrated arms for other programs, and what their files cannot hold",
+    "report": "the page of a run: verdict, sections, what is out of date, paper",
+    "check": "whether a calibration still holds: a few stops, what moved, what changed",
+    "iso9283": "tests by ISO 9283: cube, cycles, formulas, uncertainty, what one SMR cannot show",
+    "certificate": "what a run proves, judged and signed: tolerances, uncertainty, decision rule, keys",
+    "fleet": "many runs: what has changed in each arm, and when it leaves its tolerance",
+    "scale": "trials on all cores or a Dask cluster, results that survive, fleets recalibrated by night",
+    "emulator": "the emulated cell: real protocols, faults at will",
+    "extend": "arms, drivers, effects and exports of your own, as plug-ins",
+    "python": "using cellapp from Python: runs, models, data frames, mistakes",
+    "house": "how the code is laid out, how to add to it, tests",
+    "decisions": "decisions that shaped the house, with what was measured",
+    "figures": "every figure of the project, and how it was measured",
+    "peers": "other libraries on the same problems: time, error, what they have and cellapp lacks",
+    "untried": "what was never tried on real hardware, and what the program does not do",
+    "glossary": "the terms of the field as this program uses them",
+}
+"""Name and subject of each chapter, a Markdown file of this package."""
+_SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)
+_HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+_FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+_MARKER = re.compile(r"<!--.*?-->\n")
+_FOR_TESTS = re.compile(r"^([ ]*```\w+) .*$", re.MULTILINE)
+"""What the first line of an example says after its language: how tests run it."""
+
+
+def topics() -> list[str]:
+    """Names of the chapters and of the effects that have a section."""
+    return [*CHAPTERS, *effect_sections()]
+
+
+def topic_text(topic: str) -> str:
+    """Markdown of a chapter, or of the section of one effect, without the markers and the words for tests.
+
+    Raises
+    ------
+    InputError
+        If there is no such topic.
+    """
+    kept = chapter_text(topic) if topic in CHAPTERS else effect_sections().get(topic)
+    if kept is None:
+        raise InputError(f"docs: '{topic}' is not a topic; topics are {', '.join(topics())}")
+    return _FOR_TESTS.sub(r"\1", _MARKER.sub("", kept))
+
+
+def chapter_text(chapter: str) -> str:
+    """A chapter as it is kept, with the markers around the parts that repeat declarations."""
+    return resources.files("cellapp.docs").joinpath(f"{chapter}.md").read_text("utf-8")
+
+
+def effect_sections() -> dict[str, str]:
+    """Section of each effect by slug: of the chapter on effects, or what the effect of a plug-in declares."""
+    from cellapp.robot.effects import EFFECTS
+    from tests.handbook.declarations import declared_part  # here, so that chapters are read without the mathematics
+
+    text = chapter_text("effects")
+    found = list(_SECTION.finditer(text))
+    ends = [*(match.start() for match in found[1:]), len(text)]
+    sections = {match[1]: text[match.start() : end] for match, end in zip(found, ends, strict=True)}
+    added = (one for slug, one in EFFECTS.items() if slug not in sections)
+    return sections | {one.slug: f"## {one.slug}\n\n*{one.title}.*\n\n{declared_part(one)}" for one in added}
+
+
+def anchors(chapter: str) -> dict[str, str]:
+    """Headings of a chapter by the anchor that a link to each carries: small letters, words joined by hyphens."""
+    return {anchor_of(heading): heading for heading in _HEADING.findall(_FENCED.sub("", chapter_text(chapter)))}
+
+
+def anchor_of(heading: str) -> str:
+    """The anchor of a heading, as Markdown readers make it."""
+    return re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-")

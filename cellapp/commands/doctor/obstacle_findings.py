@@ -1,0 +1,41 @@
+"""What the doctor says about obstacles: how near each is at home, what stands on it, what covers a mounted one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from cellapp.cell.safety.covers import cover
+from cellapp.cell.safety.gate import CellBodies
+from cellapp.cell.safety.standing import Standing, standings
+from cellapp.robot.kinematics.transforms import Array
+from drivers.findings import Finding
+
+
+def obstacle_findings(cell: CellBodies, homes: Mapping[str, Array]) -> Iterator[Finding]:
+    """Yield a finding for each obstacle of the cell, and for each that is mounted on an arm."""
+    found = list(standings(cell, homes))
+    for obstacle in cell.obstacles:
+        yield _standing(cell, obstacle.name, [one for one in found if one.obstacle == obstacle.name])
+    for name, arm in cell.arms.items():
+        for obstacle in arm.mounted:
+            capsules = cover(obstacle)
+            count = len(capsules.radius)
+            text = f"on the flange of arm {name}"
+            if capsules.excess > 0.0:
+                text += (
+                    f"; checks use {count} {'capsule' if count == 1 else 'capsules'} around it, which reach up to"
+                    f" {1e3 * capsules.excess:.0f} mm out of it"
+                )
+            yield Finding(f"obstacle {obstacle.name}", "ok", text)
+
+
+def _standing(cell: CellBodies, name: str, beside: list[Standing]) -> Finding:
+    homes = ", ".join(f"arm {one.arm} {1e3 * one.moving:.0f} mm" for one in beside)
+    words = [f"distance at home: {homes}"]
+    on_it = [one.arm for one in beside if one.base < cell.clearance]
+    if on_it:
+        words.append(f"{', '.join(on_it)} on or beside it: base and first link are not checked against it")
+    refused = [f"arm {one.arm} must keep {1e3 * one.asked:.0f} mm" for one in beside if not one.moving >= one.asked]
+    if refused:
+        words += [*refused, f"change obstacles.{name}, arms.*.home, arms.*.base or plan.clearance"]
+    return Finding(f"obstacle {name}", "failed" if refused else "ok", "; ".join(words))

@@ -1,0 +1,257 @@
+"""The verb: emulate the UR controllers and the tracker bridge of a profile, with its simulated cell behind them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Arm, Profile
+from cellapp.ground.progress import CancelToken
+from drivers.arms.settings import EmulatedController
+from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
+from drivers.emulators.ur_controller import (
+    STANDARD_PORTS,
+    Addresses,
+    ControllerConfig,
+    Personality,
+    UrControllerServer,
+)
+from drivers.plant import Plant
+from drivers.settings import SettingError
+
+_STEP_S = 0.2
+"""Longest time for which a cancel, such as Ctrl-C, goes unnoticed."""
+_CB3_MODELS = ("UR3", "UR5", "UR10")
+_JOINTS = 6
+"""Of every UR arm."""
+
+
+@dataclass(frozen=True)
+class EmulatedArm:
+    """An arm whose controller is emulated, and where that listens.
+
+    ``control_port`` on 127.0.0.1 accepts commands for faults and for the operator's actions; see
+    ``drivers/emulators/ur_controller/control.py``.
+    """
+
+    arm: str
+    controller: Personality
+    host: str
+    dashboard_port: int = STANDARD_PORTS["dashboard"]
+    primary_port: int = STANDARD_PORTS["primary"]
+    script_port: int = STANDARD_PORTS["script"]
+    rtde_port: int = STANDARD_PORTS["rtde"]
+    control_port: int = 0
+
+    def __str__(self) -> str:
+        """Return controller and ports, for the person who started it."""
+        return (
+            f"arm {self.arm}: {self.controller.model} ({self.controller.series}), serial {self.controller.serial},"
+            f" at {self.host}: dashboard {self.dashboard_port}, primary {self.primary_port}, script"
+            f" {self.script_port}, RTDE {self.rtde_port}; faults on command at 127.0.0.1:{self.control_port}"
+        )
+
+
+@dataclass(frozen=True)
+class EmulatedTracker:
+    """Address at which the tracker of the simulated cell is served over the bridge protocol."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        """Return host and port, for the person who started it."""
+        return f"tracker: simulated, bridge protocol at {self.host} port {self.port}"
+
+
+def emulated_tracker(profile: Profile) -> EmulatedTracker | None:
+    """Return where the tracker of a profile can be emulated; None without a simulated cell or a loopback address."""
+    bridge = profile.tracker.driver.emulated_bridge()
+    return None if profile.plant is None or bridge is None else EmulatedTracker(bridge.host, bridge.port)
+
+
+def _serve_tracker(
+    stack: ExitStack, profile: Profile, plant: Plant, server: UrControllerServer, tracker: EmulatedTracker
+) -> EmulatedTracker:
+    """Serve the tracker of the cell that the controllers move; it waits for their clock and holds their lock."""
+    try:
+        token = profile.tracker.driver.token()
+    except SettingError as error:
+        raise InputError(str(error)) from error
+    bridge = TrackerBridgeEmulator(
+        plant, clock=threading.Condition(server.cell.lock), host=tracker.host, port=tracker.port, token=token
+    )
+    try:
+        stack.enter_context(bridge)
+    except OSError as error:
+        raise HardwareError(f"tracker: {error.strerror}; see whether another bridge runs here") from error
+    assert bridge.port is not None
+    return EmulatedTracker(bridge.host, bridge.port)
+
+
+def emulated_arms(profile: Profile) -> list[EmulatedArm]:
+    """Return the controllers that can be emulated for a profile, on the standard ports.
+
+    The kind of an arm decides: its own loopback address, or any free one from 127.0.0.2 on. Arms with a controller on
+    another machine are left out.
+
+    Raises
+    ------
+    InputError
+        If no controller can be emulated, two arms share an address, or an arm is not a UR arm with six joints.
+    """
+    emulated = {name: arm.driver.emulated_controller() for name, arm in profile.arms.items()}
+    controllers = {name: controller for name, controller in emulated.items() if controller is not None}
+    if not controllers:
+        raise InputError(
+            f"profile {profile.name}: no controller to emulate; this needs an arm whose driver is 'simulated', or 'ur'"
+            " with a loopback address such as 127.0.0.2 as its host"
+        )
+    hosts = _hosts(controllers)
+    return [
+        EmulatedArm(name, _personality(name, arm, controllers[name].serial, number), hosts[name])
+        for number, (name, arm) in enumerate(profile.arms.items(), start=1)
+        if name in controllers
+    ]
+
+
+def _hosts(controllers: Mapping[str, EmulatedController]) -> dict[str, str]:
+    """Return the address of each controller; those without one get free addresses. Raises ``InputError``."""
+    hosts: dict[str, str] = {}
+    for name, controller in controllers.items():
+        if controller.host is not None and controller.host in hosts.values():
+            raise InputError(
+                f"arms.{name}.driver.host: {controller.host} is another arm's; give each its own, as 127.0.0.2"
+            )
+        if controller.host is not None:
+            hosts[name] = controller.host
+    free = (f"127.0.0.{number}" for number in range(2, 255) if f"127.0.0.{number}" not in hosts.values())
+    return hosts | dict(zip((name for name in controllers if name not in hosts), free, strict=False))
+
+
+def emulate(
+    profile: Profile,
+    cancel: CancelToken,
+    announce: Callable[[Sequence[EmulatedArm]], None],
+    arms: Sequence[EmulatedArm] | None = None,
+    pace: float = 1.0,
+    tracker: EmulatedTracker | None = None,
+    announce_tracker: Callable[[EmulatedTracker], None] = lambda _: None,
+    watch_clearance: bool = False,
+) -> None:
+    """Emulate the controllers of a profile until ``cancel``; all ports are free again when this returns.
+
+    The arms belong to the simulated cell of the section ``plant``; without one, only their joints move.
+
+    Parameters
+    ----------
+    announce : callable
+        Called once with the addresses, when all controllers listen.
+    arms : sequence of EmulatedArm, or None
+        Controllers instead of ``emulated_arms``; a port 0 takes a free one.
+    pace : float
+        Seconds of the cell for each second of wall time.
+    tracker : EmulatedTracker, or None
+        Address instead of ``emulated_tracker``; the tracker measures the same cell.
+    announce_tracker : callable
+        Called before ``announce`` with that address.
+    watch_clearance : bool
+        Whether the command ``clearance`` of the control channel gives the smallest distances.
+
+    Raises
+    ------
+    InputError
+        As ``emulated_arms``, and if ``pace`` is not between 0 and 1000.
+    HardwareError
+        If a port is in use, an address is not available, or the simulation fails while it runs.
+    """
+    chosen = emulated_arms(profile) if arms is None else arms
+    served = emulated_tracker(profile) if tracker is None else tracker
+    plant = None if profile.plant is None else build_plant(profile, watch_clearance=watch_clearance)
+    server = _server(profile, chosen, plant, pace)
+    with ExitStack() as stack:
+        _listen(stack, server)
+        if served is not None and plant is not None:
+            announce_tracker(_serve_tracker(stack, profile, plant, server, served))
+        announce([_listening(arm, server.addresses) for arm in chosen])
+        while not cancel.wait(_STEP_S):
+            _check(server)
+
+
+def _server(profile: Profile, arms: Sequence[EmulatedArm], plant: Plant | None, pace: float) -> UrControllerServer:
+    try:
+        return UrControllerServer([_config(arm, profile.arms[arm.arm]) for arm in arms], plant, pace)
+    except ValueError as error:
+        raise InputError(f"profile {profile.name}: {error}") from error
+
+
+def _listen(stack: ExitStack, server: UrControllerServer) -> None:
+    try:
+        stack.enter_context(server)
+    except OSError as error:
+        raise HardwareError(
+            f"{error.strerror}; see whether another emulator or simulator runs here. On macOS,"
+            " addresses other than 127.0.0.1 must be added first: ifconfig lo0 alias 127.0.0.2"
+        ) from error
+
+
+def _check(server: UrControllerServer) -> None:
+    """Raise ``HardwareError`` if the simulation failed."""
+    if server.failure is not None:
+        why = f"{type(server.failure).__name__}: {server.failure}"
+        raise HardwareError(f"the emulated cell cannot go on ({why}); its ports are closed") from server.failure
+
+
+def _listening(arm: EmulatedArm, addresses: Addresses) -> EmulatedArm:
+    ports = {name: number for name, (_, number) in addresses.arms[arm.arm].items()}
+    return replace(
+        arm,
+        dashboard_port=ports["dashboard"],
+        primary_port=ports["primary"],
+        script_port=ports["script"],
+        rtde_port=ports["rtde"],
+        control_port=addresses.control[1],
+    )
+
+
+def _config(emulated: EmulatedArm, arm: Arm) -> ControllerConfig:
+    joints = arm.type.joints
+    limits = tuple((joint.limit[0], joint.limit[1]) for joint in joints)
+    home = arm.home or tuple(min(max(0.0, low), high) for low, high in limits)
+    return ControllerConfig(
+        name=emulated.arm,
+        host=emulated.host,
+        personality=emulated.controller,
+        ports={
+            "dashboard": emulated.dashboard_port,
+            "primary": emulated.primary_port,
+            "script": emulated.script_port,
+            "rtde": emulated.rtde_port,
+        },
+        limits=limits,
+        speed=tuple(joint.speed for joint in joints),
+        acceleration=tuple(joint.acceleration for joint in joints),
+        home=home,
+        payload_mass=arm.payload.mass,
+        payload_center=arm.payload.center_of_mass,
+    )
+
+
+def _personality(name: str, arm: Arm, serial: str | None, number: int) -> Personality:
+    """Return the controller of a UR arm. Raises ``InputError`` if the arm's type is not a UR arm."""
+    model = arm.type.model.strip()
+    joints = arm.type.joints
+    if not model.upper().startswith("UR") or len(joints) != _JOINTS:
+        raise InputError(
+            f"arms.{name}.type: '{model}' with {len(joints)} joints is not a UR arm; only UR controllers are emulated"
+        )
+    return Personality(
+        series="CB3" if model.upper() in _CB3_MODELS else "e-Series",
+        model=model.removesuffix("e").removesuffix("E"),  # e-Series controllers report the model without it
+        serial=serial or f"2015990000{number}",
+        rows=tuple((joint.theta, joint.d, joint.a, joint.alpha) for joint in joints),
+    )

@@ -1,0 +1,241 @@
+"""The verb ``export``: readings as CSV, calibrated arms and commands in the formats of other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
+from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
+from cellapp.cell.exports.formats import format_named
+from cellapp.cell.exports.geometry import geometry_export
+from cellapp.cell.exports.out_files import check_out, files_of_arms
+from cellapp.cell.exports.records import ArmFile, ExportResult
+from cellapp.cell.exports.words import form_line, lost_sentences
+from cellapp.cell.profile.files import write_new
+from cellapp.cell.run import RunFile, write_readings_csv
+from cellapp.commands.export.run_commands import export_commands
+from cellapp.commands.plan.run import export_plan
+from cellapp.commands.stages import RunStages, StoredStage, read_stages
+from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.results import CALIBRATE, DISCOVER
+from cellapp.robot.kinematics.transforms import Array, xyz_of
+from cellapp.robot.model import CellModel
+
+_GEOMETRY_NOTE = (
+    "--geometry is kept for programs that read its JSON; --as writes a file for each program, and loses no geometry"
+)
+
+
+def export_as_run(
+    run: RunFile,
+    format_name: str,
+    out: Path,
+    arm: str | None = None,
+    stage_name: str | None = None,
+    outputs: Outputs = NEW_ONLY,
+) -> ExportResult:
+    """Write the calibrated arms, the cell or the commands at targets in one format.
+
+    Parameters
+    ----------
+    run : RunFile
+    format_name : str
+        One of ``formats.all_formats()``.
+    out : Path
+        The file. If there are several arms and none is named, each arm's name goes before the ending; a format for the
+        whole cell has one file.
+    arm : str or None
+        The arm; None means all.
+    stage_name : str or None
+        ``calibrate`` or ``discover``: whose geometry is written. None means that of the model in force. Of commands
+        ``compensate`` or ``verify``; None means those of the last compensation.
+    outputs : Outputs
+        What may be replaced; left out, nothing.
+
+    Raises
+    ------
+    InputError
+        If there is no such format, arm or stage, the run is not calibrated, the format cannot hold an arm, a file
+        exists with another text, or it cannot be written; also as ``export_commands``.
+    """
+    form, stages = format_named(format_name), read_stages(run)
+    if isinstance(form, CommandFormat):
+        return export_commands(run, stages, form, out, arm, stage_name, outputs)
+    if isinstance(form, CellFormat):
+        return _export_cell(run, stages, form, out, arm, stage_name, outputs)
+    return _export_arms(run, stages, form, out, arm, stage_name, outputs)
+
+
+def _export_arms(
+    run: RunFile,
+    stages: RunStages,
+    form: ExportFormat,
+    out: Path,
+    arm: str | None,
+    stage_name: str | None,
+    outputs: Outputs,
+) -> ExportResult:
+    exports = calibrated_arms(run, stages, stage_name)
+    if arm is not None and arm not in exports:
+        raise InputError(f"export: {run.path} has no calibrated arm '{arm}'; arms are {', '.join(exports)}")
+    chosen = {name: export for name, export in exports.items() if arm in (None, name)}
+    files = files_of_arms(out, list(chosen))
+    texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
+    notes = (*_stale_notes(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
+    write_new(texts, outputs)
+    return ExportResult(
+        format=form.name,
+        arms={
+            name: _arm_file(export, files[name], form.smr(export), conversion_mm(export, form.held(export.geometry)))
+            for name, export in chosen.items()
+        },
+        notes=notes,
+    )
+
+
+def _export_cell(
+    run: RunFile,
+    stages: RunStages,
+    form: CellFormat,
+    out: Path,
+    arm: str | None,
+    stage_name: str | None,
+    outputs: Outputs,
+) -> ExportResult:
+    if arm is not None:
+        raise InputError(f"export: --as {form.name} writes all arms in one file; leave --arm out, or take --as urdf")
+    check_out(out)
+    exports = calibrated_arms(run, stages, stage_name)
+    lines = [form_line(form), *(line for export in exports.values() for line in _arm_sentences(export))]
+    notes = (*_stale_notes(stages.stale_model()), *_rigid_notes(run, stages, exports))
+    write_new({out: form.text(exports, lines)}, outputs)
+    return ExportResult(
+        format=form.name,
+        arms={name: _arm_file(export, out, export.geometry.tool, 0.0) for name, export in exports.items()},
+        notes=notes,
+    )
+
+
+def _stale_notes(stale: str) -> list[str]:
+    return [f"the model was used although {stale}"] if stale else []
+
+
+def calibrated_arms(run: RunFile, stages: RunStages, stage_name: str | None = None) -> dict[str, ArmExport]:
+    """Return every arm with the geometry of one stage and what that loses of the model in force."""
+    in_force = stage_in_force(run, stages)
+    stage = in_force if stage_name is None else _stage(run, stages, stage_name)
+    model, best = model_of(run, stage), model_of(run, in_force)
+    written = model.provenance.get("written", "an unknown time")
+    source = f"run '{run.folder.resolve().name}', model of '{stage.name}' written {written}"
+    exports = {}
+    for name, space in _workspaces(run, best).items():
+        own, full = model.arms[name], best.arms[name]
+        lost = lost_parts(full, space)
+        together = lost_by(own.geometry, full, space) if lost or stage is not in_force else None
+        parts = lost if stage is in_force else {}
+        exports[name] = ArmExport(name, run.profile.arms[name], own, source, space.q, parts, together)
+    return exports
+
+
+def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
+    found = stages.current.get(CALIBRATE if name == CALIBRATE else DISCOVER)
+    if found is None or name not in (CALIBRATE, DISCOVER):
+        there = [stage for stage in (CALIBRATE, DISCOVER) if stage in stages.current]
+        raise InputError(f"export: {run.path} has no model of a stage '{name}'; there are {', '.join(there)}")
+    return found
+
+
+def _workspaces(run: RunFile, model: CellModel) -> dict[str, Workspace]:
+    readings = {name: run.readings(name) for name in model.arms}
+    conditions = conditions_of_arms(model.arms, readings)
+    return {name: workspace(own.q, conditions[name], run.profile.seed) for name, own in readings.items()}
+
+
+def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExport]) -> list[str]:
+    """Say where the geometry that was identified without effects is nearer to the whole model than the one written.
+
+    Without effects in the model, the geometry takes up what it can of them: the better chain for programs without them.
+    """
+    if CALIBRATE not in stages.current or stages.current[CALIBRATE] is stages.in_force:
+        return []
+    rigid, notes = calibrated_arms(run, stages, CALIBRATE), []
+    for name, export in exports.items():
+        loss, own = rigid[name].lost_together, export.lost_together
+        if loss is not None and own is not None and loss.rms_mm < own.rms_mm:
+            notes.append(
+                f"arm {name}: the geometry that 'calibrate' identified without effects is off by only"
+                f" {loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most: --stage calibrate writes it"
+            )
+    return notes
+
+
+def lost_by_arm(run: RunFile) -> list[str]:
+    """What no file of a rigid chain holds of each calibrated arm, in words."""
+    lines = []
+    for name, export in calibrated_arms(run, read_stages(run)).items():
+        loss = export.lost_together
+        words = "nothing" if loss is None else f"{loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most"
+        parts = f" ({', '.join(export.lost)})" if export.lost else ""
+        lines.append(f"arm {name}{parts} {words}")
+    return lines
+
+
+def sentences(form: ExportFormat, export: ArmExport) -> list[str]:
+    """What stands at the top of every file: the arm, where it is from, what the file does not hold."""
+    return [form_line(form), *_arm_sentences(export)]
+
+
+def _arm_sentences(export: ArmExport) -> list[str]:
+    lines = [
+        f"Arm '{export.name}' ({export.arm.type.model}), {export.source}.",
+        *lost_sentences(export.lost, export.lost_together),
+    ]
+    return [" ".join(line.splitlines()) for line in lines]  # a name must not end the comment
+
+
+def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFile:
+    return ArmFile(
+        file=str(file),
+        smr_m=xyz_of(smr),
+        conversion_mm=off_mm,
+        lost=export.lost,
+        lost_together=export.lost_together,
+    )
+
+
+def export_run(
+    run: RunFile, csv: Path | None, geometry: Path | None, plan: Path | None = None, outputs: Outputs = NEW_ONLY
+) -> ExportResult:
+    """Write the readings or the plan as CSV, the identified arms as one JSON file, or several of these.
+
+    Raises
+    ------
+    InputError
+        If none is given, there is nothing to write, or a file cannot be written, or may not.
+    """
+    if csv is None and geometry is None and plan is None:
+        raise InputError(
+            "export: say what to write: --csv FILE for the readings, --plan FILE for the plan, --as FORMAT --out FILE"
+            " for the arms; 'cellapp docs exports' lists the formats"
+        )
+    if plan is not None:
+        export_plan(run, plan, outputs)
+    if csv is not None:
+        write_readings_csv(run, csv, outputs)
+    lost = None
+    if geometry is not None:
+        content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))))
+        outputs.write_text(geometry, content.to_json(indent=1) + "\n")
+        lost = {name: arm.ur_deltas.lost.position_mm.rms for name, arm in content.arms.items()}
+    return ExportResult(
+        csv=None if csv is None else str(csv),
+        readings=None if csv is None else {name: len(run.readings(name)) for name in run.arms()},
+        plan=None if plan is None else str(plan),
+        geometry=None if geometry is None else str(geometry),
+        ur_lost_rms_mm=lost,
+        notes=() if geometry is None else (_GEOMETRY_NOTE,),
+    )

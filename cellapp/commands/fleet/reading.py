@@ -1,0 +1,393 @@
+"""Read the record of one run: only what a comparison of many runs needs, and never a change of the run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from pydantic import ValidationError
+
+from cellapp.cell.run.arm_identity import ArmIdentity, arm_identities
+from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.sqlite_file import FILE_NAME
+from cellapp.commands.stages import UNREADABLE, RunStages, StoredStage, counted_basis, read_history, read_stages
+from cellapp.estimation.discovery.records import Place
+from cellapp.estimation.iso9283.records import ISO_COMMANDS
+from cellapp.estimation.monitoring.fleet.record import ArmRecord, EffectRecord, GeometryRecord, RunRecord
+from cellapp.estimation.monitoring.fleet.records import CheckPoint, DatedValue, Figure, IsoPoint
+from cellapp.estimation.monitoring.fleet.stored import (
+    AcceptedPart,
+    Calibrated,
+    CalibratedArm,
+    CharacteristicPart,
+    Checked,
+    Errors,
+    IsoTests,
+    Model,
+    ModelArm,
+    PairMethod,
+    Part,
+    Searched,
+    SearchedArm,
+    Verified,
+)
+from cellapp.ground.errors import CellappError
+from cellapp.ground.profile import Arm
+from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, ISO9283, STAGES, VERIFY, Estimate, Method, StageName
+from cellapp.robot.kinematics.chain import JointAngles, jacobian, parameter_names
+from cellapp.robot.model.nominal import nominal_arm
+
+_LEVER_CONFIGURATIONS = 64
+"""Configurations over which the displacement by a parameter is averaged: its rms is known to a tenth."""
+
+P = TypeVar("P", bound=Part)
+
+
+def read_record(folder: Path) -> RunRecord:
+    """The record of one run; it states the problem where the run cannot be read."""
+    try:
+        with RunFile.peek(folder) as run:
+            return _Reader(run, read_stages(run, counted_basis)).record()
+    except CellappError as error:
+        return RunRecord(run=str(folder), problem=str(error))
+    except (OSError, ValueError, TypeError, KeyError) as error:  # whatever a damaged or foreign file may contain
+        words = str(error).partition("\n")[0] or type(error).__name__
+        return RunRecord(
+            run=str(folder),
+            problem=f"{folder / FILE_NAME} holds values that this cellapp cannot read ({words}); open it with the"
+            " cellapp that wrote it, or restore it from a copy",
+        )
+
+
+@dataclass
+class _Reader:
+    """Reads one open run; ``notes`` collect what cannot be used and why."""
+
+    run: RunFile
+    stages: RunStages
+    notes: list[str] = field(default_factory=list)
+
+    def record(self) -> RunRecord:
+        sessions = self.run.sessions()
+        began = sessions[0].began if sessions else self.run.created or _changed(self.run.path)
+        stored = self._stored()
+        identities, folder = arm_identities(self.run), str(self.run.folder)
+        tolerance = self.run.profile.tolerances.position
+        self._note_outdated()
+        return RunRecord(
+            run=folder,
+            profile=self.run.profile.name,
+            began=began,
+            stage=None if self.stages.in_force is None or stored.model is None else self.stages.in_force.name,
+            arms={
+                name: _ArmParts(name, settings, identities[name], stored, folder, began).record()
+                for name, settings in self.run.profile.arms.items()
+            },
+            transforms=_transforms(stored.calibrated, stored.searched),
+            tolerance_mm=None if tolerance is None else tolerance * 1e3,
+            alone=not any(stage.basis is not None and stage.basis.priors for stage in self.stages.current.values()),
+            notes=tuple(self.notes),
+        )
+
+    def _stored(self) -> _Stored:
+        holds = DISCOVER not in self.stages.out_of_date
+        return _Stored(
+            calibrated=self._current(CALIBRATE, Calibrated),
+            searched=self._current(DISCOVER, Searched) if holds else None,
+            model=self._model(),
+            dated=self._dated(),
+            temperatures=self.run.mean_temperatures(),
+        )
+
+    def _note_outdated(self) -> None:
+        for name in (CALIBRATE, DISCOVER, VERIFY):
+            if (reason := self.stages.out_of_date.get(name)) is not None:
+                self.notes.append(f"'{name}' is out of date ({reason})")
+        if CALIBRATE not in self.stages.current:
+            self.notes.append("is not calibrated")
+
+    def _current(self, name: StageName, kind: type[P]) -> P | None:
+        stage = self.stages.current.get(name)
+        return None if stage is None else self._parsed(stage, stage.text, kind)
+
+    def _model(self) -> Model | None:
+        """The model in force; none where its arms no longer rest on the readings."""
+        stage = self.stages.in_force
+        if stage is None or stage.model is None or self.stages.stale_arms():
+            return None
+        return self._parsed(stage, stage.model, Model)
+
+    def _parsed(self, stage: StoredStage, text: str, kind: type[P]) -> P | None:
+        try:
+            return kind.model_validate_json(text)
+        except ValidationError:
+            self.notes.append(f"'{stage.name}' cannot be used: {UNREADABLE}")
+            return None
+
+    def _dated(self) -> _Dated:
+        """Everything that was measured with a model of this run, each at its own time."""
+        found = _Dated(str(self.run.folder))
+        for stage in read_history(self.run):
+            if stage.name == VERIFY and (verified := self._parsed(stage, stage.text, Verified)):
+                found.verified.append((stage.written, verified))
+            elif stage.name == CHECK and (checked := self._parsed(stage, stage.text, Checked)):
+                found.checked.append((stage.written, checked))
+            elif stage.name == ISO9283 and (tested := self._parsed(stage, stage.text, IsoTests)):
+                found.tested.append((stage.written, tested))
+        return found
+
+
+@dataclass
+class _Dated:
+    """Verifications, checks and tests of a run with the times at which they were stored."""
+
+    run: str
+    verified: list[tuple[str, Verified]] = field(default_factory=list)
+    checked: list[tuple[str, Checked]] = field(default_factory=list)
+    tested: list[tuple[str, IsoTests]] = field(default_factory=list)
+
+    def figures(self, arm: str) -> dict[Figure, tuple[DatedValue, ...]]:
+        verified = tuple(
+            DatedValue(run=self.run, time=time, value=(own.corrected_mm or own.compensated_mm).max)
+            for time, one in self.verified
+            if (own := one.arms.get(arm)) is not None
+        )
+        checks = tuple(
+            DatedValue(run=self.run, time=time, value=part.rms_mm, standard_error=_rms_error(part.rms_mm, part.stops))
+            for time, one in self.checked
+            if (part := one.arms.get(arm)) is not None and part.rms_mm is not None
+        )
+        poses = list(self._poses(arm))
+        found: dict[Figure, tuple[DatedValue, ...]] = {
+            "verified": verified,
+            "check": checks,
+            "pose_accuracy": tuple(accuracy for accuracy, _ in poses),
+            "pose_repeatability": tuple(repeatability for _, repeatability in poses),
+        }
+        return {figure: values for figure, values in found.items() if values}
+
+    def _poses(self, arm: str) -> Iterator[tuple[DatedValue, DatedValue]]:
+        """Largest AP and RP of each test, with calibrated commands where those were tested."""
+        for time, one in self.tested:
+            tests = one.arms[arm].tests if arm in one.arms else {}
+            kind = next((kind for kind in reversed(ISO_COMMANDS) if kind in tests and tests[kind].pose), None)
+            if kind is not None:
+                poses = tests[kind].pose
+                yield (
+                    self._largest(time, [pose.accuracy for pose in poses]),
+                    self._largest(time, [pose.repeatability for pose in poses]),
+                )
+
+    def _largest(self, time: str, values: Sequence[CharacteristicPart]) -> DatedValue:
+        worst = max(values, key=lambda one: one.value_mm)
+        standard_error = None if worst.expanded_mm is None else worst.expanded_mm / 2.0
+        return DatedValue(run=self.run, time=time, value=worst.value_mm, standard_error=standard_error)
+
+    def checks(self, arm: str) -> tuple[CheckPoint, ...]:
+        return tuple(
+            CheckPoint(
+                run=self.run,
+                time=time,
+                verdict=one.verdict,
+                rms_mm=one.arms[arm].rms_mm,
+                changes=tuple(change.what for change in one.changes if change.arm == arm),
+            )
+            for time, one in self.checked
+            if arm in one.arms
+        )
+
+    def iso9283(self, arm: str) -> tuple[IsoPoint, ...]:
+        return tuple(
+            IsoPoint(
+                run=self.run,
+                time=time,
+                characteristic=judgement.characteristic,
+                value_mm=judgement.value_mm,
+                tolerance_mm=judgement.tolerance_mm,
+                conformity=judgement.conformity,
+            )
+            for time, one in self.tested
+            for judgement in one.judgements
+            if judgement.where == arm
+        )
+
+
+@dataclass(frozen=True)
+class _Stored:
+    """What the stages of a run say of all arms; None where a stage is missing or no longer holds."""
+
+    calibrated: Calibrated | None
+    searched: Searched | None
+    model: Model | None
+    dated: _Dated
+    temperatures: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class _ArmParts:
+    """What the stages of a run say of one arm."""
+
+    name: str
+    settings: Arm
+    identity: ArmIdentity
+    stored: _Stored
+    run: str
+    began: str
+
+    @property
+    def calibrated(self) -> CalibratedArm | None:
+        return None if self.stored.calibrated is None else self.stored.calibrated.arms.get(self.name)
+
+    @property
+    def searched(self) -> SearchedArm | None:
+        return None if self.stored.searched is None else self.stored.searched.arms.get(self.name)
+
+    @property
+    def model(self) -> ModelArm | None:
+        return None if self.stored.model is None else self.stored.model.arms.get(self.name)
+
+    def record(self) -> ArmRecord:
+        searched, errors = self.searched, self._best_errors()
+        return ArmRecord(
+            type=self.settings.type.model,
+            key=self.identity.key,
+            known_by=self.identity.known_by,
+            serial=self.identity.serial,
+            geometry=self._geometry(),
+            effects=self._effects(),
+            smallest={} if searched is None else _smallest(searched),
+            unseen=() if searched is None else tuple(one.effect for one in searched.invisible),
+            heldout_rms_mm=None if errors is None else errors.rms,
+            heldout_n=0 if errors is None else errors.n,
+            temperatures_c=self._temperatures(),
+            figures={**dict(self._figures(errors)), **self.stored.dated.figures(self.name)},
+            checks=self.stored.dated.checks(self.name),
+            iso9283=self.stored.dated.iso9283(self.name),
+        )
+
+    def _geometry(self) -> GeometryRecord | None:
+        model, calibrated = self.model, self.calibrated
+        if model is None or calibrated is None or model.covariance is None:
+            return None
+        names = [name for name in model.identified if name in model.geometry.parameters]
+        k = len(names)
+        if list(model.identified[:k]) != names or len(model.covariance) < k:
+            return None
+        return GeometryRecord(
+            values={name: model.geometry.parameters[name] for name in names},
+            nominal={name: model.nominal.parameters[name] for name in names},
+            covariance=tuple(value for row in range(k) for value in model.covariance[row][: row + 1]),
+            merged=calibrated.merged,
+            determined=tuple(name for name in calibrated.identified if name in names),
+            levers=levers(self.settings, names),
+            degrees_of_freedom=calibrated.degrees_of_freedom,
+        )
+
+    def _effects(self) -> tuple[EffectRecord, ...] | None:
+        if self.searched is not None:
+            n = next((errors.position_mm.n for errors in self.searched.errors.values()), 0)
+            return tuple(_accepted(one, n) for one in self.searched.accepted)
+        return _carried_over(self.model) if self.model is not None and self.model.effects else None
+
+    def _best_errors(self) -> Errors | None:
+        """Held-out errors of the last model that was computed and still holds."""
+        if self.calibrated is None or self.model is None:
+            return None
+        found = dict(self.calibrated.errors)
+        if self.calibrated.prior is None:
+            found.pop("effects", None)  # older versions wrote it into the calibration
+        if self.searched is not None:
+            found |= self.searched.errors
+        best = next((stage for stage in reversed(STAGES) if stage in found), None)
+        return None if best is None else found[best].position_mm
+
+    def _figures(self, errors: Errors | None) -> Iterator[tuple[Figure, tuple[DatedValue, ...]]]:
+        if errors is not None:
+            standard_error = errors.std / math.sqrt(errors.n) if errors.n > 1 else None
+            yield "heldout", (self._dated(errors.mean, standard_error),)
+        if self.searched is not None and self.searched.noise_mm is not None:
+            yield "noise", (self._dated(self.searched.noise_mm.rms),)
+        if self.calibrated is not None and self.calibrated.repeatability_mm is not None:
+            yield "repeatability", (self._dated(self.calibrated.repeatability_mm.rp),)
+        if (air := self._temperatures().get("air")) is not None:
+            yield "temperature", (self._dated(air),)
+
+    def _temperatures(self) -> Mapping[str, float]:
+        return self.stored.temperatures.get(self.name, {})
+
+    def _dated(self, value: float, standard_error: float | None = None) -> DatedValue:
+        return DatedValue(run=self.run, time=self.began, value=value, standard_error=standard_error)
+
+
+def _changed(path: Path) -> str:
+    """When a file last changed (ISO 8601, UTC): for runs that do not say when they were made."""
+    return datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="milliseconds")
+
+
+def levers(arm: Arm, names: list[str]) -> dict[str, float]:
+    """Rms displacement of the SMR [m] by one unit of each parameter of the nominal arm, over all joint angles."""
+    geometry = nominal_arm(arm)
+    joints = len(arm.type.joints)
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (_LEVER_CONFIGURATIONS, joints))
+    columns = tuple(parameter_names(joints).index(name) for name in names)
+    _, J = jacobian(geometry, JointAngles.of(q), columns)
+    return dict(zip(names, np.sqrt(np.mean(np.sum(J**2, axis=0), axis=1)).tolist(), strict=True))
+
+
+def _accepted(one: AcceptedPart, n: int) -> EffectRecord:
+    removed = one.evidence.heldout_mm.before**2 - one.evidence.heldout_mm.after**2
+    free = one.description is not None or one.where.channel is not None
+    return EffectRecord(
+        effect=one.effect,
+        title=one.title,
+        where=one.where,
+        parameters={} if free else one.parameters,
+        size_mm=math.sqrt(max(removed, 0.0)),
+        n=n,
+        answer_set=one.answer_set,
+    )
+
+
+def _carried_over(model: ModelArm) -> tuple[EffectRecord, ...]:
+    """Effects that a calibration took over from an earlier one."""
+    return tuple(
+        EffectRecord(
+            effect=term.effect,
+            title=term.effect.replace("_", " "),
+            where=Place(joints=(), acts_on=()),
+            parameters=term.parameters,
+        )
+        for term in model.effects
+    )
+
+
+def _smallest(searched: SearchedArm) -> dict[str, dict[str, float]]:
+    return {
+        absent.effect: {name: size.value for name, size in (absent.smallest_seen or {}).items()}
+        for absent in searched.not_found
+    }
+
+
+def _transforms(calibrated: Calibrated | None, searched: Searched | None) -> dict[Method, dict[str, Estimate]]:
+    pairs: dict[Method, PairMethod] = {
+        **({} if calibrated is None else calibrated.pair),
+        **({} if searched is None else searched.pair),
+    }
+    return {
+        method: {
+            name: Estimate(value=one.value, standard_error=one.standard_error, unit=one.unit)
+            for name, one in pair.identified.items()
+        }
+        for method, pair in pairs.items()
+        if pair.identified
+    }
+
+
+def _rms_error(rms: float, stops: int) -> float | None:
+    """Standard error of the rms length of 3 ``stops`` normal coordinates: rms / sqrt(2 n), for n of them."""
+    return rms / math.sqrt(6.0 * stops) if stops else None

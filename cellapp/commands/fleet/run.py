@@ -1,0 +1,68 @@
+"""The verbs ``fleet`` and ``compare`` for many runs: they read runs, and change none of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from cellapp.commands.fleet.index import indexed_records
+from cellapp.commands.fleet.reading import read_record
+from cellapp.commands.runs.history import check_folder
+from cellapp.estimation.monitoring.fleet.histories import fleet_result
+from cellapp.estimation.monitoring.fleet.record import RunRecord
+from cellapp.estimation.monitoring.fleet.records import FleetResult
+from cellapp.ground.errors import InputError
+
+
+def fleet(folders: Sequence[Path]) -> FleetResult:
+    """The history of every arm in the runs of some folders and below, each run once, by the time when it began.
+
+    A run that cannot be read has its problem in the result.
+
+    Raises
+    ------
+    InputError
+        If no folder is given, or one is missing or cannot be read.
+    """
+    if not folders:
+        raise InputError("fleet: give at least one folder that holds runs, such as logs")
+    for folder in folders:
+        check_folder(folder)
+    records: dict[Path, RunRecord] = {}
+    for folder in folders:
+        for record in indexed_records(folder).records:
+            records.setdefault(Path(record.run).resolve(), record)
+    by_time = sorted(records.values(), key=lambda record: (record.began, record.run))
+    empty = [] if by_time else [f"no runs below {', '.join(map(str, folders))}; 'cellapp run PROFILE' makes one"]
+    return fleet_result(by_time, [str(folder) for folder in folders], notes=empty)
+
+
+def compare_many(folders: Sequence[Path]) -> FleetResult:
+    """Runs against the first one, in the order in which they are given.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, one cannot be read, or one is given twice.
+    """
+    if len(folders) < 2:
+        raise InputError("compare: give the folders of at least two runs")
+    resolved = [folder.resolve() for folder in folders]
+    for place, folder in enumerate(folders):
+        if resolved.index(resolved[place]) < place:
+            raise InputError(f"compare: {folder} is given twice; give different runs")
+    records = [read_record(folder) for folder in folders]
+    for record in records:
+        if record.problem:
+            raise InputError(record.problem)
+    result = fleet_result(records, [str(folder) for folder in folders])
+    return result.model_copy(update={"notes": (*result.notes, *_not_in_first(result))})
+
+
+def _not_in_first(result: FleetResult) -> Iterator[str]:
+    """Arms that the first run does not have: they are compared with another run, or with none."""
+    first = result.runs[0].run
+    for name, arm in result.arms.items():
+        if first not in arm.runs:
+            other = f"it is compared with {arm.runs[0]}" if len(arm.runs) > 1 else "it is compared with nothing"
+            yield f"arm '{name}' is not in {first}: {other}"

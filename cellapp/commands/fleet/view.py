@@ -1,0 +1,351 @@
+"""Tables and sentences of ``fleet``, and of ``compare`` with more than two runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from cellapp.commands.view.table import MOST_ROWS, Cell, Column, Table, most_urgent, number_column, part_table
+from cellapp.commands.view.words import display_unit, place_words
+from cellapp.estimation.monitoring.fleet.condition import FIGURE_WORDS, drift_words, leads_away
+from cellapp.estimation.monitoring.fleet.records import (
+    ArmHistory,
+    DatedValue,
+    EffectHistory,
+    Figure,
+    FleetResult,
+    PairHistory,
+    ParameterHistory,
+    Trend,
+)
+from cellapp.ground.times import day_of
+
+_MM = ".3f"
+_FEW_ARMS = 4
+"""Arms up to which each has tables of its own in a terminal: two cells."""
+_MOST_PARAMETERS = 12
+"""Parameters of an arm in its table, those with the largest differences; the JSON and the page have all."""
+_KNOWN_BY = {
+    "controller": "serial number of its controller",
+    "profile": "serial number in the profile",
+    "names": "names of profile and arm, and its type: no serial number is known",
+}
+
+
+def fleet_tables(result: FleetResult) -> list[Table]:
+    """Arms with their condition, runs with their figures, and of each arm what changed, its effects and trends.
+
+    Of a large fleet, only arms with something to say have tables of their own.
+    """
+    tables = [arms_table(result), runs_table(result)]
+    for name, arm in _detailed(result).items():
+        tables += arm_tables(name, arm)
+    tables += [pair_table(pair) for pair in result.pairs if pair.parameters]
+    return [table for table in tables if table.rows]
+
+
+def fleet_sentences(result: FleetResult) -> list[str]:
+    """The condition of each arm with its reasons, trends, what cannot be read or compared, and how sure all is."""
+    sentences = [sentence for name, arm in result.arms.items() for sentence in arm_sentences(name, arm)]
+    sentences += [pair_sentence(pair) for pair in result.pairs]
+    sentences += [run.problem for run in result.runs if run.problem]
+    sentences += [f"{run.run}: {note}" for run in result.runs for note in run.notes]
+    if left_out := len(result.arms) - len(_detailed(result)):
+        sentences.append(f"tables of {left_out} arms without a finding are left out; --page and --json have all")
+    if result.comparisons or result.trends_tested:
+        sentences.append(certainty_sentence(result))
+    return [*sentences, *result.notes]
+
+
+def _detailed(result: FleetResult) -> Mapping[str, ArmHistory]:
+    """Arms with tables of their own."""
+    if len(result.arms) <= _FEW_ARMS:
+        return result.arms
+    return {name: arm for name, arm in result.arms.items() if arm.reasons}
+
+
+def certainty_sentence(result: FleetResult) -> str:
+    """The false alarm rate and what shares it."""
+    return (
+        f"false alarm: if nothing had changed in the whole fleet, anything would be named with a chance of at most"
+        f" {100.0 * result.false_alarm:g} %; {result.comparisons} differences from the first runs share one half,"
+        f" {result.trends_tested} trends the other"
+    )
+
+
+def arm_sentences(name: str, arm: ArmHistory) -> list[str]:
+    """Condition, reasons and trends of one arm."""
+    runs = f"{len(arm.runs)} run{'s' if len(arm.runs) > 1 else ''}"
+    trends = {drift_words(trend) for trend in arm.trends if leads_away(trend)}
+    return [
+        f"{name}: {arm.condition} ({runs}; known by the {_KNOWN_BY[arm.known_by]})",
+        *(f"{name}: {reason}" for reason in arm.reasons if reason not in trends),
+        *(f"{name}: {sentence}" for sentence in trend_sentences(arm)),
+        *(f"{name}: {note}" for note in arm.notes),
+        *(f"{name}: {effect_words(effect)}" for effect in arm.effects if effect.state == "renamed"),
+    ]
+
+
+def trend_sentences(arm: ArmHistory) -> Iterator[str]:
+    """Proven trends and when they reach the tolerance; that none is proven; or that there are too few values."""
+    if not arm.trends:
+        yield "too few runs at different times for a trend; it needs four"
+        return
+    proven = [trend for trend in arm.trends if trend.proven]
+    if not proven:
+        yield f"no trend is proven in {len(arm.trends)} figures and parameters"
+    for trend in proven:
+        yield trend_words(trend)
+
+
+def trend_words(trend: Trend) -> str:
+    """The rate of a trend and, where it leads to the tolerance, when."""
+    subject = f"{drift_words(trend)} (standard error {trend.slope_standard_error:.4f})"
+    if trend.crossing is None:
+        return subject
+    limit = f"{trend.crossing.tolerance_mm:g} mm"
+    will = f"have moved the SMR by {limit} since the newest calibration" if trend.figure == "parameter" else ""
+    will = will or f"reach {limit}"
+    return f"{subject}; at this rate it will {will} in {_months(trend.crossing.months)} (95 %: {_between(trend)})"
+
+
+def _months(months: float) -> str:
+    if months < 2.0:
+        return f"{months * 30.4375:.0f} days"
+    return f"{months:.0f} months" if months < 24.0 else f"{months / 12.0:.0f} years"
+
+
+def _between(trend: Trend) -> str:
+    assert trend.crossing is not None
+    earliest, latest = trend.crossing.earliest, trend.crossing.latest
+    if earliest is None:
+        return "no limits"
+    return f"{day_of(earliest)} to {day_of(latest)}" if latest is not None else f"{day_of(earliest)} or later"
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+
+def arms_table(result: FleetResult) -> Table:
+    """One row for each arm, its condition first, the worst arm first."""
+    columns = (
+        Column("condition"),
+        Column("arm"),
+        number_column("runs", "d"),
+        Column("newest"),
+        number_column("held-out", _MM, "mm"),
+        number_column("targets", _MM, "mm"),
+        number_column("tolerance", _MM, "mm"),
+        number_column("effects", "d"),
+    )
+    began = {run.run: day_of(run.began) for run in result.runs}
+    rows = tuple(
+        (
+            arm.condition,
+            name,
+            len(arm.runs),
+            began.get(arm.runs[-1], ""),
+            newest_value(arm, "heldout"),
+            newest_value(arm, "verified"),
+            arm.tolerance_mm,
+            sum(effect.sizes[-1].found for effect in arm.effects),
+        )
+        for name, arm in result.arms.items()
+    )
+    return Table("Arms, the worst first", columns, rows)
+
+
+def runs_table(result: FleetResult, most: int | None = MOST_ROWS) -> Table:
+    """Every run with the figures of its arms; only the newest rows where there are more than ``most``."""
+    figures: tuple[Figure, ...] = ("heldout", "verified", "check", "temperature")
+    columns = (
+        Column("run"),
+        Column("began"),
+        Column("arm"),
+        number_column("held-out mean", _MM, "mm"),
+        number_column("targets, largest", _MM, "mm"),
+        number_column("check rms", _MM, "mm"),
+        number_column("mean temp.", ".1f", "°C"),
+        number_column("changed", "d"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for run in result.runs:
+        own = [(name, arm) for name, arm in result.arms.items() if run.run in arm.runs]
+        if run.problem:
+            rows.append((short(run.run), "", "cannot be read", *(None for _ in figures), None))
+        for name, arm in own:
+            values = [_of_run(arm.figures.get(figure, ()), run.run) for figure in figures]
+            changed = sum(change.proven for one in arm.parameters for change in one.changes if change.run == run.run)
+            rows.append((short(run.run), day_of(run.began), name, *values, changed))
+    return part_table("Runs", columns, rows if most is None else rows[-most:], len(rows))
+
+
+def arm_tables(name: str, arm: ArmHistory) -> list[Table]:
+    """What of an arm changed since its first run, its effects, its proven trends, its checks."""
+    tables = [parameter_table(name, arm), effect_table(name, arm), trend_table(name, arm), check_table(name, arm)]
+    return [table for table in tables if table.rows]
+
+
+def parameter_table(name: str, arm: ArmHistory, most: int = _MOST_PARAMETERS) -> Table:
+    """Newest differences from the first run, those with the smallest chance; base and tool are not judged."""
+    compared = [one for one in arm.parameters if one.last is not None]
+    chosen = most_urgent(compared, _urgency, most)
+    columns = (
+        Column("parameter"),
+        number_column("newest - first", "+.1f"),
+        number_column("u", ".1f"),
+        Column("unit"),
+        number_column("moves the SMR", _MM, "mm"),
+        number_column("chance", ".2g"),
+        Column("changed"),
+    )
+    cut = "" if len(chosen) == len(compared) else f": {len(chosen)} of {len(compared)}, --json has all"
+    return Table(f"{name}: parameters, newest against first run{cut}", columns, tuple(map(_parameter_row, chosen)))
+
+
+def _urgency(one: ParameterHistory) -> float:
+    assert one.last is not None
+    z = abs(one.last.difference) / one.last.standard_uncertainty if one.last.standard_uncertainty else 0.0
+    return z if one.part == "arm" else 0.0
+
+
+def _parameter_row(one: ParameterHistory) -> tuple[Cell, ...]:
+    last = one.last
+    assert last is not None
+    factor, unit = display_unit(one.unit)
+    verdict = "yes" if last.proven else "" if one.part == "arm" else "base or tool"
+    return (
+        one.name,
+        last.difference * factor,
+        last.standard_uncertainty * factor,
+        unit,
+        one.moved_mm,
+        last.p_value,
+        verdict,
+    )
+
+
+def effect_table(name: str, arm: ArmHistory) -> Table:
+    """Effects of the first and of the newest run."""
+    columns = (
+        Column("effect"),
+        Column("state"),
+        Column("by"),
+        number_column("newest - first", "+.3g"),
+        number_column("u", ".2g"),
+        Column("unit"),
+        number_column("first", _MM, "mm"),
+        number_column("newest", _MM, "mm"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for one in arm.effects:
+        factor, unit = display_unit(one.unit) if one.unit else (1.0, "")
+        searched = [size for size in one.sizes if size.searched]
+        rows.append(
+            (
+                ", ".join(filter(None, (one.effect, place_words(one.where)))),
+                one.state,
+                one.parameter,
+                None if one.difference is None else one.difference * factor,
+                None if one.standard_uncertainty is None else one.standard_uncertainty * factor,
+                unit,
+                searched[0].size_mm,
+                searched[-1].size_mm,
+            )
+        )
+    return Table(f"{name}: effects, newest against first search", columns, tuple(rows))
+
+
+def trend_table(name: str, arm: ArmHistory) -> Table:
+    """Trends of the errors, and of parameters where they are proven."""
+    columns = (
+        Column("figure"),
+        number_column("a month", "+.4f", "mm"),
+        number_column("standard error", ".4f", "mm"),
+        number_column("chance", ".2g"),
+        Column("trend"),
+        number_column("tolerance", _MM, "mm"),
+        Column("reached"),
+    )
+    rows = tuple(
+        (
+            f"parameter {trend.name}" if trend.figure == "parameter" else FIGURE_WORDS[trend.figure],
+            trend.slope,
+            trend.slope_standard_error,
+            trend.p_value,
+            "proven" if trend.proven else "not proven",
+            trend.tolerance_mm,
+            "" if trend.crossing is None else f"{day_of(trend.crossing.date)} ({_between(trend)})",
+        )
+        for trend in arm.trends
+        if trend.proven or trend.figure != "parameter"
+    )
+    return Table(f"{name}: trends", columns, rows)
+
+
+def check_table(name: str, arm: ArmHistory) -> Table:
+    """Stored checks and judged tests of ISO 9283, by time."""
+    columns = (Column("when"), Column("what"), Column("outcome"), number_column("value", _MM, "mm"))
+    rows: list[tuple[str, str, str, float | None]] = [
+        (point.time, "check", "; ".join([point.verdict, *point.changes]), point.rms_mm) for point in arm.checks
+    ]
+    rows += [
+        (point.time, f"ISO 9283 {point.characteristic.replace('_', ' ')}", point.conformity, point.value_mm)
+        for point in arm.iso9283
+    ]
+    shown = tuple((day_of(time), *rest) for time, *rest in sorted(rows, key=lambda row: row[0]))
+    return Table(f"{name}: checks and tests", columns, shown)
+
+
+def pair_table(pair: PairHistory) -> Table:
+    """Newest inter-base transform against that of the first run."""
+    columns = (
+        Column("parameter"),
+        number_column("newest - first", "+.1f"),
+        number_column("u", ".1f"),
+        Column("unit"),
+        number_column("chance", ".2g"),
+        Column("changed"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for one in pair.parameters:
+        if one.last is not None:
+            factor, unit = display_unit(one.unit)
+            difference, u = one.last.difference * factor, one.last.standard_uncertainty * factor
+            rows.append((one.name, difference, u, unit, one.last.p_value, "yes" if one.last.proven else ""))
+    return Table(f"Inter-base transform of {pair.arms[0]} and {pair.arms[1]}", columns, tuple(rows))
+
+
+# -- words ------------------------------------------------------------------------------------------------------------
+
+
+def pair_sentence(pair: PairHistory) -> str:
+    """Whether the bases have moved against each other."""
+    arms = f"{pair.arms[0]} and {pair.arms[1]}"
+    if not pair.distances_mm:
+        return f"{arms}: their inter-base transforms were not made by a common method"
+    if pair.moved:
+        return f"{arms}: their bases have moved against each other, by {pair.distances_mm[-1].value:.3f} mm"
+    return f"{arms}: no motion of their bases against each other is proven"
+
+
+def effect_words(effect: EffectHistory) -> str:
+    """An effect that one run names and the other names otherwise."""
+    others = ", ".join(effect.instead_of)
+    return f"{effect.title}: its data cannot be told from {others} of the other run; not counted as a change"
+
+
+def newest_value(arm: ArmHistory, figure: Figure) -> float | None:
+    """The newest value of a figure."""
+    values = arm.figures.get(figure, ())
+    return values[-1].value if values else None
+
+
+def short(run: str) -> str:
+    """The last two parts of a folder."""
+    return "/".join(Path(run).parts[-2:])
+
+
+def _of_run(values: tuple[DatedValue, ...], run: str) -> float | None:
+    own = [value.value for value in values if value.run == run]
+    return own[-1] if own else None

@@ -1,0 +1,144 @@
+"""The verb ``follow``: plan paths with the model in force, and on request drive and verify them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Literal
+
+from cellapp.cell.driving.controllers import noting_controllers
+from cellapp.cell.driving.following import follow
+from cellapp.cell.driving.motion import Confirm
+from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.run import RunFile
+from cellapp.cell.targets.path_file import PathSpec
+from cellapp.cell.targets.path_records import DrivenPath, PathResult
+from cellapp.cell.targets.path_result import path_csv, path_result
+from cellapp.cell.targets.plan_path import PathPlan, plan_path
+from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.push.run import judge_of
+from cellapp.commands.stages import append_stage, basis_on_model, read_stages
+from cellapp.commands.station import profile_at_station
+from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force, stale_notes
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Listener, Progress, ignore, with_eta
+from cellapp.ground.results import FOLLOW, PATH
+from cellapp.robot.model import CellModel
+
+Driving = Literal["plan", "drive", "verify"]
+"""Only plan, which moves nothing; drive; drive and measure."""
+_PERIOD_S = 0.008
+"""Of a plan that is not driven [s]: the slower series of UR controllers. Driving plans again at the arm's own."""
+
+
+def follow_run(
+    run: RunFile,
+    paths: Sequence[PathSpec],
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    driving: Driving = "plan",
+    rehearse: bool = False,
+    out_of_date: bool = False,
+    csv: Path | None = None,
+    outputs: Outputs = NEW_ONLY,
+    ask: Ask | None = None,
+) -> PathResult:
+    """Plan paths and store the result; with ``driving`` also drive them, and measure how well they are followed.
+
+    ``rehearse`` drives each path once before and corrects it by how the joints lagged. ``out_of_date`` drives by the
+    model in force even where it, or a discovery, is out of date. ``csv`` is a file for the joint positions, and
+    ``outputs`` says what it may replace. ``ask`` is asked before the first motion of real arms.
+
+    Raises
+    ------
+    InputError
+        If the model is out of date and the operator does not insist, no path can be driven, ``csv`` cannot be written,
+        or a rehearsal is asked for without driving. Nothing has moved.
+    CheckFailed
+        If the doctor finds a fault before real arms move. Nothing has moved.
+    HardwareError
+        If a device refused or failed.
+    Cancelled
+    """
+    control = control or JobControl()
+    stages = read_stages(run)
+    if rehearse and driving == "plan":
+        raise InputError("follow: a rehearsal moves the arms; ask for driving or verifying too (--drive, --verify)")
+    if driving != "plan" and not out_of_date:
+        require_current_model(run, stages, "follow")
+    used = stage_in_force(run, stages)
+    model = model_of(run, used)
+    notes = stale_notes(stages, used)
+    plans = _planned(run, model, paths, listener, control)
+    if csv is not None:
+        outputs.write_text(csv, path_csv(plans))
+    followed: list[tuple[PathPlan, DrivenPath | None]] = [(plan, None) for plan in plans]
+    with ExitStack() as stack:
+        if driving != "plan":
+            listener = stack.enter_context(running_job(run, control, "follow", listener))
+            followed = _driven(
+                run,
+                profile_at_station(run, stages),
+                model,
+                plans,
+                notes,
+                listener,
+                control,
+                confirmation(run.profile, ask),
+                verify=driving == "verify",
+                rehearse=rehearse,
+            )
+        result = path_result(model, followed, notes)
+        basis = basis_on_model(run, used, paths)
+        # those who watch read the run when they hear of the end
+        append_stage(run, FOLLOW if driving == "verify" else PATH, result, basis)
+    return result
+
+
+def _driven(
+    run: RunFile,
+    profile: Profile,
+    model: CellModel,
+    plans: Sequence[PathPlan],
+    notes: list[str],
+    listener: Listener,
+    control: JobControl,
+    confirm: Confirm | None,
+    *,
+    verify: bool,
+    rehearse: bool,
+) -> list[tuple[PathPlan, DrivenPath | None]]:
+    """Drive paths after the controllers were checked; what that finds is added to ``notes``.
+
+    ``profile`` is that of the run, with the tracker of a simulated cell where it stands now.
+    """
+
+    return follow(
+        profile,
+        model,
+        plans,
+        with_eta(listener),
+        control,
+        verify=verify,
+        rehearse=rehearse,
+        judge=judge_of(run, profile),
+        confirm=confirm,
+        opened=noting_controllers(run, notes),
+    )
+
+
+def _planned(
+    run: RunFile, model: CellModel, paths: Sequence[PathSpec], listener: Listener, control: JobControl
+) -> list[PathPlan]:
+    plans = []
+    for done, spec in enumerate(paths):
+        control.check()
+        listener(Progress("plan paths", done, len(paths), spec.name))
+        plans.append(plan_path(run.profile, model, spec, _PERIOD_S))
+    listener(Progress("plan paths", len(paths), len(paths), "done"))
+    return plans

@@ -1,0 +1,140 @@
+"""Paths that were planned or driven, as tables and sentences."""
+
+from __future__ import annotations
+
+from cellapp.cell.targets.path_records import PathRecord, PathResult
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.view.acceptance_words import RULE_WORDS
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.results import FOLLOW, PATH, ErrorSummary
+
+
+def stored_paths(results: RunResults) -> PathResult | None:
+    """The paths that were measured last; without them those that were planned or driven. None where neither holds."""
+    for name, stored in ((FOLLOW, results.follow), (PATH, results.path)):
+        if stored is not None and name not in results.out_of_date:
+            return stored
+    return None
+
+
+def path_tables(result: PathResult) -> list[Table]:
+    """The paths that can be driven; where joints turn round; and with verification the distances from the path."""
+    planned = [path for path in result.paths if not path.refusal]
+    tables = []
+    if planned:
+        tables.append(_plans(planned))
+    if any(path.reversals for path in planned):
+        tables.append(_reversals(planned))
+    if any(_measured(path) for path in planned):
+        tables.append(_distances(planned))
+    return tables
+
+
+def path_sentences(result: PathResult) -> list[str]:
+    """Refusals, what limits the speed, what the tracker does not see, lags, and notes."""
+    lines = []
+    for path in result.paths:
+        head = f"path {path.name}:"
+        if path.refusal:
+            lines.append(f"{head} refused: {path.refusal}")
+            continue
+        if path.slowed:
+            lines.append(f"{head} the wanted speed is not kept everywhere: {path.slowed}")
+        if path.unseen_mm is not None:
+            lines.append(f"{head} the tracker does not see the SMR at {path.unseen_mm:.0f} mm")
+        driven = path.driven
+        if driven is not None and driven.lag is not None:
+            lag = driven.lag
+            lines.append(
+                f"{head} the joints are {lag.delay_ms:.0f} ms late, {lag.late_mm:.1f} mm at its fastest, which is no"
+                f" error of the path; bends are cut by at most {lag.cut_mm:.3f} mm"
+            )
+        if driven is not None and driven.note:
+            lines.append(f"{head} {driven.note}")
+    rules = dict.fromkeys(RULE_WORDS[path.driven.rule] for path in result.paths if path.driven and path.driven.verdict)
+    return [*lines, *rules, *result.notes]
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _plans(paths: list[PathRecord]) -> Table:
+    columns = (
+        Column("path"),
+        Column("arm"),
+        number_column("length", ".0f", "mm"),
+        number_column("time", ".2f", "s"),
+        number_column("at speed", ".0f", "%"),
+        number_column("tolerance", ".3f", "mm"),
+        number_column("off by the model", ".4f", "mm"),
+        number_column("sigma", ".4f", "mm"),
+    )
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (
+            path.name,
+            path.arm,
+            path.length_mm,
+            path.duration_s,
+            None if path.at_speed is None else 100.0 * path.at_speed,
+            path.tolerance_mm,
+            path.deviation_mm,
+            path.uncertainty_mm,
+        )
+        for path in paths
+    )
+    return Table("Paths", columns, rows)
+
+
+def _reversals(paths: list[PathRecord]) -> Table:
+    columns = (
+        Column("path"),
+        number_column("joint", "d"),
+        number_column("at", ".1f", "mm"),
+        number_column("play crossed", ".3f", "mm"),
+        number_column("within", ".1f", "mm"),
+    )
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (path.name, one.joint, one.at_mm, one.jump_mm, one.window_mm) for path in paths for one in path.reversals
+    )
+    return Table("Joints that turn round", columns, rows)
+
+
+def _distances(paths: list[PathRecord]) -> Table:
+    columns = (
+        Column("path"),
+        Column("by"),
+        Column("how"),
+        number_column("n", "d"),
+        number_column("mean", ".3f", "mm"),
+        number_column("95 %", ".3f", "mm"),
+        number_column("max", ".3f", "mm"),
+        number_column("U", ".3f", "mm"),
+        Column("met"),
+    )
+    rows = []
+    for path in paths:
+        driven = path.driven
+        if driven is None:
+            continue
+        kinds = (
+            ("model", "moving", driven.moving),
+            ("model", "at rest", driven.at_rest),
+            ("nominal", driven.judged, driven.nominal),
+        )
+        for by, how, errors in kinds:
+            if errors is not None:
+                decides = by == "model" and how == driven.judged
+                expanded, verdict = (driven.expanded_mm, driven.verdict) if decides else (None, "")
+                rows.append(_distance_row(path.name, by, how, errors, expanded, verdict))
+    return Table("Distance of measured points from the path", columns, tuple(rows))
+
+
+def _distance_row(
+    name: str, by: str, how: str, errors: ErrorSummary, expanded_mm: float | None, verdict: str
+) -> tuple[Cell, ...]:
+    return (name, by, how, errors.n, errors.mean, errors.p95, errors.max, expanded_mm, verdict)
+
+
+def _measured(path: PathRecord) -> bool:
+    driven = path.driven
+    return driven is not None and (driven.moving or driven.at_rest or driven.nominal) is not None

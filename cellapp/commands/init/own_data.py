@@ -1,0 +1,288 @@
+"""A profile for readings that somebody recorded elsewhere: ``cellapp init --readings FILE``. Nothing is moved."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+import yaml
+
+from cellapp.cell.profile.files import write_new
+from cellapp.cell.profile.loader import arm_type_of_text
+from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
+from cellapp.cell.run.csv_text import table_text
+from cellapp.cell.run.recorded_csv import AngleUnit, LengthUnit, Recorded, converted, read_recorded
+from cellapp.commands.init.dh_rows import arm_type_text
+from cellapp.estimation.calibration.conventions import Explained, better_reading, explained
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile.schema import ArmType
+from cellapp.robot.kinematics.chain import nominal_geometry
+from cellapp.robot.kinematics.transforms import Array
+
+ARM = "robot"
+"""Name of the arm where the file has none."""
+_IDENTIFY_SHARE = 0.75
+"""Of the rows; the others are held out and show what the calibration is worth."""
+_PREVIEWED = 3
+_UNITS = {"rad": "radians", "deg": "degrees", "m": "metres", "mm": "millimetres"}
+
+Choose = Callable[[str, tuple[str, ...]], str]
+"""Asks a person a question with some answers; returns one of them, or "" where nobody can be asked."""
+
+
+@dataclass(frozen=True)
+class OwnData:
+    """What is known of recorded readings.
+
+    Attributes
+    ----------
+    readings : Path
+        A text file of joint positions and points, in whatever columns.
+    arm : str
+        Short name of an arm type that comes with the program, or a file: an arm type (YAML) or D-H rows (CSV). Empty:
+        asked.
+    modified : bool
+        D-H rows of a CSV file are modified ones (Craig).
+    angles, lengths : unit or ""
+        Of joint positions and points where the file does not say; empty: found, else asked.
+    name : str
+        Of the profile; that of the file if empty.
+    """
+
+    readings: Path
+    arm: str = ""
+    modified: bool = False
+    angles: AngleUnit | Literal[""] = ""
+    lengths: LengthUnit | Literal[""] = ""
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class OwnDataWritten:
+    """The files that were written, what was understood, and the command that comes next."""
+
+    profile: Path
+    readings: Path
+    notes: tuple[str, ...]
+    next_command: str
+
+
+def nobody(question: str, answers: tuple[str, ...]) -> str:
+    """Nobody can be asked."""
+    return ""
+
+
+def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs: Outputs = NEW_ONLY) -> OwnDataWritten:
+    """Write profile, arm type and readings in SI units below ``folder``.
+
+    Raises
+    ------
+    InputError
+        If the readings or rows cannot be understood, an answer lacks and nobody can be asked, or a file exists.
+    """
+    recorded = read_recorded(own.readings)
+    types = _types(own, recorded.joints)
+    angles, lengths = _decided_units(own, recorded, types, choose)
+    q, p_M = _in_si(recorded, angles, lengths)
+    arm_type = _decided_type(own, types, q, p_M, choose)
+    name = own.name or own.readings.stem.lower().replace(" ", "-")
+    arms = recorded.arms or (ARM,)
+    profile, readings = folder / FOLDER / f"{name}.yaml", folder / READINGS / f"{name}.csv"
+    header, rows = converted(recorded, angles, lengths, ARM)
+    files = {
+        folder / FOLDER / arm_type.file: arm_type.text,
+        readings: table_text(header, rows),
+        profile: _profile_text(name, arms, arm_type.file, len(recorded.rows), readings, profile),
+    }
+    write_new(files, outputs)
+    notes = (*_preview(recorded, angles, lengths), _judged(arm_type, q, p_M))
+    following = ["cellapp", "import", str(profile), str(readings), "--run", str(folder / "logs" / name)]
+    return OwnDataWritten(profile, readings, notes, shlex.join(following))
+
+
+# -- arm types --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Type:
+    """An arm type: short name, file below the folder of profiles, its text and what it says."""
+
+    name: str
+    file: str
+    text: str
+    content: ArmType
+
+    def explained(self, q: Array, p_M: Array) -> Explained:
+        return explained(nominal_geometry(self._rows(), np.zeros(3)), q, p_M)
+
+    def better_reading(self, q: Array, p_M: Array) -> tuple[str, Explained] | None:
+        return better_reading(nominal_geometry(self._rows(), np.zeros(3)), q, p_M)
+
+    def _rows(self) -> Array:
+        return np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in self.content.joints])
+
+
+def _types(own: OwnData, joints: int) -> list[_Type]:
+    """The type that was named, else all that come with the program and have so many joints."""
+    path = Path(own.arm)
+    if own.arm and path.suffix.lower() in (".yaml", ".yml", ".csv"):
+        text = arm_type_text(path, modified=own.modified) if path.suffix.lower() == ".csv" else _read(path)
+        found = [_Type(path.stem, f"arms/{path.stem.lower()}.yaml", text, arm_type_of_text(text, path))]
+    else:
+        found = [one for one in _all_arms() if own.arm in ("", one.name)]
+    if not found:
+        known = ", ".join(file.stem for file in arm_type_files())
+        raise InputError(
+            f"--arm: '{own.arm}' is no arm that comes with cellapp; there are {known}. Give the file of an arm type"
+            " (.yaml), or of D-H rows (.csv)"
+        )
+    fitting = [one for one in found if len(one.content.joints) == joints]
+    if not fitting and own.arm:
+        raise InputError(f"--arm: {own.arm} has {len(found[0].content.joints)} joints, {own.readings} has {joints}")
+    if not fitting:
+        raise InputError(
+            f"{own.readings} has {joints} joints, and no arm that comes with cellapp has so many; give its D-H rows"
+            " with --arm ROWS.csv"
+        )
+    return fitting
+
+
+def _all_arms() -> list[_Type]:
+    """The arm types that come with the program."""
+    texts = {file: _read(file) for file in arm_type_files()}
+    return [_Type(file.stem, f"arms/{file.name}", text, arm_type_of_text(text, file)) for file, text in texts.items()]
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text("utf-8")
+    except OSError as error:
+        raise InputError(f"--arm: {path} cannot be read ({error.strerror}); give the file of an arm type") from None
+    except UnicodeDecodeError:
+        raise InputError(f"--arm: {path} is no text in UTF-8; give the file of an arm type") from None
+
+
+def _decided_type(own: OwnData, types: list[_Type], q: Array, p_M: Array, choose: Choose) -> _Type:
+    """The one that was named; else a person is asked, with those first that explain the readings."""
+    if own.arm:
+        return types[0]
+    fits = sorted(((one.explained(q, p_M).rms_m, one) for one in types), key=lambda fit: fit[0])
+    words = ", ".join(f"{one.name} ({1e3 * rms:.1f} mm)" for rms, one in fits)
+    answer = choose(f"Which arm is it? What each leaves of the points: {words}", tuple(one.name for _, one in fits))
+    for _, one in fits:
+        if one.name == answer:
+            return one
+    raise InputError(
+        f"{own.readings}: which arm? Give --arm NAME, the file of an arm type, or one of D-H rows. What each arm with"
+        f" {q.shape[1]} joints leaves of the points (the right one leaves a few mm): {words}"
+    )
+
+
+# -- units ------------------------------------------------------------------------------------------------------------
+
+
+def _decided_units(
+    own: OwnData, recorded: Recorded, types: list[_Type], choose: Choose
+) -> tuple[AngleUnit, LengthUnit]:
+    """As given, as the file says, as only one explains the points, or as a person says."""
+    angles, lengths = own.angles or recorded.angles, own.lengths or recorded.lengths
+    ways = [
+        (angle, length)
+        for angle in ((angles,) if angles else ("rad", "deg"))
+        for length in ((lengths,) if lengths else ("m", "mm"))
+    ]
+    if len(ways) > 1:
+        ways = [way for way in ways if _explains(recorded, types, *way)] or ways
+    for place, (what, units, option) in enumerate(
+        (("joint positions", ("rad", "deg"), "--angles"), ("points", ("m", "mm"), "--lengths"))
+    ):
+        possible = tuple(unit for unit in units if any(way[place] == unit for way in ways))
+        if len(possible) > 1:
+            answer = choose(f"In which unit are the {what}? {_extremes(recorded, what)}", possible)
+            if answer not in possible:
+                raise InputError(
+                    f"{own.readings}: the unit of the {what} is not clear ({_extremes(recorded, what)}); give {option}"
+                    f" {' or '.join(possible)}, or write it into the header, as in {'q1_deg' if place == 0 else 'x_mm'}"
+                )
+            ways = [way for way in ways if way[place] == answer]
+    return ways[0]
+
+
+def _explains(recorded: Recorded, types: list[_Type], angles: str, lengths: str) -> bool:
+    q, p_M = _in_si(recorded, cast(AngleUnit, angles), cast(LengthUnit, lengths))
+    return any(one.explained(q, p_M).holds for one in types)
+
+
+def _in_si(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tuple[Array, Array]:
+    q = recorded.values([f"q{number}" for number in range(1, recorded.joints + 1)])
+    p_M = recorded.values(["x", "y", "z"])
+    return np.radians(q) if angles == "deg" else q, 1e-3 * p_M if lengths == "mm" else p_M
+
+
+def _extremes(recorded: Recorded, what: str) -> str:
+    joints = [f"q{number}" for number in range(1, recorded.joints + 1)]
+    values = recorded.values(joints if what == "joint positions" else ["x", "y", "z"])
+    return f"they lie between {values.min():g} and {values.max():g}"
+
+
+# -- what is written and said -----------------------------------------------------------------------------------------
+
+
+def _profile_text(name: str, arms: tuple[str, ...], type_file: str, rows: int, readings: Path, profile: Path) -> str:
+    identify = max(1, round(_IDENTIFY_SHARE * rows / len(arms)))
+    arm: Mapping[str, object] = {"type": type_file, "driver": {"kind": "none"}, "smr": {"offset": "unknown"}}
+    content = {
+        "schema": "cellapp-profile",
+        "version": 1,
+        "name": name,
+        "seed": 0,
+        "arms": {one: dict(arm) for one in arms},
+        "tracker": {"driver": {"kind": "none"}},
+        "splits": {"identify": identify, "train": 0, "validate": "rest"},
+        "calibration": {"parameter_set": "auto", "priors": {"length": "3 mm", "angle": "5 mrad"}},
+    }
+    head = (
+        f"# Readings that were recorded elsewhere, for `cellapp import {profile} {readings} --run DIR`.\n"
+        "# Nothing is planned or moved, so no poses are needed. `cellapp docs readings` goes on from here.\n"
+        "# smr.offset: where the measured point lies on the flange; the data find it.\n"
+        "# splits: readings that identify the arm; the others are held out and show what the calibration is worth.\n"
+        "# priors: how far lengths and angles may be from the published ones (one standard deviation).\n"
+    )
+    return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+
+
+def _preview(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tuple[str, ...]:
+    """How the file was understood."""
+    decimals = ", decimal commas" if recorded.decimal_comma else ""
+    known = [f"{one.name} = {one.quantity}" for one in recorded.columns if one.quantity and one.name != one.quantity]
+    others = [one.name for one in recorded.columns if not one.quantity]
+    first = "; ".join(" ".join(row[: len(recorded.columns)]) for row in recorded.rows[:_PREVIEWED])
+    return (
+        f"{recorded.path}: {len(recorded.rows)} rows, {recorded.joints} joints, separated by {recorded.separator}"
+        f"{decimals}; joint positions in {_UNITS[angles]}, points in {_UNITS[lengths]}",
+        f"first rows: {first}",
+        *([f"columns: {', '.join(known)}"] if known else []),
+        *([f"not used: {', '.join(others)}"] if others else []),
+    )
+
+
+def _judged(arm_type: _Type, q: Array, p_M: Array) -> str:
+    """Whether the published arm explains the points."""
+    now = arm_type.explained(q, p_M)
+    left = f"the published geometry of {arm_type.content.model} leaves {1e3 * now.rms_m:.1f} mm rms of the points"
+    if now.holds:
+        return f"{left}: arm, units and signs fit"
+    better = arm_type.better_reading(q, p_M)
+    if better is None:
+        alike = [one for one in _all_arms() if len(one.content.joints) == q.shape[1]]
+        others = [one.name for one in alike if one.explained(q, p_M).holds]
+        fits = f"; the points fit {' and '.join(others)}" if others else ""
+        hint = f"check the arm, the order of the joints, their zero positions and the units{fits}"
+    else:
+        hint = f"with {better[0]} it leaves {1e3 * better[1].rms_m:.1f} mm: change the file so"
+    return f"WARNING: {left}, which spread over {1e3 * now.spread_m:.0f} mm: {hint}"

@@ -1,0 +1,232 @@
+"""The verb ``iso9283``: performance tests by ISO 9283, and between two arms beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.cell.driving.controllers import noting_controllers
+from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
+from cellapp.cell.driving.iso9283.programme import NORM_CYCLES, NORM_DRIFT_MIN
+from cellapp.cell.driving.iso9283.tests import DWELL_S, IsoTask, drive_tests
+from cellapp.cell.driving.motion import Confirm
+from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.driving.supervision import Opened
+from cellapp.cell.run import RunFile
+from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
+from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_of, basis_on_model, read_stages
+from cellapp.commands.station import profile_at_station
+from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
+from cellapp.estimation.iso9283.records import (
+    ISO_COMMANDS,
+    ISO_TESTS,
+    Iso9283Result,
+    IsoCommands,
+    IsoConditions,
+    IsoTest,
+)
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
+from cellapp.ground.results import ISO9283
+
+CYCLES = NORM_CYCLES["pose"]
+DRIFT_MIN = 60.0
+"""Of the norm's 480 minutes: most of a warm-up shows in the first hour."""
+FEWEST_CYCLES, MOST_CYCLES = 2, 1000
+_NO_ORIENTATION = (
+    "positions only: one SMR on each flange shows nothing of the norm's characteristics of orientation (AP and RP of"
+    " the angles)"
+)
+_SEED = 0x9283
+
+
+def iso9283_run(
+    run: RunFile,
+    tests: Sequence[IsoTest] = ISO_TESTS,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    cycles: int = CYCLES,
+    speed_share: float = 1.0,
+    arms: Sequence[str] = (),
+    commands: Sequence[IsoCommands] = (),
+    drift_minutes: float = DRIFT_MIN,
+    out_of_date: bool = False,
+    ask: Ask | None = None,
+    open_with: Opened | None = None,
+) -> Iso9283Result:
+    """Make tests of ISO 9283 and store the result; where the job is stopped, what was measured until then.
+
+    ``speed_share`` is of the speed that the profile allows. ``arms`` are all where none is named. ``commands`` are both
+    kinds in a calibrated run, else nominal ones, for which base and SMR of each arm are found first. ``out_of_date``
+    uses a model that no longer holds. ``ask`` is asked before the first motion of real arms. ``open_with`` opens the
+    cell.
+
+    Raises
+    ------
+    InputError
+        If an option does not fit the run, or the model is out of date and the operator does not insist. Nothing has
+        moved.
+    CheckFailed
+        If the doctor finds a fault before real arms move. Nothing has moved.
+    HardwareError
+        If a device refused or failed.
+    Cancelled
+    """
+    control, stages = control or JobControl(), read_stages(run)
+    used = stages.in_force
+    kinds, named = _commands(commands, calibrated=used is not None), _arms(run.profile, arms)
+    _check_options(tests, cycles, speed_share, drift_minutes, named)
+    if used is not None and not out_of_date:
+        require_current_model(run, stages, "iso9283")
+    task = IsoTask(
+        profile=profile_at_station(run, stages),
+        model=None if used is None else model_of(run, used),
+        commands=kinds,
+        tests=tuple(test for test in ISO_TESTS if test in tests),
+        arms=named,
+        cycles=cycles,
+        speed=speed_share,
+        drift_s=drift_minutes * 60.0,
+    )
+    notes = _notes(task, stages, used)
+    with running_job(run, control, "iso9283", listener) as listener:
+        confirm = confirmation(run.profile, ask)
+        return _driven(run, used, task, notes, with_eta(listener), control, confirm, open_with)
+
+
+def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
+    """The run in a folder, to be added to; a new one without a plan if the folder holds none.
+
+    Raises ``InputError`` if the run there is of another cell.
+    """
+    if not (folder / "run.sqlite").exists():
+        return RunFile.create(folder, profile)
+    run = RunFile.open(folder, write=True)
+    for section in ("arms", "tracker", "obstacles"):
+        if getattr(run.profile, section) != getattr(profile, section):
+            run.close()
+            raise InputError(
+                f"{run.path}: its profile differs from '{profile.name}' in section '{section}': it is a run of another"
+                " cell, or of this one before it was changed. Give a new folder, or the run's own profile"
+            )
+    return run
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _driven(
+    run: RunFile,
+    used: StoredStage | None,
+    task: IsoTask,
+    notes: Sequence[str],
+    listener: Listener,
+    control: JobControl,
+    confirm: Confirm | None,
+    open_with: Opened | None,
+) -> Iso9283Result:
+    """Drive the tests and store their result; where they are stopped, what was measured until then."""
+    findings, began = IsoFindings(notes=list(notes)), datetime.now(UTC).isoformat(timespec="seconds")
+    opened = noting_controllers(run, findings.notes)
+    try:
+        drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
+    except (CellappError, Cancelled) as error:
+        if findings.measured.visits or findings.paths:
+            with suppress(InputError):  # the reason of the stop is the one to report
+                _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"))
+        raise
+    return _store(run, used, _result(run.profile, task, findings, began, ""))
+
+
+def _commands(asked: Sequence[IsoCommands], *, calibrated: bool) -> tuple[IsoCommands, ...]:
+    if "calibrated" in asked and not calibrated:
+        raise InputError(
+            "iso9283: calibrated commands need a calibrated run: give its folder with --run; nothing was moved"
+        )
+    if not asked:
+        return ISO_COMMANDS if calibrated else ("nominal",)
+    return tuple(kind for kind in ISO_COMMANDS if kind in asked)
+
+
+def _arms(profile: Profile, names: Sequence[str]) -> tuple[str, ...]:
+    for name in names:
+        if name not in profile.arms:
+            raise InputError(f"iso9283: no arm '{name}'; arms are {', '.join(profile.arms)}")
+    for name, arm in profile.arms.items():
+        if arm.home is None:
+            raise InputError(f"profile {profile.name}: arms.{name}.home is needed: an arm waits there for the others")
+    return tuple(name for name in profile.arms if name in names or not names)
+
+
+def _check_options(
+    tests: Sequence[IsoTest], cycles: int, speed: float, drift_minutes: float, arms: Sequence[str]
+) -> None:
+    if not FEWEST_CYCLES <= cycles <= MOST_CYCLES:
+        raise InputError(f"iso9283: --cycles: expected {FEWEST_CYCLES} to {MOST_CYCLES}, got {cycles}")
+    if not 0.0 < speed <= 1.0:
+        raise InputError(f"iso9283: --speed: expected a share above 0 % and up to 100 %, got {speed * 100.0:g} %")
+    if not 0.0 < drift_minutes <= 2.0 * NORM_DRIFT_MIN:
+        raise InputError(
+            f"iso9283: --drift-minutes: expected above 0 and up to {2.0 * NORM_DRIFT_MIN:g}, got {drift_minutes:g}"
+        )
+    if tuple(tests) == ("cooperative",) and len(arms) < 2:
+        raise InputError("iso9283: a cooperative test needs two arms; this cell, or --arm, has one")
+
+
+def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[str]:
+    """What a person must know of the conditions."""
+    notes = [_NO_ORIENTATION]
+    if used is None:
+        notes.append(
+            "the run is not calibrated: base and SMR of each arm were fitted to positions that the published geometry"
+            " does not meet exactly; the uncertainty of that fit is in the uncertainty of AP and AD"
+        )
+    else:
+        notes += stale_notes(stages, used)
+    if task.profile.plant is not None and not task.profile.moves_hardware:
+        notes.append("measured in a simulated cell")
+    if task.cycles < CYCLES:
+        notes.append(f"{task.cycles} cycles were asked for; the norm's number is {CYCLES}")
+    if "cooperative" in task.tests and len(task.arms) < 2:
+        notes.append("no cooperative test was made: it needs two arms")
+    if "drift" in task.tests and task.drift_s < NORM_DRIFT_MIN * 60.0:
+        notes.append(f"drift was observed for {task.drift_s / 60.0:g} min; the norm's time is {NORM_DRIFT_MIN:g} min")
+    return notes
+
+
+def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, stopped: str) -> Iso9283Result:
+    rng = np.random.default_rng([profile.seed, _SEED])
+    arms, pairs = arm_results(profile, found, task.arms, rng), pair_results(found, rng)
+    air = [one.temperature_c for one in found.measured.visits if one.temperature_c is not None]
+    return Iso9283Result(
+        tests=task.tests,
+        arms=arms,
+        pairs=pairs,
+        conditions=IsoConditions(
+            cycles=task.cycles,
+            speed_share=task.speed,
+            dwell_s=DWELL_S,
+            averaging_s=profile.tracker.averaging,
+            commands=task.commands,
+            began=began,
+            seconds=found.seconds,
+            temperature_c=(min(air), max(air)) if air else None,
+        ),
+        judgements=judge_characteristics(profile.tolerances, arms, pairs, task.cycles),
+        missing=missing_words(found, task.tests),
+        stopped=stopped,
+        notes=tuple(dict.fromkeys(found.notes)),
+    )
+
+
+def _store(run: RunFile, used: StoredStage | None, result: Iso9283Result) -> Iso9283Result:
+    append_stage(run, ISO9283, result, basis_of(run) if used is None else basis_on_model(run, used))
+    return result

@@ -1,0 +1,382 @@
+"""The result of ``iso9283`` as tables and sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from cellapp.commands.view.acceptance_words import RULE_WORDS
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.estimation.iso9283.records import (
+    ISO_COMMANDS,
+    CommandedTests,
+    DriftCharacteristics,
+    Iso9283Result,
+    IsoCommands,
+    IsoCube,
+    IsoValue,
+    PoseCharacteristics,
+)
+from cellapp.estimation.uncertainty.records import overall
+
+_UNCERTAIN_SHARE = 0.25
+"""The norm's limit of the uncertainty of measuring, as share of the characteristic (6.5)."""
+_VALUES: Mapping[str, Callable[[CommandedTests], Sequence[IsoValue]]] = {
+    "pose accuracy AP": lambda tests: [one.accuracy for one in tests.pose],
+    "distance accuracy AD": lambda tests: [one.accuracy for one in tests.distance],
+    "variation vAP": lambda tests: [one.variation for one in tests.multidirectional],
+    "path accuracy AT": lambda tests: [one.accuracy for one in tests.path],
+    "drift dAP": lambda tests: [] if tests.drift is None else [tests.drift.accuracy],
+}
+"""The first of these that was measured makes the message of an arm."""
+_FOUND: Mapping[IsoCommands, str] = {"nominal": "as found", "calibrated": "as left"}
+
+
+def iso9283_tables(result: Iso9283Result) -> list[Table]:
+    """Judgements, then the characteristics of each test, then the cubes; only what was measured."""
+    tables = [
+        _judgements(result),
+        _poses(result),
+        _axes(result),
+        _cooperative(result),
+        _directions(result),
+        _distances(result),
+        _drift(result),
+        _drift_groups(result),
+        _paths(result),
+        _cubes(result),
+        _test_poses(result),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def iso9283_sentences(result: Iso9283Result) -> list[str]:
+    """The outcome in one sentence first; then conditions, what is missing, what limits the tests, notes."""
+    return [
+        _message(result),
+        *([result.stopped] if result.stopped else []),
+        *dict.fromkeys(RULE_WORDS[one.rule] for one in result.judgements),
+        *_conditions(result),
+        *_bases(result),
+        *(f"arm {name}: the cube is limited by: {cube.limited_by}" for name, cube in _cubes_of(result) if cube),
+        *_uncertain(result),
+        *(f"missing: {words}" for words in result.missing),
+        *_refused(result),
+        *(f"{' and '.join(pair.arms)}: {pair.refused}" for pair in result.pairs if pair.refused),
+        *result.notes,
+    ]
+
+
+# -- sentences --------------------------------------------------------------------------------------------------------
+
+
+def _message(result: Iso9283Result) -> str:
+    """What the tests found, against the tolerances where there are some."""
+    parts = []
+    for name, arm in result.arms.items():
+        for what, values in _VALUES.items():
+            if words := _largest({kind: values(tests) for kind, tests in arm.tests.items()}):
+                parts.append(f"arm {name} has a {what} of {words}")
+                break
+    for pair in result.pairs:
+        if words := _largest({kind: [one.accuracy for one in poses] for kind, poses in pair.vector.items()}):
+            parts.append(f"{' and '.join(pair.arms)} together of {words}")
+    measured = "; ".join(parts) or f"tests by ISO 9283: {', '.join(result.tests)}"
+    verdict = {
+        "conforms": "all that has a tolerance conforms",
+        "does not conform": "not all that has a tolerance conforms",
+        "cannot say": "not all can be decided against its tolerance",
+        None: "",
+    }[overall(result.judgements)]
+    return f"{measured}{f'; {verdict}' if verdict else ''}"
+
+
+def _largest(values: Mapping[IsoCommands, Sequence[IsoValue]]) -> str:
+    """The largest value with each kind of commands, in words."""
+    return ", ".join(
+        f"{max(abs(one.value_mm) for one in values[kind]):.3f} mm {_FOUND[kind]}"
+        for kind in ISO_COMMANDS
+        if values.get(kind)
+    )
+
+
+def _conditions(result: Iso9283Result) -> Iterator[str]:
+    made = result.conditions
+    if made is None:
+        return
+    loads = ", ".join(f"{name} {arm.payload_kg:g} kg" for name, arm in result.arms.items())
+    air = ""
+    if made.temperature_c is not None:
+        low, high = made.temperature_c
+        air = f"; air {low:.1f} degC" if high - low < 0.05 else f"; air {low:.1f} to {high:.1f} degC"
+    yield (
+        f"{made.cycles} cycles at {made.speed_share:.0%} of the profile's speed, {made.dwell_s:g} s of rest before each"
+        f" measurement of {made.averaging_s:g} s; payload: {loads}{air}; {made.seconds / 60.0:.0f} min in all"
+    )
+
+
+def _bases(result: Iso9283Result) -> Iterator[str]:
+    for name, arm in result.arms.items():
+        if arm.base is not None:
+            yield (
+                f"arm {name}: base and SMR fitted to {arm.base.n} positions, residuals {arm.base.rms_mm:.3f} mm rms;"
+                f" the fit adds {arm.base.uncertainty_mm:.3f} mm to the standard uncertainty of a commanded coordinate"
+            )
+
+
+def _uncertain(result: Iso9283Result) -> Iterator[str]:
+    """Arms whose repeatability the tracker cannot show by the norm's own rule."""
+    for name, arm in result.arms.items():
+        poses = [pose for tests in arm.tests.values() for pose in tests.pose if _is_uncertain(pose)]
+        if poses:
+            yield (
+                f"arm {name}: the tracker's stated uncertainty alone may show an RP of"
+                f" {max(pose.tracker_rp_mm or 0.0 for pose in poses):.3f} mm, more than a quarter of what was measured:"
+                " the arm's own may be much smaller"
+            )
+
+
+def _refused(result: Iso9283Result) -> Iterator[str]:
+    """Tests that could not be made, with the reason; each reason once."""
+    for name, arm in result.arms.items():
+        for reason in dict.fromkeys(arm.refused.values()):
+            tests = ", ".join(test for test, why in arm.refused.items() if why == reason)
+            yield f"arm {name}: not tested: {tests}: {reason}"
+
+
+def _is_uncertain(pose: PoseCharacteristics) -> bool:
+    return pose.tracker_rp_mm is not None and pose.tracker_rp_mm > _UNCERTAIN_SHARE * pose.repeatability.value_mm
+
+
+def _cubes_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCube | None]]:
+    for name, arm in result.arms.items():
+        yield name, arm.cube
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+
+def _judgements(result: Iso9283Result) -> Table:
+    columns = (
+        Column("characteristic"),
+        Column("of"),
+        number_column("value", ".3f", "mm"),
+        number_column("U", ".3f", "mm"),
+        number_column("tolerance", ".3f", "mm"),
+        Column("verdict"),
+        Column("measured"),
+    )
+    rows = tuple(
+        (
+            one.characteristic.replace("_", " "),
+            one.where,
+            one.value_mm,
+            one.expanded_mm,
+            one.tolerance_mm,
+            one.conformity,
+            one.source,
+        )
+        for one in result.judgements
+    )
+    return Table("Characteristics against their tolerances", columns, rows)
+
+
+def _poses(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        Column("pose"),
+        *_pair_columns("AP", "RP"),
+        number_column("n", "d"),
+    )
+    rows = [
+        (name, kind, pose.pose, *_cells(pose.accuracy), *_cells(pose.repeatability), pose.accuracy.n)
+        for name, kind, tests in _tests(result)
+        for pose in tests.pose
+    ]
+    return Table("Pose accuracy AP and repeatability RP [mm]", columns, tuple(rows))
+
+
+def _axes(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        Column("pose"),
+        *(number_column(f"AP {axis}", ".3f") for axis in "xyz"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (name, kind, pose.pose, *pose.error_mm) for name, kind, tests in _tests(result) for pose in tests.pose
+    ]
+    return Table("Components of AP along the axes of the arm's base [mm]", columns, tuple(rows))
+
+
+def _cooperative(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arms"),
+        Column("commands"),
+        Column("poses"),
+        *_pair_columns("AP", "RP"),
+        *_pair_columns("AD", "RD"),
+        number_column("n", "d"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for pair in result.pairs:
+        for kind in ISO_COMMANDS:
+            both = zip(pair.vector.get(kind, ()), pair.distance.get(kind, ()), strict=True)
+            for vector, length in both:
+                values = (vector.accuracy, vector.repeatability, length.accuracy, length.repeatability)
+                cells = [cell for value in values for cell in _cells(value)]
+                rows.append((" and ".join(pair.arms), kind, vector.pose, *cells, vector.accuracy.n))
+    title = "Cooperative accuracy and repeatability [mm]: vector and distance between both SMRs"
+    return Table(title, columns, tuple(rows))
+
+
+def _directions(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        Column("pose"),
+        number_column("vAP", ".3f"),
+        number_column("U", ".3f"),
+        number_column("n", "d"),
+    )
+    rows = [
+        (name, kind, one.pose, *_cells(one.variation), one.variation.n)
+        for name, kind, tests in _tests(result)
+        for one in tests.multidirectional
+    ]
+    return Table("Multi-directional pose accuracy variation vAP [mm]", columns, tuple(rows))
+
+
+def _distances(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        Column("between"),
+        number_column("commanded", ".3f"),
+        *_pair_columns("AD", "RD"),
+        number_column("n", "d"),
+    )
+    rows = [
+        (
+            name,
+            kind,
+            " and ".join(one.between),
+            one.commanded_mm,
+            *_cells(one.accuracy),
+            *_cells(one.repeatability),
+            one.accuracy.n,
+        )
+        for name, kind, tests in _tests(result)
+        for one in tests.distance
+    ]
+    return Table("Distance accuracy AD and repeatability RD [mm]", columns, tuple(rows))
+
+
+def _drift(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        number_column("observed", ".0f", "min"),
+        *_pair_columns("dAP", "dRP"),
+        number_column("shift of the mean", ".3f"),
+        number_column("groups", "d"),
+    )
+    rows = [
+        (name, kind, one.minutes, *_cells(one.accuracy), *_cells(one.repeatability), one.shift_mm, len(one.groups))
+        for name, kind, one in _drifts(result)
+    ]
+    return Table("Drift at P1 [mm]", columns, tuple(rows))
+
+
+def _drift_groups(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        number_column("after", ".0f", "min"),
+        number_column("AP", ".3f"),
+        number_column("RP", ".3f"),
+        *(number_column(f"AP {axis}", ".3f") for axis in "xyz"),
+        number_column("air", ".1f", "degC"),
+        number_column("n", "d"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (name, g.minutes, g.accuracy_mm, g.repeatability_mm, *g.error_mm, g.temperature_c, g.n)
+        for name, _, one in _drifts(result)
+        for g in one.groups
+    ]
+    return Table("Groups of the drift test [mm]", columns, tuple(rows))
+
+
+def _paths(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        Column("path"),
+        number_column("speed", ".0f", "mm/s"),
+        number_column("length", ".0f"),
+        *_pair_columns("AT", "RT"),
+        number_column("n", "d"),
+    )
+    rows = [
+        (
+            name,
+            kind,
+            one.path,
+            one.speed_mm_s,
+            one.length_mm,
+            *_cells(one.accuracy),
+            *_cells(one.repeatability),
+            one.accuracy.n,
+        )
+        for name, kind, tests in _tests(result)
+        for one in tests.path
+    ]
+    return Table("Path accuracy AT and repeatability RT [mm]", columns, tuple(rows))
+
+
+def _cubes(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        number_column("edge", ".0f", "mm"),
+        *(number_column(f"centre {axis}", ".3f", "m") for axis in "xyz"),
+        Column("plane"),
+        number_column("payload", ".3f", "kg"),
+        Column("limited by"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (name, cube.edge_mm, *cube.centre_B, cube.plane, result.arms[name].payload_kg, cube.limited_by)
+        for name, cube in _cubes_of(result)
+        if cube is not None
+    ]
+    return Table("Test cubes, axes of the arm's base", columns, tuple(rows))
+
+
+def _test_poses(result: Iso9283Result) -> Table:
+    columns = (Column("arm"), Column("pose"), *(number_column(axis, ".4f", "m") for axis in "xyz"))
+    rows: list[tuple[Cell, ...]] = [
+        (name, pose.name, *pose.position_B)
+        for name, cube in _cubes_of(result)
+        if cube is not None
+        for pose in cube.poses
+    ]
+    return Table("Commanded positions of the SMR in the arm's base", columns, tuple(rows))
+
+
+def _tests(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, CommandedTests]]:
+    for name, arm in result.arms.items():
+        for kind in ISO_COMMANDS:
+            if kind in arm.tests:
+                yield name, kind, arm.tests[kind]
+
+
+def _drifts(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, DriftCharacteristics]]:
+    for name, kind, tests in _tests(result):
+        if tests.drift is not None:
+            yield name, kind, tests.drift
+
+
+def _pair_columns(first: str, second: str) -> tuple[Column, ...]:
+    return tuple(number_column(title, ".3f") for name in (first, second) for title in (name, f"U({name})"))
+
+
+def _cells(value: IsoValue) -> tuple[Cell, Cell]:
+    return value.value_mm, value.expanded_mm

@@ -1,0 +1,136 @@
+"""Result of ``locate``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.ground.results import Record, Result
+
+LocateVerdict = Literal["located", "base moved", "smr moved", "not explained"]
+"""What explains the points: the tracker's motion alone; besides it a moved base, or an SMR that was remounted; none."""
+
+Point = tuple[float, float, float]
+Matrix = tuple[tuple[float, ...], ...]
+
+
+class StationPose(Record):
+    """A pose in the cell frame [m, rad]; ``rpy`` as in the profile."""
+
+    position: Point
+    rpy: Point
+
+
+class LocatedPoint(Record):
+    """One measured point: joint positions [rad], measured position [m] and residual [mm] in the present tracker frame.
+
+    ``found_off_mm``: how far it was from where it was first expected.
+    """
+
+    arm: str
+    q: tuple[float, ...]
+    measured_M: Point
+    residual_mm: Point
+    found_off_mm: float
+
+
+class OtherMotion(Record):
+    """Another motion that was tried, because the tracker's alone does not explain the points.
+
+    ``kind`` "base": of the arm's base by ``shift_mm`` and ``turn_deg``; "smr": of its SMR on the flange. ``explains``
+    says whether it and a motion of the tracker do; ``others_still`` whether the other arms see the tracker unmoved.
+    """
+
+    kind: Literal["base", "smr"]
+    arm: str
+    shift_mm: float
+    turn_deg: float
+    chi_squared: float
+    degrees_of_freedom: int
+    probability: float
+    explains: bool
+    others_still: bool
+
+
+class LocateResult(Result):
+    """``locate``: where the tracker stands now, from a few points of the arms.
+
+    Attributes
+    ----------
+    verdict : str
+    moved : bool
+        Whether the tracker moved by more than the profile's limit of drift since the readings were taken.
+    T_new_old : 4 x 4
+        Maps coordinates in the tracker frame of the readings into the present one.
+    shift_mm, turn_deg : float
+        Distance of the two stations, and angle between them.
+    covariance : 6 x 6
+        Of a small motion of ``T_new_old`` in the present frame: shift at its origin [m], then rotation [rad].
+    uncertainty_mm : float
+        What the station adds to the standard uncertainty of a predicted coordinate, rms over the points.
+    rms_mm, chi_squared, degrees_of_freedom, probability
+        Of the residuals; ``probability`` of a larger chi-squared if one motion of the tracker explains all points.
+    tracker_pose : StationPose
+        The tracker in the cell frame; meaningless where the verdict is not "located".
+    simulated_pose : StationPose or None
+        Where the tracker of a simulated cell was put.
+    carried : bool
+        Whether the arms' models state the station's uncertainty from now on.
+    """
+
+    schema_: Literal["cellapp-locate"] = "cellapp-locate"
+    version: Literal[1] = 1
+    verdict: LocateVerdict
+    moved: bool
+    T_new_old: Matrix
+    shift_mm: float
+    turn_deg: float
+    covariance: Matrix
+    uncertainty_mm: float
+    rms_mm: float
+    chi_squared: float
+    degrees_of_freedom: int
+    probability: float
+    tracker_pose: StationPose
+    simulated_pose: StationPose | None = None
+    carried: bool = True
+    points: tuple[LocatedPoint, ...]
+    other_motions: tuple[OtherMotion, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def by_arm(self) -> Mapping[str, int]:
+        """Arm -> number of points."""
+        return {name: sum(point.arm == name for point in self.points) for name in {p.arm: None for p in self.points}}
+
+    def complaints(self) -> list[str]:
+        """Why the tracker could not be located; empty if it was."""
+        if self.verdict == "located":
+            return []
+        found = next((one for one in self.other_motions if one.explains), None)
+        if found is None:
+            return [f"{self._unexplained()}; neither does a moved base or SMR. {self._worst()}. Calibrate again"]
+        if found.kind == "smr":
+            return [
+                f"the SMR of arm {found.arm} sits {found.shift_mm:.3f} mm from where it was on the flange: it was"
+                " remounted, or the tool was changed. Put it back, or calibrate again"
+            ]
+        return [f"{self._base_words(found)}. Put it back, or calibrate again"]
+
+    def _base_words(self, found: OtherMotion) -> str:
+        by = f"{found.shift_mm:.3f} mm and {found.turn_deg:.4f} deg"
+        if found.others_still:
+            return f"the base of arm {found.arm} was moved by {by}; the other arm sees no motion of the tracker"
+        others = " and ".join(name for name in self.by_arm if name != found.arm)
+        return (
+            f"arm {found.arm} and {others} were moved against each other by {by}: the base of one of them was moved,"
+            " and the tracker too"
+        )
+
+    def _unexplained(self) -> str:
+        return f"no motion of the tracker explains the points: they are off by {self.rms_mm:.3f} mm rms"
+
+    def _worst(self) -> str:
+        worst = max(self.points, key=lambda point: sum(mm**2 for mm in point.residual_mm))
+        size = sum(mm**2 for mm in worst.residual_mm) ** 0.5
+        return f"The largest is {size:.3f} mm, of arm {worst.arm}: the arm was changed, or another SMR was measured"

@@ -1,0 +1,255 @@
+"""The verb ``locate``: after the tracker was moved, a few measured points make the calibration of a run hold again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.cell.driving.controllers import noting_controllers
+from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_station
+from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.driving.supervision import Opened
+from cellapp.cell.run import RunFile
+from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.locate.result import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
+from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
+from cellapp.commands.station import excess_of_readings, last_location, profile_at_station
+from cellapp.commands.stored_model import arms_stage, model_of
+from cellapp.estimation.calibration.station_location import FEWEST_POINTS, Cause, displacement_m, twist_columns
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Pose, Profile
+from cellapp.ground.progress import Listener, ignore, with_eta
+from cellapp.ground.results import LOCATE
+from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.effects.law import DriverVariable
+from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, xyz_of, zyx_angles
+from cellapp.robot.model import CellModel
+from cellapp.robot.model.nominal import pose_matrix
+from cellapp.robot.model.relocation import relocated
+
+POINTS = 4
+
+
+def locate_run(
+    run: RunFile,
+    points: int = POINTS,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    tracker_pose: Pose | None = None,
+    simulated_pose: Pose | None = None,
+    ask: Ask | None = None,
+    open_with: Opened | None = None,
+) -> LocateResult:
+    """Measure points of the arms from where the tracker stands now, and store the model in its frame.
+
+    ``points`` are of all arms together. ``tracker_pose`` is where the tracker stands now in the cell frame, roughly; by
+    default where it was located last, or where the profile says. ``simulated_pose`` moves the tracker of a simulated
+    cell there first, for this job and those that follow in this run. ``ask`` is asked before the first motion of real
+    arms, ``open_with`` opens the cell. If the points do not fit, the result says why and holds no model.
+
+    Raises
+    ------
+    InputError
+        If the run has no calibration that can be moved, or an argument does not fit. Nothing has moved.
+    CheckFailed
+        If the doctor finds a fault before real arms move. Nothing has moved.
+    HardwareError
+        If a device failed, or the SMRs are not found where the tracker is assumed to stand. Nothing is stored.
+    Cancelled
+        Nothing is stored.
+    """
+    control = control or JobControl()
+    if points < FEWEST_POINTS:
+        raise InputError(f"locate: at least {FEWEST_POINTS} points are needed, better {POINTS}; not {points}")
+    stages = read_stages(run)
+    used = _stage_before_moving(run, stages)
+    task = LocateTask(
+        profile=profile_at_station(run, stages, simulated_pose),
+        model=model_of(run, used),
+        rough_T=_rough_station(run, stages, tracker_pose),
+        candidates={name: run.readings(name).q for name in run.profile.arms},
+        excess_m=excess_of_readings(run, model_of(run, used)),
+        points=points,
+        still_m=run.profile.collection.reference.drift,
+    )
+    notes: list[str] = []
+    opened = noting_controllers(run, notes)
+    with running_job(run, control, "locate", listener) as listener:
+        confirm = confirmation(run.profile, ask)
+        found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
+        result = _result(run.profile, task, found, (*notes, *found.notes))
+        model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.explained else None
+        _store(run, used, result, model)  # those who watch read the run when they hear of the end
+    return result
+
+
+def typed_pose(text: str, what: str) -> Pose:
+    """A pose from ``x,y,z,roll,pitch,yaw`` [m, deg]. Raises ``InputError``, which begins with ``what``."""
+    try:
+        values = [float(part) for part in text.split(",")]
+        x, y, z, roll, pitch, yaw = values
+        if not np.isfinite(values).all():
+            raise ValueError
+    except ValueError:
+        raise InputError(
+            f"{what}: expected x,y,z,roll,pitch,yaw in m and deg, as 3.8,0.1,0.6,0,0,180; not '{text}'"
+        ) from None
+    return Pose(position=(x, y, z), rpy=(math.radians(roll), math.radians(pitch), math.radians(yaw)))
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _stage_before_moving(run: RunFile, stages: RunStages) -> StoredStage:
+    """The stage whose model is in the tracker frame of the readings."""
+    used = arms_stage(run, stages, "locate")
+    stale = "; ".join(f"'{n}' is out of date ({r})" for n, r in stages.out_of_date.items() if n == used.name)
+    if stale:
+        raise InputError(f"locate: {stale}; nothing was moved. Run 'cellapp {used.name} {run.folder}' first")
+    return used
+
+
+def _rough_station(run: RunFile, stages: RunStages, tracker_pose: Pose | None) -> Array:
+    """A guess of ``T_new_old`` (4, 4): from the given pose, else where the tracker was found last."""
+    pose = run.profile.tracker.pose
+    if pose is None:
+        raise InputError(f"profile {run.profile.name}: tracker.pose is needed to point the tracker")
+    if tracker_pose is not None:
+        return np.asarray(invert(pose_matrix(tracker_pose)) @ pose_matrix(pose))
+    last = last_location(run, stages)
+    return np.eye(4) if last is None else np.array(last.T_new_old)
+
+
+def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tuple[str, ...]) -> LocateResult:
+    fit, pose = found.fit, profile.tracker.pose
+    assert pose is not None
+    T_C_M = pose_matrix(pose) @ invert(fit.T_new_old)
+    old_station = invert(fit.T_new_old)[:3, 3]
+    moved = displacement_m(task.model, found.points, fit.T_new_old) > task.still_m
+    plant = task.profile.plant
+    placed = None if plant is None or plant.tracker_pose is None else plant.tracker_pose
+    rows = {name: iter(own) for name, own in fit.residuals.items()}
+    return LocateResult(
+        verdict=_verdict(found),
+        moved=moved,
+        T_new_old=rows_of(fit.T_new_old),
+        shift_mm=float(np.linalg.norm(old_station)) * 1e3,
+        turn_deg=float(np.degrees(np.linalg.norm(rotation_vectors(fit.T_new_old[None, :3, :3])[0]))),
+        covariance=rows_of(fit.covariance),
+        uncertainty_mm=_added_mm(found),
+        rms_mm=fit.rms_m * 1e3,
+        chi_squared=fit.chi_squared,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        probability=fit.probability,
+        tracker_pose=_pose(T_C_M),
+        simulated_pose=None if placed is None else StationPose(position=placed.position, rpy=placed.rpy),
+        carried=all(arm.posterior is not None for arm in task.model.arms.values()),
+        points=tuple(
+            LocatedPoint(
+                arm=one.arm,
+                q=tuple(one.q.tolist()),
+                measured_M=xyz_of(one.point.p_M),
+                residual_mm=xyz_of(next(rows[one.arm]) * 1e3),
+                found_off_mm=one.found_off_m * 1e3,
+            )
+            for one in found.found
+        ),
+        other_motions=tuple(_motion(cause) for cause in found.causes),
+        notes=(*notes, *_station_notes(task, found, moved=moved), *_model_notes(task.model)),
+    )
+
+
+def _store(run: RunFile, used: StoredStage, result: LocateResult, moved: CellModel | None) -> None:
+    basis = basis_on_model(run, used)
+    assert basis is not None
+    text = None
+    if moved is not None:
+        provenance = {**moved.provenance, "stage": LOCATE, "basis": basis.model_dump()}
+        moved = replace(moved, provenance=provenance)
+        text = moved.to_json()
+    append_stage(run, LOCATE, result, basis, text)
+    for line in (*result.complaints(), *result.notes):
+        run.log("warning" if result.verdict != "located" else "note", line)
+    if moved is not None:
+        moved.save(run.folder / CALIBRATION_FILE)
+
+
+def _verdict(found: LocatedStation) -> LocateVerdict:
+    if found.explained:
+        return "located"
+    first = next((cause for cause in found.causes if cause.fit.explains), None)
+    if first is None:
+        return "not explained"
+    return "base moved" if first.kind == "base" else "smr moved"
+
+
+def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> list[str]:
+    """What a person must know of a station that was found."""
+    if not found.explained:
+        return []
+    notes = [
+        f"arm {name} was not measured: that its base and SMR are where they were is taken for granted"
+        for name in task.model.arms
+        if name not in found.points
+    ]
+    if moved:
+        notes.append(
+            "targets and work frames in the tracker's frame are taken in its new frame from now on: measure those that"
+            " were measured from the old station again"
+        )
+    if moved and len(task.model.arms) == 1:
+        notes.append("one arm does not show whether the tracker was moved or its own base; the model holds either way")
+    return notes
+
+
+def _model_notes(model: CellModel) -> list[str]:
+    """What the located model cannot promise."""
+    notes = [
+        f"arm {name}: the calibration states no uncertainty of its own, so the station's is not carried on either; run"
+        " 'cellapp discover' for both"
+        for name, arm in model.arms.items()
+        if arm.posterior is None
+    ]
+    for name, arm in model.arms.items():
+        seen = [term.slug for term in arm.effects if _is_of_view(term)]
+        if seen:
+            notes.append(
+                f"arm {name}: {', '.join(seen)} depend on where the tracker sees the SMR; from the new station they are"
+                " extrapolated"
+            )
+    return notes
+
+
+def _is_of_view(term: EffectTerm) -> bool:
+    variables = term.law.form.variables or EFFECTS[term.slug].variables
+    return bool(variables & {DriverVariable.BEAM, DriverVariable.INCIDENCE})
+
+
+def _motion(cause: Cause) -> OtherMotion:
+    return OtherMotion(
+        kind=cause.kind,
+        arm=cause.arm,
+        shift_mm=cause.shift_m * 1e3,
+        turn_deg=float(np.degrees(cause.turn_rad)),
+        chi_squared=cause.fit.chi_squared,
+        degrees_of_freedom=cause.fit.degrees_of_freedom,
+        probability=cause.fit.probability,
+        explains=cause.fit.explains,
+        others_still=cause.others_still,
+    )
+
+
+def _added_mm(found: LocatedStation) -> float:
+    """Standard deviation of a coordinate from the station alone, rms over the points [mm]."""
+    J = twist_columns(np.array([one.point.p_M for one in found.found]))
+    variance = np.einsum("nai,ij,naj->na", J, found.fit.covariance, J)
+    return float(np.sqrt(variance.mean())) * 1e3
+
+
+def _pose(T: Array) -> StationPose:
+    yaw, pitch, roll = zyx_angles(T[:3, :3])
+    return StationPose(position=xyz_of(T[:3, 3]), rpy=(roll, pitch, yaw))

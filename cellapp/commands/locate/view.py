@@ -1,0 +1,52 @@
+"""The result of ``locate`` as a table and sentences."""
+
+from __future__ import annotations
+
+import math
+
+from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+
+
+def location_tables(result: LocateResult) -> list[Table]:
+    """Every measured point with its residual."""
+    rows: list[tuple[Cell, ...]] = [
+        (point.arm, point.found_off_mm, *point.residual_mm, math.hypot(*point.residual_mm)) for point in result.points
+    ]
+    columns = (
+        Column("arm"),
+        number_column("found off", ".1f"),
+        *(number_column(f"residual {axis}", ".3f") for axis in "xyz"),
+        number_column("residual", ".3f"),
+    )
+    return [Table("Station of the tracker: measured points [mm]", columns, tuple(rows))]
+
+
+def location_sentences(result: LocateResult) -> list[str]:
+    """Where the tracker stands, how well that is known, and whether the points fit together."""
+    test = (
+        f"residuals {result.rms_mm:.3f} mm rms; chi-squared {result.chi_squared:.1f} of {result.degrees_of_freedom}"
+        f" degrees of freedom, probability {result.probability:.2g}"
+    )
+    if result.verdict != "located":
+        return [f"not located: {test}", *(_motion_sentences(result)), *result.complaints(), *result.notes]
+    place = ", ".join(f"{value:.4f}" for value in result.tracker_pose.position)
+    angles = ", ".join(f"{math.degrees(value):.3f}" for value in result.tracker_pose.rpy)
+    what = "moved" if result.moved else "not moved beyond the limit of drift: it stands"
+    by = f"{result.shift_mm:.2f} mm and {result.turn_deg:.4f} deg from where the readings were taken"
+    return [
+        f"the tracker was {what} {by}",
+        f"it stands at ({place}) m in the cell, roll, pitch, yaw ({angles}) deg",
+        f"the station adds {result.uncertainty_mm:.4f} mm of standard uncertainty to a coordinate; {test}",
+        *result.notes,
+    ]
+
+
+def _motion_sentences(result: LocateResult) -> list[str]:
+    """The other motions that were tried."""
+    return [
+        f"tried: {'base' if one.kind == 'base' else 'SMR'} of arm {one.arm} moved by {one.shift_mm:.3f} mm"
+        f"{f' and {one.turn_deg:.4f} deg' if one.kind == 'base' else ''}: chi-squared {one.chi_squared:.1f} of"
+        f" {one.degrees_of_freedom}, {'explains the points' if one.explains else 'does not explain them'}"
+        for one in result.other_motions
+    ]

@@ -1,0 +1,181 @@
+"""Obstacles in maps of the cell: outlines from above and from the tracker, and the directions that they block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cellapp.cell.safety.mesh_files import load_mesh
+from cellapp.commands.view.charts import Series, series
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Pose, Profile
+from cellapp.ground.profile.obstacles import (
+    AnyObstacle,
+    BoxObstacle,
+    CapsuleObstacle,
+    CylinderObstacle,
+    MeshObstacle,
+    SphereObstacle,
+)
+from cellapp.robot.kinematics.chain import flange_poses
+from cellapp.robot.kinematics.transforms import Array, apply, invert
+from cellapp.robot.model.nominal import nominal_arm, pose_matrix
+
+View = Literal["above", "tracker"]
+
+OBSTACLE_STYLE = 5
+"""Style of obstacles: no arm has it in a cell of two."""
+_AROUND = 24
+"""Points around a circle: a chord is 1 % of the radius off."""
+_ALONG = 5
+"""Points along an edge: straight edges are bent in the view of the tracker."""
+_BEHIND = 1.15
+"""How far shadows are drawn, over the distance of the farthest stop."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outlined:
+    """An obstacle with points (n, 3) of its surface in the cell frame C [m]; their hull is its outline."""
+
+    name: str
+    p_C: Array
+    moves: bool = False
+    """Whether it is fixed to a flange."""
+
+
+def outlined_obstacles(profile: Profile) -> list[Outlined]:
+    """Obstacles whose place is known; those on a flange where the arm stands at home. A mesh is its convex hull."""
+    bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
+    flanges = {}
+    for name, T_C_B in bases.items():
+        arm = profile.arms[name]
+        if arm.home is not None:
+            rotation, origin = flange_poses(nominal_arm(arm).with_T_M_B(T_C_B), np.array([arm.home]))
+            flanges[name] = np.block([[rotation[0], origin[0][:, None]], [np.zeros(3), 1.0]])
+    return placed_obstacles(profile.obstacles, bases, flanges)
+
+
+def placed_obstacles(
+    obstacles: Mapping[str, AnyObstacle], bases: Mapping[str, Array], flanges: Mapping[str, Array]
+) -> list[Outlined]:
+    """Obstacles with the poses ``T_C_B`` and ``T_C_F`` (4, 4) of the arms; those whose arm has none are left out."""
+    found = []
+    for name, one in obstacles.items():
+        frame = np.eye(4) if one.arm is None else (bases if one.fixed_to == "base" else flanges).get(one.arm)
+        points = surface_points(one)
+        if frame is not None and len(points):
+            T_C_O = frame @ pose_matrix(Pose(position=one.pose.position, rpy=one.pose.rpy))
+            found.append(Outlined(name, apply(T_C_O, points), one.fixed_to == "flange"))
+    return found
+
+
+def surface_points(obstacle: AnyObstacle) -> Array:
+    """Points (n, 3) [m] in the frame of an obstacle that span its convex hull; none of a mesh that cannot be read."""
+    match obstacle:
+        case BoxObstacle():
+            edges = (np.linspace(-0.5 * length, 0.5 * length, _ALONG) for length in obstacle.size)
+            return np.stack(np.meshgrid(*edges), axis=-1).reshape(-1, 3)
+        case CylinderObstacle():
+            return _along_z(_circle(obstacle.radius), np.linspace(-0.5, 0.5, _ALONG) * obstacle.length)
+        case CapsuleObstacle():
+            return _along_z(_sphere(obstacle.radius), np.array([-0.5, 0.5]) * obstacle.length)
+        case SphereObstacle():
+            return _sphere(obstacle.radius)
+        case MeshObstacle():
+            try:
+                mesh, centre = load_mesh(obstacle.file, obstacle.scale)
+            except InputError:  # a map without it is better than none; planning says what is wrong
+                return np.empty((0, 3))
+            return mesh.vertices + centre
+
+
+def _circle(radius: float) -> Array:
+    angle = 2.0 * np.pi * np.arange(_AROUND) / _AROUND
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(_AROUND)])
+
+
+def _sphere(radius: float) -> Array:
+    """Circles of latitude."""
+    up = np.pi * (np.arange(_AROUND // 2 + 1) / (_AROUND // 2) - 0.5)
+    circles = _circle(radius)[None] * np.cos(up)[:, None, None]
+    circles[:, :, 2] = radius * np.sin(up)[:, None]
+    return circles.reshape(-1, 3)
+
+
+def _along_z(points: Array, at: Array) -> Array:
+    """Points (n, 3) shifted to each height of ``at`` (m,)."""
+    return np.asarray((points[None] + at[:, None, None] * np.array([0.0, 0.0, 1.0])).reshape(-1, 3))
+
+
+def obstacle_series(obstacles: Iterable[Outlined], T_C_M: Array | None, view: View) -> Iterator[Series]:
+    """The outlines of all obstacles as one series, with gaps; ``T_C_M`` is needed for the view of the tracker."""
+    gap = np.full((1, 2), np.nan)
+    lines = [part for one in obstacles for part in (outline(seen_from(one.p_C, T_C_M, view)), gap)]
+    if lines:
+        x, y = np.concatenate(lines).T
+        yield series("obstacles", x, y, style=OBSTACLE_STYLE)
+
+
+def seen_from(p_C: Array, T_C_M: Array | None, view: View) -> Array:
+    """Coordinates (n, 2) of points (n, 3): x and y [m] from above, or azimuth and elevation [deg] from the tracker.
+
+    Azimuths are counted on from that of the points' centre, so that a body behind the tracker is in one piece.
+    """
+    if view == "above" or T_C_M is None:
+        return p_C[:, :2]
+    p_M = apply(invert(T_C_M), p_C)
+    x, y, z = p_M.T
+    middle = np.arctan2(*p_M.mean(axis=0)[1::-1])
+    azimuth = middle + np.mod(np.arctan2(y, x) - middle + np.pi, 2.0 * np.pi) - np.pi
+    return np.asarray(np.degrees(np.column_stack([azimuth, np.arctan2(z, np.hypot(x, y))])))
+
+
+def outline(points: Array) -> Array:
+    """The convex hull of points (n, 2) as a closed line (k, 2)."""
+    from scipy.spatial import ConvexHull
+
+    vertices = ConvexHull(points, qhull_options="QJ").vertices  # joggled: a flat mesh has a hull, too
+    return np.asarray(points[[*vertices, vertices[0]]])
+
+
+@dataclass(frozen=True)
+class Blocked:
+    """What an obstacle hides from the tracker: azimuths [deg], from its distance [m] on."""
+
+    name: str
+    azimuth_deg: tuple[float, float]
+    distance_m: float
+
+
+def blocked_directions(obstacles: Iterable[Outlined], T_C_M: Array, p_C: Array) -> list[Blocked]:
+    """Obstacles that stand between the tracker and some of the points (n, 3), or would at their elevations.
+
+    A table below all beams blocks none. Obstacles farther than every point, and those that move, are left out.
+    """
+    if not len(p_C):
+        return []
+    elevation, reach = seen_from(p_C, T_C_M, "tracker")[:, 1], np.linalg.norm(p_C - T_C_M[:3, 3], axis=1).max()
+    found = []
+    for one in (one for one in obstacles if not one.moves):
+        azimuth, up = seen_from(one.p_C, T_C_M, "tracker").T
+        nearest = float(np.linalg.norm(one.p_C - T_C_M[:3, 3], axis=1).min())
+        if up.max() > elevation.min() and up.min() < elevation.max() and nearest < reach:
+            found.append(Blocked(one.name, (float(azimuth.min()), float(azimuth.max())), nearest))
+    return found
+
+
+def shadow_series(blocked: Iterable[Blocked], T_C_M: Array, p_C: Array) -> Iterator[Series]:
+    """The edges of each shadow from above, from the obstacle to behind the farthest of the points (n, 3)."""
+    lines = []
+    reach = _BEHIND * np.linalg.norm(p_C - T_C_M[:3, 3], axis=1).max() if len(p_C) else 0.0
+    for one in blocked:
+        for azimuth in np.radians(one.azimuth_deg):
+            direction = T_C_M[:3, :3] @ np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+            ends = T_C_M[:3, 3] + np.array([[one.distance_m], [reach]]) * direction
+            lines += [ends[:, :2], np.full((1, 2), np.nan)]
+    if lines:
+        x, y = np.concatenate(lines).T
+        yield series("blocked directions", x, y, style=OBSTACLE_STYLE, mark=":")

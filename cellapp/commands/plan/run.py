@@ -1,0 +1,326 @@
+"""The verbs that check and edit plans; beside the pipeline, which makes new runs with them.
+
+A plan is edited by hand as a CSV file (``cell.planning.plan_csv``). A plan in a run is extended, or what is left of it
+is designed again; measured stops never change.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.cell.driving.records import PlanResult
+from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
+from cellapp.cell.planning.duration import planned_time
+from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.plan_csv import PlanFile, read_plan_csv, write_plan_csv
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
+from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
+from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops, write_planned_stops
+from cellapp.cell.run import RunFile
+from cellapp.commands.plan.view import file_refusal_sentence
+from cellapp.commands.run_results import StopsResult
+from cellapp.commands.show.overview import planned_stops
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+
+_CHANGED = "plan changed: "
+"""Begins the line of the log for each change of a plan; their number varies the seed of the next one."""
+_NUMBERS = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
+_SEED = 0xADD
+"""Beside the profile's seed: other candidates than those of which some could not be reached."""
+
+
+def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
+    """What ``plan`` says of the plan of a run. Raises ``InputError`` if the run has none."""
+    required_plan(run)
+    stops = read_planned_stops(run)
+    reserves = run.profile.plan.reserves(len(stops))
+    visited = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
+    return PlanResult(
+        run=str(run.folder),
+        stops={name: len(visited) for name in stops.q},
+        reserves=len(reserves),
+        design=read_plan_design(run),
+        time=planned_time(run.profile, visited),
+        notes=tuple(notes),
+    )
+
+
+def stored_plan(run: RunFile) -> StopsResult:
+    """Every planned stop of a run, and what is known of their design. Raises ``InputError`` if that is damaged."""
+    return planned_stops(run).model_copy(update={"design": read_plan_design(run)})
+
+
+# -- plans as files ---------------------------------------------------------------------------------------------------
+
+
+def export_plan(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) -> None:
+    """Write the plan of a run as CSV. Raises ``InputError`` without a plan, or if the file cannot be written."""
+    required_plan(run)
+    write_plan_csv(read_planned_stops(run), path, outputs)
+
+
+def check_plan_file(
+    profile: Profile, path: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> PlanCheckResult:
+    """Check a hand-edited plan by the rules of ``show DIR plan --check``. It only reads.
+
+    Raises
+    ------
+    InputError
+        As ``read_plan_csv``.
+    Cancelled
+    """
+    return _checked(profile, read_plan_csv(path, profile), listener, cancel)
+
+
+def plan_from_file(
+    profile: Profile, path: Path, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> PlanResult:
+    """Make a run with a hand-edited plan exactly as it is written.
+
+    Where the number of its stops is another one than the profile asks for, the profile in the run asks for this one,
+    without reserves.
+
+    Raises
+    ------
+    InputError
+        As ``read_plan_csv`` and ``RunFile.create``.
+    CheckFailed
+        With every offence, if the gate or the tracker's view refuses something. Nothing is written then.
+    Cancelled
+    """
+    file = read_plan_csv(path, profile)
+    _require_safe(_checked(profile, file, listener, cancel))
+    count, notes = len(file.stops), []
+    if count != profile.plan.stops + profile.plan.reserve:
+        notes.append(f"the file has {count} stops, the profile asks for {profile.plan.stops}: the run has {count}")
+        plan = profile.plan.model_copy(update={"stops": count, "reserve": 0})
+        profile = profile.model_copy(update={"plan": plan})
+
+    def fill(run: RunFile) -> None:
+        write_planned_stops(run, file.stops)
+        run.log("info", f"plan: {count} stops from {path}")
+
+    with RunFile.create(folder, profile, fill) as run:
+        return plan_result(run, notes)
+
+
+def plan_around_file(
+    profile: Profile, path: Path, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> PlanResult:
+    """Make a run in which the stops of a file are frozen and the rest, up to ``plan.stops``, is designed around them.
+
+    Raises
+    ------
+    InputError
+        As ``read_plan_csv``, ``RunFile.create`` and ``make_stops``.
+    CheckFailed
+        With every offence, if a stop of the file or its last motion is refused. Nothing is written then.
+    Cancelled
+    """
+    file, listener = read_plan_csv(path, profile), with_eta(listener)
+    _require_safe(_of_file(file, 0, check_each_stop(profile, file.stops)))
+    kept = replace(file.stops, frozen=np.ones(len(file.stops), dtype=np.bool_))
+    stops, design = make_stops(profile, listener, cancel, kept=kept)
+
+    def fill(run: RunFile) -> None:
+        write_planned_stops(run, stops, design=design)
+        run.log("info", f"plan: {len(stops)} stops, {len(kept)} of them kept from {path}")
+
+    with RunFile.create(folder, profile, fill) as run:
+        return plan_result(run)
+
+
+# -- plans in runs ----------------------------------------------------------------------------------------------------
+
+
+def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: JobControl | None = None) -> PlanResult:
+    """Append ``count`` stops to the plan of a run, designed around those that it has; measured ones are information.
+
+    Raises
+    ------
+    InputError
+        If the run has no plan, another job runs in its folder, or not enough stops can be reached.
+    Cancelled
+        On request; the plan is unchanged then.
+    """
+    control = control or JobControl()
+    with running_job(run, control, "plan", listener) as listener:
+        required_plan(run)
+        kept, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
+        stops, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=count)
+        write_planned_stops(run, stops, proposed=proposed, design=design)
+        note = f"{len(stops) - len(kept)} stops were added after stop {len(kept)}"
+        run.log("info", _CHANGED + note)
+        return plan_result(run, [note])
+
+
+def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None = None) -> PlanResult:
+    """Design the stops of a run that are not measured again, around those that are measured.
+
+    Stops that could not be reached or measured are replaced. Stops stay that are measured, that discovery proposed, or
+    that a person chose, as far as they could be reached.
+
+    Raises
+    ------
+    InputError
+        If the run has no plan, another job runs in its folder, nothing is left to design, or not enough stops can be
+        reached.
+    Cancelled
+        On request; the plan is unchanged then.
+    """
+    control = control or JobControl()
+    with running_job(run, control, "plan", listener) as listener:
+        required_plan(run)
+        stops, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
+        parts = _parts(run, stops, proposed)
+        needed = len(parts.open) + parts.more - len(parts.frozen)
+        if needed <= 0:
+            raise InputError(
+                f"{run.path}: every stop is measured, proposed or frozen: nothing is left to design; extend the run"
+                f" with 'cellapp plan --run {run.folder} --add N'"
+            )
+        kept = stops.take([*parts.fixed, *parts.frozen])
+        made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)
+        write_planned_stops(run, made.take(parts.places(len(made))), proposed=proposed & {*parts.fixed}, design=design)
+        note = f"{len(made) - len(kept)} stops were designed again around {len(kept)}"
+        if parts.unreached:
+            listed = ", ".join(str(stop + 1) for stop in parts.unreached)
+            note += f"; replaced were stops that could not be reached or measured: {listed}"
+        run.log("info", _CHANGED + note)
+        return plan_result(run, [note])
+
+
+def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | None = None) -> PlanResult:
+    """Let later designs of a run's plan leave the ``chosen`` stops (from 0), and no others.
+
+    Raises
+    ------
+    InputError
+        If the run has no plan or not these stops, or another job runs in its folder.
+    """
+    with running_job(run, control or JobControl(), "plan"):
+        required_plan(run)
+        stops, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
+        if unknown := [stop for stop in chosen if not 0 <= stop < len(stops)]:
+            raise InputError(f"{run.path}: there is no configuration {unknown[0]}; there are 0 to {len(stops) - 1}")
+        frozen = np.isin(np.arange(len(stops)), list(chosen))
+        write_planned_stops(run, replace(stops, frozen=frozen), proposed=proposed)
+        return plan_result(run, [f"{int(frozen.sum())} of {len(stops)} stops are frozen"])
+
+
+def stop_numbers(text: str) -> tuple[int, ...]:
+    """The numbers that a text such as ``0-9,12`` lists, ascending; none for ``none``.
+
+    Raises
+    ------
+    InputError
+        If it is no such list.
+    """
+    found: set[int] = set()
+    for part in () if text.strip() == "none" else text.split(","):
+        match = _NUMBERS.fullmatch(part.strip())
+        if match is None:
+            raise InputError(f"'{part.strip()}': expected configurations such as 0-9,12, or none")
+        first, last = int(match[1]), int(match[2] or match[1])
+        found |= {*range(first, last + 1)}
+    return tuple(sorted(found))
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """The rows of a plan by what a new design does with them; ``fixed`` and ``open`` together are all of them.
+
+    ``fixed`` stay in their places; ``open`` are filled anew, reserves last, with the ``frozen`` of them among the new
+    stops. ``more`` are appended for stops that could not be reached and whose rows are fixed all the same.
+    """
+
+    fixed: tuple[int, ...]
+    open: tuple[int, ...]
+    frozen: tuple[int, ...]
+    unreached: tuple[int, ...]
+    more: int
+
+    def places(self, total: int) -> list[int]:
+        """For each row of the new plan the number of its stop, where those of ``fixed`` come first.
+
+        Raises ``InputError`` if the new plan is so short that a fixed row would be outside it.
+        """
+        if self.fixed and max(self.fixed) >= total:
+            raise InputError(
+                "plan: too few stops can be reached for the places that are to be filled; ask for a smaller"
+                " plan.clearance, or plan a new run"
+            )
+        before = len(self.fixed) + len(self.open)
+        rows = [*self.fixed, *(row for row in (*self.open, *range(before, total)) if row < total)]
+        return sorted(range(total), key=rows.__getitem__)
+
+
+def _parts(run: RunFile, stops: PlannedStops, proposed: Collection[int]) -> _Parts:
+    done, outcomes = run.stops_done(), run.outcomes()
+    unreached = {one.stop for one in outcomes} - done
+    fixed = done | {stop for stop in proposed if stop not in unreached}
+    if run.references():  # they are measured at the first stop that was not left out: it stays where it is
+        left_out = {one.stop for one in outcomes if one.kind == "left out"}
+        first = next((stop for stop in range(len(stops)) if stop not in left_out), 0)
+        fixed |= {*range(first + 1)}
+    reserves = run.profile.plan.reserves(len(stops))
+    rows = [stop for stop in range(len(stops)) if stop not in fixed]
+    rows.sort(key=lambda stop: stop in reserves)
+    return _Parts(
+        fixed=tuple(sorted(fixed)),
+        open=tuple(rows),
+        frozen=tuple(stop for stop in rows if stops.frozen[stop] and stop not in unreached),
+        unreached=tuple(sorted(unreached)),
+        more=len(unreached & fixed),
+    )
+
+
+def _other_seed(run: RunFile) -> Profile:
+    """The run's profile with a seed of its own for each change of the plan."""
+    changes = sum(event.text.startswith(_CHANGED) for event in run.events())
+    seed = int(np.random.SeedSequence([run.profile.seed, _SEED, changes]).generate_state(1)[0])
+    return run.profile.model_copy(update={"seed": seed})
+
+
+# -- offences of a file -----------------------------------------------------------------------------------------------
+
+
+def _checked(profile: Profile, file: PlanFile, listener: Listener, cancel: CancelToken | None) -> PlanCheckResult:
+    return _of_file(file, len(file.stops) + 1, check_stops(profile, file.stops, listener, cancel))
+
+
+def _of_file(file: PlanFile, ways: int, refused: Sequence[PlanRefusal]) -> PlanCheckResult:
+    """The check of a file, with its configurations and lines in place of the numbers of its stops."""
+
+    def number(stop: int | None) -> int | None:
+        return None if stop is None else file.configurations[stop]
+
+    named = tuple(
+        one.model_copy(
+            update={
+                "configuration": number(one.configuration),
+                "before": number(one.before),
+                "line": file.lines[-1 if one.configuration is None else one.configuration],
+            }
+        )
+        for one in refused
+    )
+    return PlanCheckResult(run="", stops=len(file.stops), ways=ways, refused=named, file=str(file.path))
+
+
+def _require_safe(check: PlanCheckResult) -> None:
+    offences = [file_refusal_sentence(check, one) for one in check.refused if not one.is_avoided]
+    if offences:
+        raise CheckFailed("\n".join([f"plan: {len(offences)} offences; nothing was written", *offences]))

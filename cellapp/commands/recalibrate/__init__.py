@@ -1,0 +1,1 @@
+"""recalibrate."""

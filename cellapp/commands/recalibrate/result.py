@@ -1,0 +1,38 @@
+"""Results of ``recalibrate``: many runs calibrated and searched again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.ground.results import Record, Result
+
+RecalibratedStage = Literal["calibrate", "discover"]
+
+
+class RecalibratedRun(Record):
+    """One run: which stages were made again and why, and the mean held-out error of each arm by the newest [mm].
+
+    ``made`` is empty where all of them held.
+    """
+
+    run: str
+    made: tuple[RecalibratedStage, ...]
+    because: str
+    heldout_mm: Mapping[str, float]
+    seconds: float
+
+
+class RecalibrateResult(Result):
+    """``recalibrate``: every run, and for each that failed why."""
+
+    schema_: Literal["cellapp-recalibrate"] = "cellapp-recalibrate"
+    version: Literal[1] = 1
+    runs: tuple[RecalibratedRun, ...]
+    failed: Mapping[str, str]
+    workers: int
+
+    @property
+    def made(self) -> tuple[RecalibratedRun, ...]:
+        """Runs of which something was made again."""
+        return tuple(run for run in self.runs if run.made)

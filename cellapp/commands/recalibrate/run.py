@@ -1,0 +1,152 @@
+"""The verb ``recalibrate``: every run of a fleet whose calibration or discovery is out of date is computed again.
+
+Each run is one task. Its worker appends the results to the run itself, as ``calibrate`` and ``discover`` do: workers of
+a cluster must see the folders under the same path, on a file system that honours the locks of SQLite.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from cellapp.cell.run import RunFile
+from cellapp.commands.calibrate.prior_source import recorded_priors
+from cellapp.commands.pipeline import calibrate_run, discover_run
+from cellapp.commands.recalibrate.result import RecalibratedRun, RecalibratedStage, RecalibrateResult
+from cellapp.commands.runs.history import check_folder, run_folders
+from cellapp.commands.stages import read_stages
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.ground.asking import who_uses
+from cellapp.ground.errors import InputError
+from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.results import CALIBRATE, DISCOVER, Record
+from cellapp.ground.scale.executor import IN_PROCESS, Resources
+from cellapp.ground.scale.gather import gather
+from cellapp.ground.scale.task import Batch, TaskKind, as_given
+
+
+class WhatToMake(Record):
+    """What is asked of every run: ``force`` computes again what still holds, ``search`` discovers too."""
+
+    force: bool
+    search: bool
+
+
+class FolderOfRun(Record):
+    """The folder of a run, under a path that every worker sees."""
+
+    folder: str
+
+
+def recalibrate(
+    folders: Sequence[Path],
+    *,
+    force: bool = False,
+    search: bool = True,
+    resources: Resources = IN_PROCESS,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> RecalibrateResult:
+    """Calibrate and search again every run of some folders and below that is out of date or was not yet.
+
+    A run that fails is named and does not stop the others; runs keep their results, so that the same command continues
+    where it was stopped.
+
+    Raises
+    ------
+    InputError
+        If no folder is given, or one is missing or holds no run.
+    ComputingLost
+        If the scheduler or all its workers are gone.
+    Cancelled
+        On request.
+    """
+    if not folders:
+        raise InputError("recalibrate: give at least one folder that holds runs, such as logs")
+    for folder in folders:
+        check_folder(folder)
+    runs = {run.absolute(): run for folder in folders for run in run_folders(folder)}
+    if not runs:
+        raise InputError(f"recalibrate: no runs below {', '.join(map(str, folders))}")
+    tasks = [FolderOfRun(folder=str(run)) for run in runs]
+    batch = Batch(RUNS, WhatToMake(force=force, search=search), tasks, [str(run) for run in runs.values()])
+    where = Resources(resources.jobs, resources.scheduler)  # runs keep their results themselves
+    gathered = gather(batch, "recalibrate", where, listener, cancel, all_may_fail=True)
+    return RecalibrateResult(runs=gathered.found, failed=dict(gathered.failures), workers=gathered.workers)
+
+
+def recalibrated_run(asked: WhatToMake, its: FolderOfRun) -> RecalibratedRun:
+    """Calibrate and search one run again where that is needed.
+
+    Raises
+    ------
+    InputError
+        If the folder is not seen here, another job runs in it, or as the two verbs do.
+    """
+    folder, began = Path(its.folder), time.perf_counter()
+    if not folder.is_dir():
+        raise InputError(
+            f"{folder} is not seen on {platform.node()}: runs must lie on a file system that workers share"
+        )
+    if user := who_uses(folder):
+        raise InputError(f"{folder} is in use ({user}); recalibrate it when that has ended")
+    with RunFile.open(folder) as run:
+        because = _reasons(run, asked)
+    made: list[RecalibratedStage] = []
+    heldout_mm: dict[str, float] = {}
+    if because:
+        with RunFile.open(folder, write=True) as run:
+            if CALIBRATE in because:
+                heldout_mm = _calibrated_mm(calibrate_run(run, prior=_prior(run)))
+                made.append("calibrate")
+            if asked.search:
+                found = discover_run(run)
+                heldout_mm |= {
+                    name: arm.heldout_position_mm.after.mean
+                    for name, arm in found.arms.items()
+                    if arm.heldout_position_mm is not None
+                }
+                made.append("discover")
+    return RecalibratedRun(
+        run=its.folder,
+        made=tuple(made),
+        because="; ".join(f"{name}: {why}" for name, why in because.items()),
+        heldout_mm=heldout_mm,
+        seconds=time.perf_counter() - began,
+    )
+
+
+RUNS = TaskKind(
+    "cellapp.commands.recalibrate.run:RUNS", WhatToMake, FolderOfRun, RecalibratedRun, as_given, recalibrated_run
+)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _reasons(run: RunFile, asked: WhatToMake) -> Mapping[str, str]:
+    """Stage -> why it has to be made; empty if all of them hold."""
+    stages, reasons = read_stages(run), dict[str, str]()
+    for name in (CALIBRATE, DISCOVER) if asked.search else (CALIBRATE,):
+        if name not in stages.current:
+            reasons[name] = "not done yet"
+        elif name in stages.out_of_date:
+            reasons[name] = stages.out_of_date[name]
+        elif asked.force:
+            reasons[name] = "asked for"
+    return reasons
+
+
+def _prior(run: RunFile) -> Path | None:
+    """The earlier run that the calibration rests on. Raises ``InputError`` if there are several."""
+    priors = sorted({record.run for record in recorded_priors(run).values()})
+    if len(priors) > 1:
+        raise InputError(f"{run.folder} rests on several earlier runs ({', '.join(priors)}); calibrate it by hand")
+    return Path(priors[0]) if priors else None
+
+
+def _calibrated_mm(result: CalibrateResult) -> dict[str, float]:
+    """Arm -> mean held-out error of its best model [mm]."""
+    return {name: arm.validate_[arm.best_stage].position_mm.mean for name, arm in result.arms.items()}

@@ -1,0 +1,35 @@
+"""Table and sentences of ``recalibrate``."""
+
+from __future__ import annotations
+
+from cellapp.commands.recalibrate.result import RecalibrateResult
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+
+
+def recalibration_table(result: RecalibrateResult) -> Table:
+    """Runs of which something was made again."""
+    columns = (
+        Column("run"),
+        Column("made again"),
+        Column("because"),
+        Column("mean held-out error [mm]"),
+        number_column("time", ".1f", "s"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (
+            run.run,
+            ", ".join(run.made),
+            run.because,
+            ", ".join(f"{arm} {error:.3f}" for arm, error in run.heldout_mm.items()),
+            run.seconds,
+        )
+        for run in result.made
+    ]
+    return Table("Runs calibrated again", columns, tuple(rows))
+
+
+def recalibration_sentences(result: RecalibrateResult) -> list[str]:
+    """How many runs were computed, were up to date and failed; and which failed, why."""
+    held = len(result.runs) - len(result.made)
+    counts = f"{len(result.made)} runs computed again, {held} up to date, {len(result.failed)} failed"
+    return [f"{counts}; {result.workers} at the same time", *(f"{run}: {why}" for run, why in result.failed.items())]

@@ -1,0 +1,197 @@
+"""Everything that one page shows, read from a run once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cellapp.cell.driving.records import ArmOrder
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.in_order import read_in_order
+from cellapp.cell.run.rows import Event
+from cellapp.cell.targets.records import VerifyResult
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.show.overview import arm_states, next_step
+from cellapp.commands.stages import RunStages, read_results, read_stages
+from cellapp.estimation.calibration.evaluation import position_errors
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, StageName
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel, CellModel
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Profile, current results, the models of calibration and discovery, and the readings of a calibrated run.
+
+    Attributes
+    ----------
+    calibrated : CellModel
+        The model that ``calibrate`` stored: geometry, and a residual network where one was used.
+    discovered : CellModel or None
+        The model that ``discover`` stored, while the discovery holds.
+    in_order : mapping
+        What an import derived from the order of the readings, by arm.
+    model_in_force : str
+        The stored model (JSON) that compensation uses; ``calibration.json`` has the same text.
+    next_step : str
+        The command that makes or repeats the first step that is missing or out of date; empty if there is none.
+    """
+
+    profile: Profile
+    results: RunResults
+    calibrate: CalibrateResult
+    calibrated: CellModel
+    discovered: CellModel | None
+    readings: Mapping[str, Readings]
+    in_order: Mapping[str, ArmOrder]
+    events: tuple[Event, ...]
+    model_in_force: str
+    next_step: str
+
+    @property
+    def out_of_date(self) -> Mapping[StageName, str]:
+        """Results that no longer hold, with the reason."""
+        return self.results.out_of_date
+
+    @property
+    def discover(self) -> DiscoverResult | None:
+        """The discovery, while it holds."""
+        return None if DISCOVER in self.out_of_date else self.results.discover
+
+    @property
+    def verify(self) -> VerifyResult | None:
+        """The verification, while it holds; None if no target was measured with both commands."""
+        verify = self.results.verify
+        return None if verify is None or VERIFY in self.out_of_date or not verify.arms else verify
+
+    @property
+    def model(self) -> CellModel:
+        """The newest model that holds."""
+        return self.discovered or self.calibrated
+
+    @cached_property
+    def conditions(self) -> Mapping[str, MeasurementConditions]:
+        """The conditions of the readings of each arm."""
+        return conditions_of_arms(self.model.arms, self.readings)
+
+    @cached_property
+    def residuals_M(self) -> Mapping[str, Array]:
+        """Measured minus computed positions (n, 3) [m] of all readings of each arm, with the newest model."""
+        return {
+            name: readings.p_M - self.model.arms[name].predict(readings.q, conditions=self.conditions[name])
+            for name, readings in self.readings.items()
+        }
+
+    @cached_property
+    def held_out(self) -> Mapping[str, HeldOutArm]:
+        """The held-out readings of each arm, without gross errors, with the predictions of every stage."""
+        return {name: self._held_out_arm(name, self.conditions[name]) for name in self.calibrated.arms}
+
+    def _held_out_arm(self, name: str, conditions: MeasurementConditions) -> HeldOutArm:
+        readings = self.readings[name]
+        rows = readings.in_split("validate")
+        rows = rows[~np.isin(readings.configuration[rows], self.calibrate.arms[name].left_out_configurations)]
+        return HeldOutArm(
+            readings=readings.take(rows),
+            conditions=conditions.take(rows),
+            calibrated=self.calibrated.arms[name],
+            discovered=None if self.discovered is None else self.discovered.arms[name],
+        )
+
+
+@dataclass(frozen=True)
+class HeldOutArm:
+    """Held-out readings of one arm and the models that predict them."""
+
+    readings: Readings
+    conditions: MeasurementConditions
+    calibrated: ArmModel
+    discovered: ArmModel | None
+
+    @cached_property
+    def computed_M(self) -> Mapping[str, Array]:
+        """Computed SMR positions (n, 3) [m] by stage.
+
+        A calibration with an earlier one as prior, or one that an older version stored, has its effects in its only
+        model: there is no stage ``geometry`` then.
+        """
+        model, q = self.calibrated, self.readings.q
+        computed: dict[str, Array] = {"nominal": smr_positions(model.nominal, q)}
+        if not model.effects:
+            computed["geometry"] = smr_positions(model.geometry, q)
+            if model.network is not None:
+                computed["network"] = self._predict(model)
+        newest = model if self.discovered is None else self.discovered
+        if newest.effects:
+            computed["effects"] = self._predict(newest)
+        return {stage: computed[stage] for stage in STAGES if stage in computed}
+
+    @cached_property
+    def errors_mm(self) -> Mapping[str, Array]:
+        """Position errors (n,) [mm] by stage; the stages are those of ``computed_M``."""
+        measured = self.readings.p_M
+        return {stage: position_errors(measured, computed) * 1e3 for stage, computed in self.computed_M.items()}
+
+    @cached_property
+    def prediction(self) -> tuple[Array, Array, float] | None:
+        """Predicted standard deviation of a coordinate and position error (n,) [mm] with the newest model, and noise.
+
+        The noise is that of a measured coordinate [mm]. None if that model predicts no uncertainty.
+        """
+        model = self.discovered or self.calibrated
+        predicted = model.uncertainty(self.readings.q) * 1e3
+        if not predicted.any():
+            return None
+        noise_mm = 0.0 if model.posterior is None else model.posterior.noise_m * 1e3
+        return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3, noise_mm
+
+    def _predict(self, model: ArmModel) -> Array:
+        return model.predict(self.readings.q, conditions=self.conditions)
+
+
+def read_report_data(run: RunFile) -> ReportData:
+    """Read results, models and readings of a run.
+
+    Raises
+    ------
+    InputError
+        If the run is not calibrated, or its calibration cannot be read.
+    """
+    stages = read_stages(run)
+    results = read_results(run, stages)
+    if results.calibrate is None:
+        reason = results.out_of_date.get(CALIBRATE, "not calibrated yet")
+        raise InputError(f"{run.path}: {reason}, nothing to report; run 'cellapp calibrate' first")
+    calibrated = _stored_model(run, stages, CALIBRATE)
+    if calibrated is None or stages.in_force is None or stages.in_force.model is None:
+        raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
+    holds = results.discover is not None and DISCOVER not in results.out_of_date
+    verb, command = next_step(run, stages, arm_states(run))
+    return ReportData(
+        profile=run.profile,
+        results=results,
+        calibrate=results.calibrate,
+        calibrated=calibrated,
+        discovered=_stored_model(run, stages, DISCOVER) if holds else None,
+        readings={name: run.readings(name) for name in calibrated.arms},
+        in_order=read_in_order(run),
+        events=tuple(run.events()),
+        model_in_force=stages.in_force.model,
+        next_step="" if verb == "report" else command,
+    )
+
+
+def _stored_model(run: RunFile, stages: RunStages, name: StageName) -> CellModel | None:
+    text = stages.current[name].model
+    return None if text is None else CellModel.from_json(text, f"{run.path}: model of '{name}'")

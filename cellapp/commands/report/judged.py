@@ -1,0 +1,82 @@
+"""Errors against their tolerances: a table of all, and the short one of the first screen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from cellapp.commands.view.acceptance_words import CHARACTERISTIC_WORDS
+from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.estimation.uncertainty.records import Judgement
+
+_MM = ".3f"
+
+
+@dataclass
+class JudgedRow:
+    """One characteristic: judgements by arm, or one of several arms together, which has no column of its own."""
+
+    label: str
+    tolerance_mm: float
+    by_arm: dict[str, Judgement] = field(default_factory=dict)
+    together: Judgement | None = None
+
+
+@dataclass(frozen=True)
+class JudgedMatrix:
+    """Characteristics in rows, arms in columns."""
+
+    arms: tuple[str, ...]
+    rows: tuple[JudgedRow, ...]
+
+
+def judged_matrix(judgements: Sequence[Judgement], arms: Sequence[str]) -> JudgedMatrix:
+    """Judgements of one characteristic by one tolerance beside each other."""
+    rows: list[JudgedRow] = []
+    for one in judgements:
+        label = CHARACTERISTIC_WORDS[one.characteristic]
+        if one.where not in arms:
+            more = "" if one.characteristic == "cooperative" and len(arms) == 2 else f", {one.where}"
+            rows.append(JudgedRow(label + more, one.tolerance_mm, together=one))
+            continue
+        free = (
+            row
+            for row in rows
+            if (row.label, row.tolerance_mm, row.together) == (label, one.tolerance_mm, None)
+            and one.where not in row.by_arm
+        )
+        row = next(free, None)
+        if row is None:
+            row = JudgedRow(label, one.tolerance_mm)
+            rows.append(row)
+        row.by_arm[one.where] = one
+    shown = tuple(arm for arm in arms if any(arm in row.by_arm for row in rows))
+    return JudgedMatrix(shown, tuple(rows))
+
+
+def judgement_table(judgements: Sequence[Judgement]) -> Table:
+    """Every judgement with its uncertainty and what it rests on."""
+    columns = (
+        Column("error"),
+        Column("of"),
+        number_column("measured", _MM),
+        number_column("U (k = 2)", _MM),
+        number_column("tolerance", "g"),
+        number_column("n", "d"),
+        Column("verdict"),
+        Column("measured by"),
+    )
+    rows = tuple(
+        (
+            CHARACTERISTIC_WORDS[one.characteristic],
+            one.where,
+            one.value_mm,
+            one.expanded_mm,
+            round(one.tolerance_mm, 6),
+            one.n or None,
+            one.conformity,
+            one.source,
+        )
+        for one in judgements
+    )
+    return Table("Largest errors against their tolerances [mm]", columns, rows)

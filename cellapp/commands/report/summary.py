@@ -1,0 +1,177 @@
+"""The page's first screen: verdict, before and after, what was found, what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import date
+
+from cellapp.commands.certificate.judgements import other_arms_found
+from cellapp.commands.discover.view import verdict_sentence
+from cellapp.commands.report.before_after import BeforeAfterFigure, before_after_figure
+from cellapp.commands.report.data import ReportData
+from cellapp.commands.report.judged import JudgedMatrix, judged_matrix
+from cellapp.commands.view.acceptance_words import VERDICT_TITLES, Verdict, named_errors, verdict_of
+from cellapp.commands.view.charts import mm
+from cellapp.commands.view.words import place_words
+from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER
+from cellapp.ground.times import day_of
+
+_AT_TARGETS: tuple[Characteristic, ...] = ("position", "distance", "cooperative")
+"""Characteristics that a verification at targets measures; the others are of ISO 9283."""
+_VERIFY = "cellapp push DIR TARGETS --verify"
+_PROPOSED_STOPS = 30
+"""Stops that are proposed where discovery could not decide: about a quarter of an hour of measuring."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """One finding: an effect and where, what it is in plain words; ``anchor`` leads to the details."""
+
+    heading: str
+    text: str
+    anchor: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to do next, with its command if cellapp does it."""
+
+    text: str
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The first screen; ``figure`` is None where no error is known before and after."""
+
+    verdict: Verdict
+    judged: JudgedMatrix
+    figure: BeforeAfterFigure | None
+    found: tuple[Found, ...]
+    steps: tuple[Step, ...]
+
+
+def summary(data: ReportData, judgements: Sequence[Judgement], today: date) -> Summary:
+    """The first screen of a run with the judgements on its results; ``today`` tells which instruments are due."""
+    return Summary(
+        verdict=verdict(data, judgements),
+        judged=judged_matrix(judgements, list(data.profile.arms)),
+        figure=before_after_figure(data),
+        found=tuple(_found(data)),
+        steps=tuple(_steps(data, judgements, today)),
+    )
+
+
+def verdict(data: ReportData, judgements: Sequence[Judgement]) -> Verdict:
+    """All judgements in a title and a sentence, or how to give tolerances."""
+    if CALIBRATE in data.out_of_date:
+        return Verdict(
+            "cannot say", VERDICT_TITLES["cannot say"], "The calibration is out of date: nothing is judged on it."
+        )
+    if not data.profile.tolerances.any_given:
+        return Verdict(
+            None,
+            "Not judged: the profile has no tolerances",
+            "Give the largest permissible errors in the profile's section 'tolerances', as position: \"0.1 mm\".",
+        )
+    return verdict_of(judgements)
+
+
+def header_facts(data: ReportData) -> list[str]:
+    """What was calibrated, with what, and when."""
+    traced = data.profile.traceability
+    facts = []
+    for name, arm in data.profile.arms.items():
+        serial = traced.arms[name].serial if name in traced.arms else ""
+        facts.append(f"arm {name}: {arm.type.model}{f', serial {serial}' if serial else ''}")
+    tracker = " ".join(filter(None, (traced.tracker.model, traced.tracker.serial)))
+    facts += [f"tracker: {tracker}"] if tracker else []
+    return [*facts, f"calibrated {day_of(data.calibrate.provenance.written)}"]
+
+
+# -- what was found ---------------------------------------------------------------------------------------------------
+
+
+def nothing_found(data: ReportData) -> str:
+    """Why no effect is named where there is no discovery that holds."""
+    if DISCOVER in data.out_of_date:
+        return "The search for missing effects is out of date."
+    return "Missing effects were not searched for yet."
+
+
+def _found(data: ReportData) -> Iterator[Found]:
+    for number, (name, arm) in enumerate(({} if data.discover is None else data.discover.arms).items(), start=1):
+        anchor = f"discovery-{number}"
+        for effect in arm.accepted:
+            yield Found(f"Arm {name}: {effect.title}, {place_words(effect.where)}", _effect_words(effect), anchor)
+        if not arm.accepted or arm.verdict in ("unknown effect", "ambiguous"):
+            yield Found(f"Arm {name}: {arm.verdict}", _capitalised(verdict_sentence(name, arm)) + ".", anchor)
+
+
+def _effect_words(effect: AcceptedEffect) -> str:
+    gap = effect.evidence.heldout_mm
+    error = f"In the model it takes the held-out error from {mm(gap.before)} to {mm(gap.after)} rms."
+    return error if effect.meaning is None else f"{_first_sentence(effect.meaning.cause)} {error}"
+
+
+# -- what to do next --------------------------------------------------------------------------------------------------
+
+
+def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Iterator[Step]:
+    if data.next_step:
+        command = data.next_step.replace(data.results.run, "DIR")  # the page may go to people without that folder
+        yield Step(_next_words(data), command)
+    yield from _accuracy_steps(data, judgements)
+    for name, arm in ({} if data.discover is None else data.discover.arms).items():
+        yield from _effect_steps(name, arm)
+    due = data.profile.traceability.tracker.due
+    if due is not None and due < today:
+        yield Step(f"Have the tracker calibrated: it was due on {due}.")
+    driven = any(arm.driver.has_device for arm in data.profile.arms.values())
+    if driven and data.results.check is None and CHECK not in data.out_of_date:
+        yield Step("After each collision, repair or move, and at regular intervals:", "cellapp check DIR")
+
+
+def _next_words(data: ReportData) -> str:
+    if " collect " in data.next_step:
+        return "Measure the planned stops that are left, then calibrate and discover again:"
+    return "Repeat what is out of date:" if data.out_of_date else "Go on with:"
+
+
+def _accuracy_steps(data: ReportData, judgements: Sequence[Judgement]) -> Iterator[Step]:
+    out = [one for one in judgements if one.conformity == "does not conform"]
+    if any(one.characteristic in _AT_TARGETS for one in out) and data.verify is not None:
+        yield Step("Correct by measuring what the model leaves at targets:", f"{_VERIFY} --iterate 2")
+    unmeasured = {one.characteristic for one in judgements if one.value_mm is None}
+    if unmeasured & set(_AT_TARGETS) and "--verify" not in data.next_step:
+        what = "cooperative targets" if unmeasured.isdisjoint(("position", "distance")) else "targets"
+        yield Step(f"Measure {what}, which have a tolerance:", _VERIFY)
+    near = [one for one in judgements if one.conformity == "cannot say" and one.value_mm is not None]
+    if near and not other_arms_found(data.results):
+        yield Step(f"Measure with a smaller uncertainty, as with the tracker nearer: {named_errors(near)}.")
+    if unmeasured - set(_AT_TARGETS):
+        yield Step("Measure by ISO 9283 what has a tolerance:", "cellapp iso9283 PROFILE --run DIR")
+
+
+def _effect_steps(name: str, arm: ArmDiscoveryResult) -> Iterator[Step]:
+    for effect in arm.accepted:
+        if effect.meaning is not None and effect.meaning.check:
+            yield Step(f"Arm {name}, {place_words(effect.where)}: {_first_sentence(effect.meaning.check[0])}")
+    if arm.verdict in ("unknown effect", "ambiguous"):
+        yield Step(
+            f"Arm {name}: measure stops that decide what discovery left open:",
+            f"cellapp discover DIR --propose {_PROPOSED_STOPS}",
+        )
+
+
+def _first_sentence(text: str) -> str:
+    """A text up to its first full stop that ends a sentence."""
+    first, stop, _ = text.partition(". ")
+    return first + stop.rstrip()
+
+
+def _capitalised(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,88 @@
+"""The verdict on a run as a table and sentences: judgements, what is out of date, what comes next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import date
+
+from cellapp.cell.run import RunFile
+from cellapp.commands.certificate.judgements import judge_run
+from cellapp.commands.report.data import ReportData, read_report_data
+from cellapp.commands.report.summary import Summary, summary
+from cellapp.commands.stages import read_results
+from cellapp.commands.view.acceptance_words import RULE_WORDS
+from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.estimation.uncertainty.conditions import measured_conditions
+from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
+from cellapp.ground.errors import InputError
+
+
+@dataclass(frozen=True)
+class RunVerdict:
+    """The judgements on a run with a title and a sentence, and what to do next.
+
+    ``state`` is None where nothing is judged.
+    """
+
+    state: Conformity | None
+    title: str
+    sentence: str
+    judgements: tuple[Judgement, ...]
+    steps: tuple[str, ...]
+
+
+def read_verdict(run: RunFile, today: date) -> RunVerdict:
+    """Judge a run as it is now; ``today`` tells which instruments are due."""
+    results = read_results(run)
+    data = _report_data(run)
+    if data is None:
+        judgements = judge_run(run.profile, results)
+        title = "Not calibrated yet"
+        sentence = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
+        return RunVerdict(overall(judgements), title, sentence, judgements, ())
+    judgements = judge_run(run.profile, results, measured_conditions(data.readings))
+    first: Summary = summary(data, judgements, today)
+    steps = tuple(f"{step.text} {step.command}".strip() for step in first.steps)
+    verdict = first.verdict
+    return RunVerdict(verdict.state, verdict.title, verdict.sentence, judgements, steps)
+
+
+def verdict_tables(verdict: RunVerdict) -> list[Table]:
+    """Every judgement: error, expanded uncertainty, tolerance, decision."""
+    if not verdict.judgements:
+        return []
+    columns = (
+        Column("tolerance of"),
+        Column("arm"),
+        *(number_column(title, ".3f") for title in ("error", "\N{PLUS-MINUS SIGN}U", "tolerance")),
+        Column("decision"),
+    )
+    rows = tuple(
+        (_name(one), one.where, one.value_mm, one.expanded_mm, one.tolerance_mm, one.conformity)
+        for one in verdict.judgements
+    )
+    return [Table("Errors against their tolerances [mm]", columns, rows)]
+
+
+def verdict_sentences(verdict: RunVerdict) -> list[str]:
+    """What the judgements rest on, and what comes next."""
+    sources: dict[str, list[str]] = {}
+    for one in verdict.judgements:
+        sources.setdefault(one.source, []).append(f"{_name(one)} of {one.where}")
+    return [
+        *dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements),
+        *(f"{', '.join(judged)}: {source}" for source, judged in sources.items()),
+        *(f"next: {step}" for step in verdict.steps),
+    ]
+
+
+def _name(judgement: Judgement) -> str:
+    """The name of its tolerance in the profile."""
+    return judgement.characteristic.replace("_", " ")
+
+
+def _report_data(run: RunFile) -> ReportData | None:
+    try:
+        return read_report_data(run)
+    except InputError:
+        return None  # not calibrated yet

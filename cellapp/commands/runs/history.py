@@ -1,0 +1,180 @@
+"""The runs below a folder, read quickly and never changed: a run that cannot be read gets a row that says why."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from cellapp.cell.run.collection_rows import Session
+from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.sqlite_file import FILE_NAME
+from cellapp.commands.runs.history_figures import run_figures
+from cellapp.commands.runs.result import CellKind, LastSession, RunsResult, RunSummary, StageSummary
+from cellapp.commands.show.overview import arm_states, next_step
+from cellapp.commands.stages import counted_basis, read_stages
+from cellapp.ground.asking import RUNS_NOW, who_uses
+from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.profile import Profile
+
+DEFAULT_FOLDER = Path("logs")
+"""Where new runs are made, in the working directory."""
+
+LEVELS = 3
+"""Folders between a listed folder and a run; trials and campaigns make two."""
+_DONE: tuple[LastSession, ...] = ("complete", "accurate enough")
+
+
+def list_runs(folder: Path | None = None) -> RunsResult:
+    """Every run in ``folder`` and below, newest first; links are not followed. None is ``logs``, which may be missing.
+
+    Raises
+    ------
+    InputError
+        If the folder is missing or cannot be read.
+    """
+    where = DEFAULT_FOLDER if folder is None else folder
+    if folder is not None or where.exists():
+        check_folder(where)
+    runs = [summarise(path) for path in run_folders(where, LEVELS)]
+    newest_first = sorted(runs, key=lambda run: (run.began or run.changed, run.run), reverse=True)
+    return RunsResult(folder=str(where), runs=tuple(newest_first))
+
+
+def resumable(folder: Path | None = None) -> RunSummary | None:
+    """The newest run that was interrupted while collecting and is not in use. Raises as ``list_runs``."""
+    return next((run for run in list_runs(folder).runs if run.resumable), None)
+
+
+def to_go_on_with(folder: Path | None = None) -> RunSummary | None:
+    """The newest run in which a job of this computer works now, else ``resumable``. Raises as ``list_runs``."""
+    runs = list_runs(folder).runs
+    used = (run for run in runs if run.in_use == RUNS_NOW)
+    return next(used, None) or next((run for run in runs if run.resumable), None)
+
+
+def summarise(folder: Path) -> RunSummary:
+    """The state of one run; it states the problem where the run cannot be read."""
+    changed, size = _on_disk(folder)
+    known = RunSummary(run=str(folder), changed=changed, size_bytes=size, in_use=who_uses(folder))
+    try:
+        with RunFile.peek(folder) as run:
+            return _summary(run, known)
+    except CellappError as error:
+        problem = str(error)
+    except (OSError, ValueError, TypeError) as error:  # whatever a damaged or foreign file may contain
+        problem = f"{folder / FILE_NAME} holds values that this cellapp cannot read ({_first_words(error)})"
+        problem += "; open it with the cellapp that wrote it, or restore it from a copy"
+    return known.model_copy(update={"problem": problem})
+
+
+def check_folder(folder: Path) -> None:
+    """Raise ``InputError`` if the folder is missing or cannot be read."""
+    try:
+        os.scandir(folder).close()
+    except FileNotFoundError:
+        raise InputError(f"{folder}: folder not found; give a folder that holds runs, such as logs") from None
+    except NotADirectoryError:
+        raise InputError(f"{folder} is not a folder; give a folder that holds runs, such as logs") from None
+    except OSError as error:
+        raise InputError(f"{folder} cannot be read ({error.strerror}); check its permissions") from None
+
+
+def run_folders(folder: Path, levels: int = LEVELS) -> Iterator[Path]:
+    """Folders of runs in ``folder`` and below; links are not followed, what cannot be read is passed over."""
+    if os.path.lexists(folder / FILE_NAME):
+        yield folder
+        return
+    if levels == 0:
+        return
+    try:
+        with os.scandir(folder) as entries:
+            below = sorted(
+                entry.name
+                for entry in entries
+                if not entry.name.startswith(".") and entry.is_dir(follow_symlinks=False)
+            )
+    except OSError:
+        return
+    for name in below:
+        yield from run_folders(folder / name, levels - 1)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _on_disk(folder: Path) -> tuple[str, int]:
+    """When the run file last changed (ISO 8601, UTC), and the size of all files of the folder."""
+    changed_s, size = 0.0, 0
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_file(follow_symlinks=False):
+                    stat = entry.stat(follow_symlinks=False)
+                    size += stat.st_size
+                    if entry.name in (FILE_NAME, f"{FILE_NAME}-wal"):
+                        changed_s = max(changed_s, stat.st_mtime)
+    except OSError:  # removed meanwhile, or not ours to read: opening it says so
+        pass
+    changed = datetime.fromtimestamp(changed_s, UTC).isoformat(timespec="milliseconds") if changed_s else ""
+    return changed, size
+
+
+def _first_words(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return str(error).partition("\n")[0] or type(error).__name__
+
+
+def _summary(run: RunFile, known: RunSummary) -> RunSummary:
+    stages, arms, sessions = read_stages(run, counted_basis), arm_states(run), run.sessions()
+    verb, command = next_step(run, stages, arms)
+    done, total = run.stops_done(), max(run.planned_counts().values(), default=0)
+    reserves = run.profile.plan.reserves(total)
+    left = sum(stop not in done and stop not in reserves for stop in range(total))
+    last = _last_session(sessions)
+    figures, unreadable = run_figures(stages)
+    out_of_date = {**stages.out_of_date, **unreadable}
+    return RunSummary(
+        run=known.run,
+        profile=run.profile.name,
+        cell=cell_kind(run.profile),
+        began=run.created,
+        changed=known.changed,
+        arms=arms,
+        stops_planned=total - len(reserves),
+        stops_measured=len(done),
+        stops_left=left,
+        sessions=len(sessions),
+        last_session=last,
+        stages=tuple(
+            StageSummary(name=name, written=stage.written, out_of_date=out_of_date.get(name))
+            for name, stage in stages.current.items()
+        ),
+        figures=figures,
+        next_verb=verb,
+        next_step=command,
+        interrupted=last is not None and last not in _DONE and left > 0,
+        in_use=known.in_use,
+        size_bytes=known.size_bytes,
+    )
+
+
+def _last_session(sessions: list[Session]) -> LastSession | None:
+    if not sessions:
+        return None
+    return sessions[-1].outcome or "no end"
+
+
+def cell_kind(profile: Profile) -> CellKind:
+    """What moves in a cell: real arms if any arm is real, simulated ones if all are simulated."""
+    drivers = [arm.driver for arm in profile.arms.values()]
+    if profile.moves_hardware:
+        return "real"
+    if not any(driver.has_device for driver in drivers):
+        return "none"
+    return "simulated" if all(driver.needs_plant for driver in drivers) else "emulated"

@@ -1,0 +1,157 @@
+"""Tables and sentences of ``runs``: every run below a folder, and the one that can be resumed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich import filesize
+
+from cellapp.commands.runs.result import ArmFigures, CellKind, RunsResult, RunSummary
+from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.estimation.discovery.records import BeforeAfter
+from cellapp.ground.times import day_of, minute_of
+
+CELL_WORDS: dict[CellKind, str] = {
+    "simulated": "simulated",
+    "emulated": "emulated",
+    "real": "REAL ARMS",
+    "none": "no arms",
+}
+_MM = ".3f"
+
+
+def runs_tables(result: RunsResult) -> list[Table]:
+    """State of every run that can be read, errors of every calibrated arm, what discovery named in it."""
+    named = [(short_name(run, result.folder), run) for run in result.runs if not run.problem]
+    state = Table(
+        f"Runs below {result.folder}, newest first",
+        tuple(map(Column, ("run", "cell", "began", "stops", "next"))),
+        tuple(
+            (name, CELL_WORDS[run.cell], day_of(run.began), stops_words(run), next_words(run)) for name, run in named
+        ),
+    )
+    errors = Table(
+        "Mean errors [mm]: held-out positions, targets without and with compensation",
+        (
+            Column("run"),
+            Column("arm"),
+            *(number_column(title, _MM) for title in ("geometry", "best", "targets", "compensated")),
+        ),
+        tuple(
+            (name, arm, *_pair(figures.heldout_mm), *_pair(figures.verified_mm))
+            for name, run in named
+            for arm, figures in run.figures.items()
+        ),
+    )
+    effects = Table(
+        "Missing effects",
+        tuple(map(Column, ("run", "arm", "verdict", "effects"))),
+        tuple(
+            (name, arm, figures.verdict, effects_words(figures.effects))
+            for name, run in named
+            for arm, figures in run.figures.items()
+            if figures.verdict
+        ),
+    )
+    return [table for table in (state, errors, effects) if table.rows]
+
+
+def runs_sentences(result: RunsResult) -> list[str]:
+    """What cannot be read and why, what is in use, what can be resumed, and what comes next in the newest run."""
+    if not result.runs:
+        return [f"no runs below {result.folder}; 'cellapp run PROFILE' makes one"]
+    sentences = [run.problem for run in result.runs if run.problem]
+    sentences += [f"{run.run}: in use by {run.in_use}" for run in result.runs if run.in_use]
+    sentences += [resume_sentence(run) for run in result.runs if run.resumable]
+    newest = next((run for run in result.runs if not run.problem), None)
+    if newest is not None and newest.next_step and not newest.resumable:
+        sentences.append(f"next in the newest run: {newest.next_step}")
+    return sentences
+
+
+def run_lines(run: RunSummary) -> list[str]:
+    """One run in a few lines: where it stands, its results, the figures of each arm, what comes next."""
+    used = [f"in use by {run.in_use}"] if run.in_use else []
+    if run.problem:
+        return [run.problem, *used]
+    size = filesize.decimal(run.size_bytes)
+    lines = [
+        f"profile {run.profile}, {CELL_WORDS[run.cell]}; began {minute_of(run.began)},"
+        f" changed {minute_of(run.changed)} (UTC); {size}",
+        f"stops {stops_words(run)}; {stages_words(run)}",
+        *used,
+        *(f"{name}: {figures_words(figures)}" for name, figures in run.figures.items()),
+    ]
+    if run.resumable:
+        return [*lines, f"interrupted, {run.stops_left} stops left: {run.next_step}"]
+    return [*lines, f"next: {run.next_step or 'nothing is left to do'}"]
+
+
+def figures_words(figures: ArmFigures) -> str:
+    """Errors, effects and verification of one arm in one line."""
+    parts = []
+    if figures.heldout_mm is not None:
+        best = f"{figures.heldout_mm.after:{_MM}} mm with {figures.best_stage}"
+        parts.append(f"held-out mean {figures.heldout_mm.before:{_MM}} mm with geometry, {best}")
+    if figures.verdict is not None:
+        parts.append(effects_words(figures.effects) or figures.verdict)
+    if figures.verified_mm is not None:
+        parts.append(f"targets {figures.verified_mm.before:{_MM}} -> {figures.verified_mm.after:{_MM}} mm")
+    return "; ".join(parts)
+
+
+def resume_sentence(run: RunSummary) -> str:
+    """Offer to continue an interrupted run."""
+    return (
+        f"{run.run}: collecting was interrupted ({session_words(run)}) with {run.stops_left} of"
+        f" {run.stops_measured + run.stops_left} stops left; 'cellapp collect {run.run} --resume' continues it"
+    )
+
+
+def short_name(run: RunSummary, folder: str) -> str:
+    """The run's folder as seen from the listed one."""
+    path = Path(run.run)
+    return str(path.relative_to(folder)) if path.is_relative_to(folder) and path != Path(folder) else run.run
+
+
+def stops_words(run: RunSummary) -> str:
+    """``120/400 stopped``; the number alone for imported readings."""
+    if not run.stops_planned:
+        return str(run.stops_measured)
+    words = session_words(run)
+    return f"{run.stops_measured}/{run.stops_planned} {'' if words == 'complete' else words}".rstrip()
+
+
+def session_words(run: RunSummary) -> str:
+    """How the last session of collecting ended, or that it still runs."""
+    if run.in_use and run.last_session == "no end":
+        return "running"
+    return run.last_session or ("" if run.stops_measured else "not begun")
+
+
+def stages_words(run: RunSummary) -> str:
+    """Which results hold, and which are out of date and why."""
+    held = [stage.name for stage in run.stages if not stage.out_of_date]
+    reasons: dict[str, list[str]] = {}
+    for stage in run.stages:
+        if stage.out_of_date:
+            reasons.setdefault(stage.out_of_date, []).append(stage.name)
+    parts = [f"results: {', '.join(held)}"] if held else []
+    parts += [f"out of date: {', '.join(names)} ({reason})" for reason, names in reasons.items()]
+    return "; ".join(parts) or "no results"
+
+
+def next_words(run: RunSummary) -> str:
+    """The verb that comes next, and whether a result is out of date; ``done`` if nothing is left to do."""
+    outdated = any(stage.out_of_date for stage in run.stages)
+    return f"{run.next_verb or 'done'}{' (out of date)' if outdated else ''}"
+
+
+def effects_words(effects: Sequence[str]) -> str:
+    """Names of effects as words."""
+    return ", ".join(slug.replace("_", " ") for slug in effects)
+
+
+def _pair(values: BeforeAfter | None) -> tuple[float | None, float | None]:
+    return (None, None) if values is None else (values.before, values.after)

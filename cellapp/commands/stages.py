@@ -1,0 +1,491 @@
+"""Stages of a run: what each verb stored, what it rests on, and whether that still holds.
+
+A verb appends a stage and never edits an earlier one. Every stage records its basis: hashes of the profile, of the
+readings and of the earlier stages that it used. A stage whose basis has changed since is out of date: it stays
+readable, is shown with the reason, and its model is not sent to the arms unless the operator insists.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from cellapp.cell.profile import profile_to_json
+from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.rows import StageRow
+from cellapp.cell.targets.path_records import PathResult
+from cellapp.cell.targets.records import CompensateResult, VerifyResult
+from cellapp.commands.certificate.result import CertificateResult
+from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.next_command import next_command
+from cellapp.commands.run_results import NextVerb, RunResults
+from cellapp.commands.stage_text import cannot_say, change_words, found_change, json_object, says_moved
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.estimation.iso9283.records import Iso9283Result
+from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED, CheckResult
+from cellapp.estimation.readings.readings import Readings
+from cellapp.ground.errors import InputError
+from cellapp.ground.results import (
+    CALIBRATE,
+    CERTIFICATE,
+    CHECK,
+    COMPENSATE,
+    DISCOVER,
+    FOLLOW,
+    ISO9283,
+    LOCATE,
+    PATH,
+    PUSH,
+    STAGE_NAMES,
+    VERIFY,
+    Record,
+    Result,
+    StageName,
+)
+from cellapp.robot.model.model import MODEL_SCHEMA
+
+CALIBRATION_FILE = "calibration.json"
+"""The exported model in force, for other programs; cellapp itself reads the stored stages."""
+
+NOT_RECORDED = "an older version stored it and did not record the data it rests on"
+
+UNREADABLE = "another version of cellapp stored it and this one cannot read it"
+
+
+class ReadingsBasis(Record):
+    """Number of readings of one arm, and the hash of their measured arrays and splits; empty if only counted."""
+
+    n: int
+    sha256: str
+
+    def is_same(self, other: ReadingsBasis) -> bool:
+        """Whether both are of the same readings, as far as both know them."""
+        hashes = {self.sha256, other.sha256} - {""}
+        return self.n == other.n and len(hashes) < 2
+
+
+class PriorBasis(Record):
+    """The earlier run whose calibration of one arm was taken as prior, and ``earlier_digest`` of it then."""
+
+    run: str
+    sha256: str
+
+
+class Basis(Record):
+    """SHA-256 hashes of what a stage rests on; ``stages`` maps each earlier stage that it used to its digest,
+    ``priors`` each arm to the earlier run that was its prior."""
+
+    profile: str
+    readings: Mapping[str, ReadingsBasis]
+    stages: Mapping[StageName, str] = {}
+    targets: str | None = None
+    priors: Mapping[str, PriorBasis] = {}
+
+
+@dataclass(frozen=True)
+class StoredStage:
+    """What one verb stored.
+
+    Attributes
+    ----------
+    number : int
+        Of the row; 0 for a result that an older version stored.
+    name : str
+    written, program : str
+        When (ISO 8601, UTC) and by which version.
+    basis : Basis or None
+        What it rests on; None where that was not recorded.
+    text : str
+        The result as JSON.
+    model : str or None
+        The model that it made as JSON.
+    sole : bool
+        Whether the run has no other stage of this name.
+    """
+
+    number: int
+    name: StageName
+    written: str
+    program: str
+    basis: Basis | None
+    text: str
+    model: str | None
+    sole: bool = False
+
+    def has_outcome(self, name: StageName, digest: str) -> bool:
+        """Whether a later stage that used stage ``name`` with ``digest`` used this one, or one of the same outcome."""
+        return (self.sole and self.name == name) or self.digest == digest
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the model without its provenance, or of the result where the stage made no model.
+
+        The same outcome at another time has the same digest. Raises ``InputError`` if the model is not JSON.
+        """
+        if self.model is None:
+            return sha256_of(self.text)
+        content = json_object(self.model)
+        if content is None:
+            raise InputError(f"the stored model of '{self.name}' is damaged; run 'cellapp {self.name}' again")
+        content.pop("provenance", None)
+        return sha256_of(json.dumps(content, sort_keys=True))
+
+
+@dataclass(frozen=True)
+class RunStages:
+    """The newest stage of each name, and those of them that no longer hold.
+
+    Attributes
+    ----------
+    current : mapping
+        Name -> newest stage.
+    out_of_date : mapping
+        Name -> reason, a phrase such as "20 readings were added since".
+    in_force : StoredStage or None
+        The stage whose model is used: the discovery if it rests on the current calibration, else the calibration; the
+        same in the tracker frame of a later station, if the tracker was located on that model.
+    """
+
+    current: Mapping[StageName, StoredStage]
+    out_of_date: Mapping[StageName, str]
+    in_force: StoredStage | None
+
+    def stale_model(self) -> str:
+        """Why the model in force should not be used as it is; empty if it holds, so does the newest discovery, and the
+        tracker stands where the model says."""
+        return "; ".join(filter(None, (self.stale_arms(), self.stale_station())))
+
+    def stale_arms(self) -> str:
+        """Why the arms of the model in force should not be used as they are, wherever the tracker stands now; empty if
+        they may."""
+        found = self._found_change()
+        changed = change_words(found) if found in CHANGES_OF_ARMS else ""
+        return "; ".join(filter(None, (self.outdated_arms(), changed)))
+
+    def outdated_arms(self) -> str:
+        """Why the arms of the model in force do not follow from the data of the run; empty if they do."""
+        reasons = [
+            f"'{name}' is out of date ({self.out_of_date[name]})"
+            for name in (CALIBRATE, DISCOVER)
+            if name in self.out_of_date
+        ]
+        return "; ".join(reasons)
+
+    def stale_station(self) -> str:
+        """Why the tracker does not stand where the model in force says; empty if it does as far as is known."""
+        found = self._found_change()
+        moved = change_words(found) if found == TRACKER_MOVED else ""
+        return "; ".join(filter(None, (self.outdated_station(), moved)))
+
+    def outdated_station(self) -> str:
+        """Why the last location of the tracker does not hold; empty if it does, or none was needed."""
+        located = self.current.get(LOCATE)
+        if located is not None and located.model is None:
+            return "no motion of the tracker explains the points of the last 'locate'"
+        if tracker_moved(located) and LOCATE in self.out_of_date:
+            return f"the tracker was moved, and '{LOCATE}' is out of date ({self.out_of_date[LOCATE]})"
+        return ""
+
+    def _found_change(self) -> str:
+        """What the last check found that still holds; empty if nothing."""
+        checked = self.current.get(CHECK)
+        return "" if checked is None or CHECK in self.out_of_date else found_change(checked.text)
+
+    def next_verb(self) -> NextVerb:
+        """The verb that makes or repeats the first missing or outdated step; empty if there is none."""
+        if CALIBRATE not in self.current or CALIBRATE in self.out_of_date:
+            return "calibrate"
+        if DISCOVER not in self.current or DISCOVER in self.out_of_date:
+            return "discover"
+        if self.stale_arms():
+            return "plan"
+        if self.stale_station():
+            return "locate"
+        return "push" if VERIFY not in self.current or VERIFY in self.out_of_date else ""
+
+    def next_step(self, folder: Path) -> str:
+        """The command of ``next_verb``; empty if there is none."""
+        return next_command(self.next_verb(), folder)
+
+
+def tracker_moved(located: StoredStage | None) -> bool:
+    """Whether the tracker stands elsewhere than where the readings were taken, by the stage of ``locate``."""
+    return located is not None and says_moved(located.text)
+
+
+def append_stage(
+    run: RunFile, name: StageName, result: Result, basis: Basis | None, model: str | None = None
+) -> StoredStage:
+    """Append the result of a verb, with the model (JSON) that it made. Earlier rows stay as they are."""
+    run.append_stage(name, None if basis is None else basis.model_dump_json(), result.to_json(), model)
+    return read_history(run)[-1]
+
+
+def read_history(run: RunFile) -> list[StoredStage]:
+    """Every stage that was ever stored, oldest first; results of older versions without a basis stand in front."""
+    rows = run.stage_rows()
+    stages = [*_stored_without_basis(run, with_model=not rows), *(_stage(run, row) for row in rows)]
+    times = Counter(stage.name for stage in stages)
+    return [replace(stage, sole=times[stage.name] == 1) for stage in stages]
+
+
+def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = None) -> RunStages:
+    """The newest stage of each name, and whether it still holds.
+
+    ``basis_now`` computes what a stage that is made now would rest on; ``basis_of`` if not given.
+    """
+    newest = _newest(read_history(run))
+    current = {name: newest[name] for name in STAGE_NAMES if name in newest}
+    unmoved = _in_force_before_moving(current)
+    in_force = _in_force(current, unmoved)
+    recorded = any(stage.basis is not None for stage in current.values())
+    now = (basis_now or basis_of)(run) if recorded else None
+    used = {CALIBRATE: None, DISCOVER: current.get(CALIBRATE), LOCATE: unmoved}
+    if CHECK in current and found_change(current[CHECK].text) in CHANGES_OF_ARMS:
+        used[CHECK] = unmoved
+    reasons = {name: _why_outdated(stage, now, used.get(name, in_force), current) for name, stage in current.items()}
+    return RunStages(current, {name: reason for name, reason in reasons.items() if reason}, in_force)
+
+
+def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
+    """The current results of a run as objects; those that no longer hold are listed in ``out_of_date``."""
+    stages = stages or read_stages(run)
+    out_of_date = dict(stages.out_of_date)
+    found: dict[str, Result] = {}
+    for name, stage in stages.current.items():
+        try:
+            found[name] = _RESULTS[name].from_json(stage.text, f"{run.path}: {name}")
+        except InputError:
+            out_of_date[name] = UNREADABLE
+    calibrate, discover = found.get(CALIBRATE), found.get(DISCOVER)
+    if isinstance(calibrate, CalibrateResult):
+        if isinstance(discover, DiscoverResult) and DISCOVER not in stages.out_of_date:
+            found[CALIBRATE] = calibrate.with_effects(discover)
+        else:
+            found[CALIBRATE] = calibrate.without_effects()
+    return RunResults.model_validate({"run": str(run.folder), "out_of_date": out_of_date, **found})
+
+
+def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
+    """The basis of a stage that is made now; ``stages`` maps each earlier stage that it uses to its digest."""
+    readings = {name: run.readings(name) for name in run.arms()}
+    return Basis(
+        profile=sha256_of(profile_to_json(run.profile)),
+        readings={name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm)) for name, arm in readings.items()},
+        stages=stages or {},
+    )
+
+
+def counted_basis(run: RunFile) -> Basis:
+    """As ``basis_of``, but readings are only counted, which is quick.
+
+    No verb changes readings in place: ``collect`` adds them, and splits are drawn for readings that have none yet,
+    before a calibration uses them.
+    """
+    counts = {name: sum(splits.values()) for name, splits in run.split_counts().items()}
+    return Basis(
+        profile=sha256_of(profile_to_json(run.profile)),
+        readings={name: ReadingsBasis(n=n, sha256="") for name, n in counts.items()},
+    )
+
+
+def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel] = ()) -> Basis | None:
+    """The basis of a stage that uses a model for targets or paths; it rests on the readings that the model rests on.
+
+    None where it was not recorded what the model rests on.
+    """
+    if model.basis is None:
+        return None
+    return Basis(
+        profile=sha256_of(profile_to_json(run.profile)),
+        readings=model.basis.readings,
+        stages={model.name: model.digest},
+        targets=sha256_of("\n".join(one.model_dump_json(exclude_none=True, exclude_defaults=True) for one in targets)),
+    )
+
+
+def readings_digest(readings: Readings) -> str:
+    """SHA-256 of the names and numbers (little-endian) of all measured arrays of one arm, and of its splits."""
+    digest = hashlib.sha256()
+    for entry in fields(readings):
+        values = getattr(readings, entry.name)
+        if isinstance(values, np.ndarray):
+            digest.update(f"{entry.name} {values.shape}\n".encode())
+            digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
+    digest.update(json.dumps(readings.split).encode())
+    return digest.hexdigest()
+
+
+def sha256_of(text: str) -> str:
+    """SHA-256 of a text, in hexadecimal digits."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+_RESULTS: Mapping[StageName, type[Result]] = {
+    CALIBRATE: CalibrateResult,
+    DISCOVER: DiscoverResult,
+    LOCATE: LocateResult,
+    COMPENSATE: CompensateResult,
+    PUSH: VerifyResult,
+    VERIFY: VerifyResult,
+    PATH: PathResult,
+    FOLLOW: PathResult,
+    ISO9283: Iso9283Result,
+    CHECK: CheckResult,
+    CERTIFICATE: CertificateResult,
+}
+
+
+_DONE: Mapping[StageName, str] = {
+    CALIBRATE: "the run was calibrated",
+    DISCOVER: "the run was searched for missing effects",
+    LOCATE: "the tracker was located",
+}
+"""What was done by the verbs that make a model."""
+_MEASURED: Mapping[StageName, str] = {
+    VERIFY: "targets were verified",
+    ISO9283: "the cell was tested by ISO 9283",
+}
+"""What was done by the verbs that measure the cell with a model, and that a certificate rests on."""
+STORED_OTHERWISE: Mapping[StageName, str] = {
+    VERIFY: "the stored verification was changed",
+    ISO9283: "the stored test by ISO 9283 was changed",
+}
+"""What is said where a stage that stood before its certificate is not the one that was certified."""
+
+
+def _stage(run: RunFile, row: StageRow) -> StoredStage:
+    try:
+        basis = None if row.basis is None else Basis.model_validate_json(row.basis)
+    except ValidationError:
+        raise InputError(f"{run.path} is damaged (basis of stage {row.number}); restore it from a copy") from None
+    return StoredStage(
+        number=row.number,
+        name=cast(StageName, row.name),
+        written=row.written,
+        program=row.program,
+        basis=basis,
+        text=row.text,
+        model=row.model,
+    )
+
+
+def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredStage]:
+    """Results of versions before the table ``stage``; their one model is ``calibration.json``, until it is replaced."""
+    model = _readable_model(run.folder / CALIBRATION_FILE) if with_model else None
+    for name in STAGE_NAMES:
+        document = run.read_document(name)
+        if document is not None:
+            own = model if name in (CALIBRATE, DISCOVER) else None
+            yield StoredStage(0, name, document.written, "an older version", None, document.text, own)
+
+
+def _readable_model(path: Path) -> str | None:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return None
+    content = json_object(text)
+    return text if content is not None and content.get("schema") == MODEL_SCHEMA else None
+
+
+def _newest(history: Sequence[StoredStage]) -> dict[StageName, StoredStage]:
+    """The newest stage of each name; a check that could not say anything does not refute what an earlier one found."""
+    newest: dict[StageName, StoredStage] = {}
+    for stage in history:
+        before = newest.get(CHECK)
+        if stage.name == CHECK and before is not None and cannot_say(stage.text) and found_change(before.text):
+            continue
+        newest[stage.name] = stage
+    return newest
+
+
+def _in_force(current: Mapping[StageName, StoredStage], unmoved: StoredStage | None) -> StoredStage | None:
+    """The model in force: that of ``locate`` while it rests on the model in force before the tracker was moved."""
+    located = current.get(LOCATE)
+    if unmoved is None or located is None or located.model is None or located.basis is None:
+        return unmoved
+    rests = (unmoved.has_outcome(name, digest) for name, digest in located.basis.stages.items())
+    return located if all(rests) else unmoved
+
+
+def _in_force_before_moving(current: Mapping[StageName, StoredStage]) -> StoredStage | None:
+    calibrate, discover = current.get(CALIBRATE), current.get(DISCOVER)
+    if calibrate is None or discover is None:
+        return calibrate
+    if discover.basis is None:
+        return discover if calibrate.basis is None else calibrate
+    used = discover.basis.stages.get(CALIBRATE)
+    return discover if used is not None and calibrate.has_outcome(CALIBRATE, used) else calibrate
+
+
+def _why_outdated(
+    stage: StoredStage, now: Basis | None, used: StoredStage | None, current: Mapping[StageName, StoredStage]
+) -> str:
+    """Why a stage no longer holds; empty if it does. ``used`` is the stage whose model it would use now.
+
+    Of stages that make no model it would use the newest of their name; a digest is empty where there was none.
+    """
+    if stage.basis is None or now is None:
+        return NOT_RECORDED
+    reasons = []
+    if stage.basis.profile != now.profile:
+        reasons.append("the profile was changed since")
+    reasons += _changed_readings(stage.basis.readings, now.readings)
+    reasons += _changed_priors(stage.basis.priors)
+    for name, digest in stage.basis.stages.items():
+        if name in _MEASURED:
+            newest = current.get(name)
+            if newest is not None and newest.digest != digest:
+                later = newest.number > stage.number
+                reasons.append(f"{_MEASURED[name]} since" if later else STORED_OTHERWISE[name])
+        elif used is not None and not used.has_outcome(name, digest):
+            verb = _DONE[used.name]
+            again = "again since, with another outcome" if used.name == name else "since, and another model is in force"
+            reasons.append(f"{verb} {again}")
+    return ", ".join(reasons)
+
+
+def earlier_digest(run: RunFile, arm: str) -> str:
+    """SHA-256 of the model in force of a run and of the readings of one arm, as a later run's prior rests on them.
+
+    Raises ``InputError`` if the run is not calibrated.
+    """
+    in_force = _in_force_before_moving({stage.name: stage for stage in read_history(run)})
+    if in_force is None:
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+    return sha256_of(f"{in_force.digest} {readings_digest(run.readings(arm))}")
+
+
+def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
+    """Which priors have changed since; those whose run is not there any more have not."""
+    reasons = []
+    for arm, prior in priors.items():
+        try:
+            with RunFile.open(Path(prior.run)) as earlier:
+                same = earlier_digest(earlier, arm) == prior.sha256
+        except InputError:
+            continue
+        if not same:
+            reasons.append(f"the earlier calibration {prior.run} has changed since")
+    return list(dict.fromkeys(reasons))
+
+
+def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, ReadingsBasis]) -> list[str]:
+    before, after = (sum(arm.n for arm in arms.values()) for arms in (then, now))
+    if after > before:
+        return [f"{after - before} readings were added since"]
+    same = then.keys() == now.keys() and all(now[name].is_same(arm) for name, arm in then.items())
+    return [] if same else ["the readings or their splits were changed since"]

@@ -1,0 +1,79 @@
+"""Where the tracker of a run stands now, and how far the readings scatter about the model: what several verbs ask."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cellapp.cell.run import RunFile
+from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.stages import RunStages, read_results, read_stages, tracker_moved
+from cellapp.estimation.readings.readings import stated_uncertainty
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Pose, Profile
+from cellapp.ground.results import LOCATE
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+
+
+def profile_at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | None = None) -> Profile:
+    """The profile of a run with the tracker of a simulated cell where it was moved to; for jobs that open the cell.
+
+    ``simulated_pose`` moves it there. Raises ``InputError`` if one is given and the tracker is not simulated.
+    """
+    profile = run.profile
+    simulated = profile.plant is not None and profile.tracker.driver.needs_plant
+    if simulated_pose is not None and not simulated:
+        raise InputError(
+            "locate: --simulated-pose moves the tracker of a simulated cell; the profile's tracker is not simulated"
+        )
+    last = last_location(run, stages)
+    if simulated_pose is None and last is not None and last.simulated_pose is not None:
+        simulated_pose = Pose(position=last.simulated_pose.position, rpy=last.simulated_pose.rpy)
+    if simulated_pose is None or profile.plant is None:
+        return profile
+    plant = profile.plant.model_copy(update={"tracker_pose": simulated_pose})
+    return profile.model_copy(update={"plant": plant})
+
+
+def last_location(run: RunFile, stages: RunStages) -> LocateResult | None:
+    """Where the tracker was located last; None if it never was."""
+    stored = stages.current.get(LOCATE)
+    return None if stored is None else LocateResult.from_json(stored.text, f"{run.path}: {LOCATE}")
+
+
+def refuse_second_station(run: RunFile) -> None:
+    """Raise ``InputError`` where further readings would not belong to the cell in which those of the run were taken."""
+    located = read_stages(run).current.get(LOCATE)
+    if located is None or (located.model is not None and not tracker_moved(located)):
+        return
+    what = "the tracker" if located.model is not None else "the tracker or an arm"
+    raise InputError(
+        f"{run.path}: {what} was moved since the readings of this run were taken: 'cellapp show {run.folder} location'."
+        " Readings from two stations do not calibrate together: plan and collect a new run, or put it back and locate"
+        " the tracker again"
+    )
+
+
+def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
+    """Scatter of a coordinate about the model beyond the tracker's covariance at the readings [m], by arm.
+
+    As the model states it, else from the errors at held-out stops.
+    """
+    stored = read_results(run).calibrate
+    found = {}
+    for name, arm in model.arms.items():
+        noise_m = 0.0 if arm.posterior is None else arm.posterior.noise_m
+        if arm.posterior is None and stored is not None:
+            result = stored.arms[name]
+            noise_m = result.validate_[result.best_stage].position_mm.rms * 1e-3 / math.sqrt(3.0)
+        stated = stated_uncertainty(run.readings(name))
+        tracker = 0.0 if stated is None else float(np.mean(_variances(stated)))
+        found[name] = math.sqrt(max(noise_m**2 - tracker, 0.0))
+    return found
+
+
+def _variances(stated: Array) -> Array:
+    """Variance of a coordinate (n,) [m^2] of standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
+    return np.asarray(stated**2 if stated.ndim == 1 else np.trace(stated, axis1=1, axis2=2) / 3.0)

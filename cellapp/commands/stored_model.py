@@ -1,0 +1,55 @@
+"""The models that a run stores with its stages."""
+
+from __future__ import annotations
+
+from cellapp.cell.run.file import RunFile
+from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage
+from cellapp.ground.errors import InputError
+from cellapp.ground.results import LOCATE
+from cellapp.robot.model.model import CellModel
+
+
+def stage_in_force(run: RunFile, stages: RunStages) -> StoredStage:
+    """Return the stage whose model compensation uses. Raises ``InputError`` if the run is not calibrated yet."""
+    if stages.in_force is None:
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+    return stages.in_force
+
+
+def model_of(run: RunFile, stage: StoredStage) -> CellModel:
+    """Return the model of a stage. Raises ``InputError`` if it is missing or damaged."""
+    if stage.model is None:
+        raise InputError(f"{run.folder / CALIBRATION_FILE} is missing or damaged; run 'cellapp calibrate' again")
+    return CellModel.from_json(stage.model, f"{run.path}: {stage.name}")
+
+
+def arms_stage(run: RunFile, stages: RunStages, verb: str) -> StoredStage:
+    """Return the stage whose model is in the tracker frame of the readings, also where the tracker was located since.
+
+    Raises ``InputError`` if the run is not calibrated yet, or it is not known what the model rests on; ``verb`` is what
+    was to be done with it.
+    """
+    used = stage_in_force(run, stages)
+    if used.name == LOCATE:
+        assert used.basis is not None
+        used = stages.current[next(iter(used.basis.stages))]
+    if used.basis is None:
+        raise InputError(
+            f"{verb}: {run.path}: an older version of cellapp calibrated this run; run 'cellapp calibrate' again"
+        )
+    return used
+
+
+def require_current_model(run: RunFile, stages: RunStages, verb: str) -> None:
+    """Raise ``InputError`` if the model in force does not hold any more; ``verb`` is what was to be done with it."""
+    if stale := stages.stale_model():
+        raise InputError(
+            f"{verb}: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
+            " --out-of-date"
+        )
+
+
+def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:
+    """A note where the model of stage ``used`` is used although it does not hold any more."""
+    stale = stages.stale_model()
+    return [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []

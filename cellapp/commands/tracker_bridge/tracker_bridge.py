@@ -1,0 +1,123 @@
+"""The verb: serve the tracker that a profile names to a cell PC, over TCP or a serial port."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from cellapp.cell.driving.cell import build_plant, tracker_driver
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken
+from drivers.settings import SettingError
+from drivers.trackers.bridge_server import TrackerService, is_loopback
+from drivers.trackers.bridge_token import read_token
+from drivers.trackers.bridge_wire import LOOPBACK_PORT
+from drivers.trackers.registry import TRACKERS
+
+DEFAULT_PORT = LOOPBACK_PORT
+_STEP_S = 0.2
+"""Longest time for which a cancel, such as Ctrl-C, goes unnoticed."""
+
+
+@dataclass(frozen=True)
+class ServedTracker:
+    """A tracker that is being served.
+
+    ``kind`` is the kind of its driver; ``port`` is None if it is served on a serial port alone, ``serial`` None if on
+    TCP alone. ``guarded``: whether clients need the token.
+    """
+
+    kind: str
+    host: str
+    port: int | None
+    serial: str | None
+    guarded: bool
+
+    def __str__(self) -> str:
+        """Return where it is served, for the person who started it."""
+        places = [f"{self.host} port {self.port}"] if self.port is not None else []
+        places += [self.serial] if self.serial is not None else []
+        guard = "with a token" if self.guarded else "without a token, for this machine alone"
+        if self.serial is not None and not self.guarded:
+            guard = "without a token"
+        return f"tracker ({self.kind}) at {' and '.join(places)}, {guard}"
+
+
+def serve_tracker(
+    profile: Profile,
+    cancel: CancelToken,
+    announce: Callable[[ServedTracker], None],
+    *,
+    host: str = "127.0.0.1",
+    port: int | None = DEFAULT_PORT,
+    serial: str | None = None,
+    baud: int = 115200,
+    token_file: Path | None = None,
+    token_env: str | None = None,
+) -> None:
+    """Serve the profile's tracker until ``cancel``; all ports are free again when this returns.
+
+    ``announce`` is called once, when the service listens. The tracker is connected when a client first needs it.
+
+    Parameters
+    ----------
+    host, port
+        Where to listen: this machine alone by default; any other ``host`` needs a token. Port 0 takes a free one, None
+        does not listen.
+    serial, baud
+        A serial port to serve as well, by any name or URL that pyserial accepts.
+    token_file, token_env
+        Source of the shared token: a file that no other user may read, or an environment variable.
+
+    Raises
+    ------
+    InputError
+        If the profile names no tracker that can be served, or the token is missing where one is needed.
+    HardwareError
+        If the address is in use or not available.
+    """
+    settings = profile.tracker.driver
+    _check_kind(profile)
+    token = _token(token_file, token_env)
+    _check_ports(host, port, serial, guarded=token is not None)
+    tracker = tracker_driver(profile, build_plant(profile) if settings.needs_plant else None)
+    service = TrackerService(tracker, host=host, port=port, serial_url=serial, baud=baud, token=token)
+    try:
+        service.open()
+    except OSError as error:
+        raise HardwareError(f"tracker-bridge: {error.strerror}; see whether another one runs here") from error
+    try:
+        announce(ServedTracker(settings.kind, service.host, service.port, serial, token is not None))
+        while not cancel.cancelled:
+            service.poll(_STEP_S)
+    finally:
+        service.close()
+
+
+def _check_kind(profile: Profile) -> None:
+    settings = profile.tracker.driver
+    if not settings.can_be_served:
+        kinds = " or ".join(f"'{kind}'" for kind, one in TRACKERS.items() if one.can_be_served)
+        raise InputError(
+            f"profile {profile.name}: tracker.driver is '{settings.kind}'; to be served it must be one that this"
+            f" computer reaches itself: {kinds}"
+        )
+
+
+def _check_ports(host: str, port: int | None, serial: str | None, *, guarded: bool) -> None:
+    if port is None and serial is None:
+        raise InputError("tracker-bridge: nothing to serve on; give a port, a serial port, or both")
+    if not guarded and port is not None and not is_loopback(host):
+        raise InputError(
+            f"tracker-bridge: {host} is reachable from other machines: give a token (--token-file or --token-env), the"
+            " same here and on the cell PC, or listen on 127.0.0.1"
+        )
+
+
+def _token(token_file: Path | None, token_env: str | None) -> str | None:
+    try:
+        return read_token(None if token_file is None else str(token_file), token_env)
+    except SettingError as error:
+        raise InputError(str(error)) from error

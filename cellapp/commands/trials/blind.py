@@ -1,0 +1,164 @@
+"""Readings of the simulated cell for blind trials: random order, and varied factors that distinguish effects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.estimation.calibration.calibrate import profile_splits
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Arm, Profile
+from cellapp.robot.kinematics.transforms import Array
+
+DURATION_S = 18000.0
+"""Length of a run: five hours, as 400 stops of the real cell take."""
+_DWELLS_S = (1.0, 8.0)
+"""Range of the rest before a measurement, drawn log-uniformly."""
+_PAYLOAD_BLOCKS = 4
+"""The payload is changed by hand, so it changes seldom."""
+_HEAVY_SHARE = 0.8
+"""Heavy payload as a share of the rated one."""
+_RATED_KG = {"UR3": 3.0, "UR5": 5.0, "UR10": 10.0}
+"""Rated payloads, from the makers' data sheets."""
+_JOINT_RISE_K = (6.0, 16.0)
+"""Range of the joints' final temperature above the air."""
+_WARM_UP_S = 3000.0
+"""Time constant of a joint's warming."""
+_AIR_PERIODS_S = (4.0e3, 1.5e4, 4.0e4)
+"""Periods of the air temperature: ventilation, sun, day."""
+_AIR_AMPLITUDE_K = 1.5
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise model of the readings.
+
+    ``gaussian``, or ``heavy`` (Student's t with 4 degrees of freedom, scaled to the same standard deviation);
+    ``repeatability`` is the standard deviation of the joints [rad].
+    """
+
+    kind: str = "gaussian"
+    repeatability: float = 0.0
+
+
+def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str, Any]]], seed: int) -> Profile:
+    """The profile with other hidden effects (arm -> effect -> parameters) and another true cell, drawn by ``seed``."""
+    assert profile.plant is not None
+    plain = {arm: {slug: dict(values) for slug, values in each.items()} for arm, each in effects.items()}
+    settings = profile.plant.model_copy(update={"effects": plain, "seed": seed})
+    return profile.model_copy(update={"plant": settings, "seed": seed})
+
+
+@dataclass(frozen=True, eq=False)
+class _Visits:
+    """Stops in the order of the visits: joint positions and last motions, arm -> (n, N) [rad]."""
+
+    q: Mapping[str, Array]
+    step: Mapping[str, Array]
+
+
+def _visits(profile: Profile, plan: Mapping[str, Array] | PlannedStops, order: NDArray[np.intp]) -> _Visits:
+    """Visits of a designed plan as planned; of other stops in the given order, straight from stop to stop."""
+    homes = home_positions(profile)
+    q = dict(plan.q) if isinstance(plan, PlannedStops) else {name: rows[order] for name, rows in plan.items()}
+    step = {name: np.diff(np.vstack([homes[name], rows]), axis=0) for name, rows in q.items()}
+    if isinstance(plan, PlannedStops):
+        step = {
+            name: np.where(np.isnan(plan.approach_from[name]), step[name], q[name] - plan.approach_from[name])
+            for name in q
+        }
+    return _Visits(q, step)
+
+
+def blind_readings(
+    profile: Profile, plan: Mapping[str, Array] | PlannedStops, seed: int, noise: Noise | None = None
+) -> dict[str, Readings]:
+    """Readings of all arms at the stops of ``plan``.
+
+    Stops without a plan of their own (name -> (n, N) [rad]) are visited in an order drawn by ``seed``, straight from
+    stop to stop; a designed plan in its order and with its approaches. The rest before a measurement varies from 1 to
+    8 s, the payload alternates in four blocks between the profile's and 80 % of the rated one, joints warm up, and the
+    run lasts five hours.
+    """
+    noise = noise or Noise()
+    rng = np.random.default_rng([seed, 0xB11D])
+    plant = build_plant(profile)
+    n = len(plan) if isinstance(plan, PlannedStops) else len(next(iter(plan.values())))
+    visits = _visits(profile, plan, rng.permutation(n))
+    time_s, dwell_s, air_c = _drawn_conditions(profile, n, rng)
+    loads_kg = _loads_kg(profile, n)
+    readings = {}
+    for place, (name, q) in enumerate(visits.q.items()):
+        step = visits.step[name]
+        approach = np.sign(step).astype(np.int8)
+        others = {other: rows for other, rows in visits.q.items() if other != name}
+        rise = rng.uniform(*_JOINT_RISE_K, q.shape[1]) * -np.expm1(-time_s[:, None] / _WARM_UP_S)
+        joints_c = air_c[:, None] + rise
+        exact = plant.smr_positions(
+            name,
+            q + noise.repeatability * rng.standard_normal(q.shape),
+            approach=approach.astype(np.float64),
+            others=others,
+            other_payloads={other: loads_kg[other] for other in others},
+            time_s=time_s,
+            last_step=step,
+            since_rest_s=dwell_s,
+            payload=loads_kg[name],
+            joints_c=joints_c,
+            air_c=air_c,
+        )
+        draw = np.random.default_rng([seed, place, 0x401])
+        points, covariance = plant.measure_positions(exact, draw)
+        if noise.kind == "heavy":
+            points = _heavy_tailed(exact, covariance, draw)
+        readings[name] = Readings(
+            configuration=np.arange(n),
+            time_s=time_s,
+            q=q,
+            approach=approach,
+            p_M=points,
+            payload_kg=loads_kg[name],
+            temperature_c=air_c + 0.05 * draw.standard_normal(n),
+            joint_temperature_c=np.round(joints_c + 0.1 * draw.standard_normal(q.shape), 2),
+            step=step,
+            dwell_s=dwell_s,
+            covariance_M=covariance,
+        )
+    splits, _ = profile_splits(profile, readings)
+    return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}
+
+
+def _drawn_conditions(profile: Profile, n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Times [s], rests before the measurement [s] and air temperatures [degC] of n stops, each (n,)."""
+    time_s = np.sort(rng.uniform(0.0, DURATION_S, n))
+    dwell_s = np.exp(rng.uniform(math.log(_DWELLS_S[0]), math.log(_DWELLS_S[1]), n))
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(_AIR_PERIODS_S))
+    waves = np.sin(2.0 * np.pi * time_s[:, None] / np.array(_AIR_PERIODS_S) + phases)
+    assert profile.plant is not None
+    return time_s, dwell_s, profile.plant.temperature + _AIR_AMPLITUDE_K * waves.mean(axis=1)
+
+
+def _loads_kg(profile: Profile, n: int) -> dict[str, Array]:
+    """Payloads (n,) [kg] of every arm: blocks with the profile's and with the heavy one in turn."""
+    heavy = (np.arange(n) * _PAYLOAD_BLOCKS // n) % 2 == 1
+    return {
+        name: np.where(heavy, _HEAVY_SHARE * _rated_kg(arm), arm.payload.mass) for name, arm in profile.arms.items()
+    }
+
+
+def _heavy_tailed(exact: Array, covariance: Array, draw: np.random.Generator) -> Array:
+    """Points (n, 3) [m] with noise of the stated covariance (n, 3, 3) [m^2] drawn from Student's t."""
+    t = draw.standard_t(4, exact.shape) / np.sqrt(2.0)
+    return np.asarray(exact + np.einsum("nab,nb->na", np.linalg.cholesky(covariance), t))
+
+
+def _rated_kg(arm: Arm) -> float:
+    return _RATED_KG.get(arm.type.model.strip().upper().removesuffix("E"), 5.0)

@@ -1,0 +1,139 @@
+"""How often the check finds a change of real robots while there is none: on rows that their calibration did not see.
+
+Rows of a series are drawn: some to calibrate from, a quarter of them held out as a calibration does it, the others for
+checks. The choice is random, so that the robot's drift over the series is in both. Each check chooses its stops among
+some of the other rows. What is not white in the errors of a real arm would show as a change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult
+from cellapp.commands.trials.league.series import Entrant, SeriesTexts, parse_entrants, series_texts
+from cellapp.estimation.calibration.calibrate import calibrate_arm
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.monitoring.check import check_belief, choose_stops
+from cellapp.estimation.monitoring.check.conclusion import judgement
+from cellapp.estimation.monitoring.check.linear import stop_rows
+from cellapp.estimation.monitoring.check.sequential import design_of, ended
+from cellapp.estimation.readings import Readings
+from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.results import Record
+from cellapp.ground.scale.executor import IN_PROCESS, Resources
+from cellapp.ground.scale.gather import gather
+from cellapp.ground.scale.task import Batch, TaskKind
+from cellapp.robot.model import CellModel
+
+_AMONG = 4
+"""Rows among which a check chooses each of its stops: the choice takes the more extreme ones."""
+_HELD_OUT_EVERY = 4
+
+
+class RealCheckTask(Record):
+    """A draw of rows of a series, and how many checks are made with the others."""
+
+    series: str
+    seed: int
+    rows: int
+    planned: int
+    checks: int
+
+
+class RealChecks(Record):
+    """The checks of one draw."""
+
+    checks: tuple[CheckedChange, ...]
+
+
+def real_check_trials(
+    series: Sequence[str],
+    seeds: Sequence[int],
+    *,
+    rows: int,
+    planned: int,
+    checks: int,
+    data: Path,
+    profiles: Path,
+    resources: Resources = IN_PROCESS,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> CheckTrialResult:
+    """Checks of measured series, in which nothing changed but what drifts.
+
+    Raises
+    ------
+    InputError
+        If a series is not there.
+    """
+    texts = series_texts(series, data, profiles)
+    tasks = [
+        RealCheckTask(series=name, seed=seed, rows=rows, planned=planned, checks=checks)
+        for name in texts.series
+        for seed in seeds
+    ]
+    names = [f"series {task.series}, seed {task.seed}" for task in tasks]
+    gathered = gather(Batch(REAL_CHECKS, texts, tasks, names), "check", resources, listener, cancel)
+    return CheckTrialResult(
+        profile=f"series {', '.join(series)}",
+        cells=len(gathered.found),
+        planned=planned,
+        station_free=False,
+        weakest={},
+        checks=tuple(check for one in gathered.found for check in one.checks),
+        failed=gathered.failed,
+    )
+
+
+def real_checks(entrants: Mapping[str, Entrant], task: RealCheckTask) -> RealChecks:
+    """All checks of one draw of rows."""
+    entrant = entrants[task.series]
+    readings = entrant.readings
+    rng = np.random.default_rng([task.seed, 0xC4EC])
+    rows = rng.permutation(len(readings))
+    known, others = _learned(readings, np.sort(rows[: task.rows])), rows[task.rows :]
+    profile = entrant.profile.model_copy(update={"seed": task.seed})
+    model = calibrate_arm(profile, entrant.arm, known)[0].model
+    conditions = measurement_conditions(known)
+    model = discover_arm(profile, entrant.arm, model, known, conditions=conditions).model
+    belief = check_belief(profile, CellModel({entrant.arm: model}), {entrant.arm: known})
+    design, found = design_of(belief), []
+    for _ in range(task.checks):
+        some = rng.permutation(others)[: _AMONG * task.planned]
+        order = choose_stops(belief, {entrant.arm: readings.q[some]}, task.planned).order
+        stops = stop_rows(belief, {entrant.arm: readings.take(some[order])}, design.directions)
+        measured, standing = ended(design, stops)
+        verdict = judgement(design, measured, standing)[0]
+        found.append(
+            CheckedChange(
+                seed=task.seed,
+                group="unchanged",
+                arm=entrant.name,
+                what="",
+                visible=False,
+                moved_mm=0.0,
+                verdict=verdict,
+                stops=standing.stops,
+            )
+        )
+    return RealChecks(checks=tuple(found))
+
+
+REAL_CHECKS = TaskKind(
+    "cellapp.commands.trials.check_real:REAL_CHECKS",
+    SeriesTexts,
+    RealCheckTask,
+    RealChecks,
+    parse_entrants,
+    real_checks,
+)
+
+
+def _learned(readings: Readings, rows: np.ndarray) -> Readings:
+    words = tuple("validate" if k % _HELD_OUT_EVERY == 0 else "identify" for k in range(len(rows)))
+    return replace(readings.take(rows), split=words)

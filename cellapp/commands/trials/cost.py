@@ -1,0 +1,94 @@
+"""What trials cost: processor time and memory of the tasks that a store holds, and so what many more would need."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.ground.errors import InputError
+from cellapp.ground.results import Record, Result
+from cellapp.ground.scale.store import Cost, ResultStore
+
+
+class TaskCost(Record):
+    """Tasks of one job.
+
+    Attributes
+    ----------
+    job : str
+    tasks : int
+    mean_s, median_s, longest_s : float
+        Processor time of one task, in one thread [s].
+    waited : float
+        Wall time over processor time, of all tasks: more than 1 where processes waited for a core.
+    peak_mb : float, optional
+        Largest memory of a process that computed such tasks [MB]; None where the system does not say.
+    core_hours : float
+        One core's time for as many tasks as were asked for, by the mean [h].
+    """
+
+    job: str
+    tasks: int
+    mean_s: float
+    median_s: float
+    longest_s: float
+    waited: float
+    peak_mb: float | None
+    core_hours: float
+
+
+class CostResult(Result):
+    """``trials cost``: what ``tasks`` tasks of each job in a store would take."""
+
+    schema_: Literal["cellapp-trials-cost"] = "cellapp-trials-cost"
+    version: Literal[1] = 1
+    tasks: int
+    jobs: tuple[TaskCost, ...]
+
+
+def cost_of(path: Path, tasks: int) -> CostResult:
+    """What ``tasks`` tasks of each job in a store would take. Raises ``InputError`` if it is no store or empty."""
+    with ResultStore.open(path, new=False) as store:
+        costs = store.costs()
+    if not costs:
+        raise InputError(f"{path} holds no results yet")
+    by_job: dict[str, list[Cost]] = {}
+    for cost in costs:
+        by_job.setdefault(cost.job, []).append(cost)
+    return CostResult(tasks=tasks, jobs=tuple(_cost(job, some, tasks) for job, some in sorted(by_job.items())))
+
+
+def cost_table(result: CostResult) -> Table:
+    """One line for each job."""
+    columns = (
+        Column("job"),
+        number_column("tasks", "d"),
+        number_column("mean", ".3g", "s"),
+        number_column("median", ".3g", "s"),
+        number_column("longest", ".3g", "s"),
+        number_column("wall/processor", ".2f"),
+        number_column("memory", ".0f", "MB"),
+        number_column(f"{result.tasks:,} tasks", ".4g", "core hours"),
+    )
+    rows = tuple(
+        (one.job, one.tasks, one.mean_s, one.median_s, one.longest_s, one.waited, one.peak_mb, one.core_hours)
+        for one in result.jobs
+    )
+    return Table("Processor time of one core and memory of one process", columns, rows)
+
+
+def _cost(job: str, costs: list[Cost], tasks: int) -> TaskCost:
+    seconds = np.array([cost.cpu_s for cost in costs])
+    return TaskCost(
+        job=job,
+        tasks=len(costs),
+        mean_s=float(seconds.mean()),
+        median_s=float(np.median(seconds)),
+        longest_s=float(seconds.max()),
+        waited=sum(cost.wall_s for cost in costs) / max(float(seconds.sum()), 1e-9),
+        peak_mb=max((cost.peak_mb for cost in costs if cost.peak_mb is not None), default=None),
+        core_hours=float(seconds.mean()) * tasks / 3600.0,
+    )

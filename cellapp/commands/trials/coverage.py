@@ -1,0 +1,126 @@
+"""Coverage of the stated 95 % intervals over many simulated arms, each with its own true geometry and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+from scipy.special import stdtrit
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, planned_cell
+from cellapp.estimation.calibration.identification import identify, start_from_nominal
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.results import Record, Result
+from cellapp.ground.scale.executor import IN_PROCESS, Resources
+from cellapp.ground.scale.gather import gather
+from cellapp.ground.scale.task import Batch, TaskKind, as_given
+from cellapp.robot.model.nominal import nominal_arm
+
+
+class ArmCoverage(Result):
+    """How often the 95 % intervals of one arm contained the truth.
+
+    Attributes
+    ----------
+    runs, intervals : int
+        Simulated runs, and intervals in all.
+    share : float
+        Share of intervals that contained the truth.
+    by_parameter : mapping
+        Parameter -> share of the runs that identified it.
+    scatter : float
+        Mean of the root of chi-square per degree of freedom: 1 when the tracker's noise model is the true one.
+    """
+
+    schema_: Literal["cellapp-trials-coverage"] = "cellapp-trials-coverage"
+    version: Literal[1] = 1
+    runs: int
+    intervals: int
+    share: float
+    by_parameter: Mapping[str, float]
+    scatter: float
+
+
+class CoverageResult(Result):
+    """``trials coverage``: every arm."""
+
+    schema_: Literal["cellapp-trials-coverage"] = "cellapp-trials-coverage"
+    version: Literal[1] = 1
+    arms: Mapping[str, ArmCoverage]
+    failed: tuple[str, ...] = ()
+    """Seeds that failed, and why."""
+
+
+class Interval(Record):
+    """One identification: parameter -> whether its 95 % interval holds the truth; root of chi-square per freedom."""
+
+    held: Mapping[str, bool]
+    scatter: float
+
+
+def coverage_trials(
+    profile: Profile,
+    runs: int,
+    stops: int = 100,
+    resources: Resources = IN_PROCESS,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> CoverageResult:
+    """Coverage of every arm of the profile. Raises as ``gather`` does."""
+    drawn = [ArmSeed(arm=arm, seed=seed) for arm in profile.arms for seed in range(runs)]
+    batch = Batch(INTERVALS, planned_cell(profile, stops), drawn, [f"arm {one.arm}, seed {one.seed}" for one in drawn])
+    gathered = gather(batch, "coverage", resources, listener, cancel)
+    by_arm: dict[str, list[Interval]] = {arm: [] for arm in profile.arms}
+    for one, found in zip(drawn, gathered.results, strict=True):
+        by_arm[one.arm] += () if found is None else (found,)
+    arms = {arm: _coverage(found) for arm, found in by_arm.items() if found}
+    return CoverageResult(arms=arms, failed=gathered.failed)
+
+
+def coverage(profile: Profile, arm: str, runs: int, stops: int = 100) -> ArmCoverage:
+    """Identify ``runs`` simulated arms from the same ``stops`` and count how often 95 % intervals contain the truth."""
+    planned = planned_cell(profile, stops)
+    return _coverage([interval(planned, ArmSeed(arm=arm, seed=seed)) for seed in range(runs)])
+
+
+def interval(planned: PlannedCell, drawn: ArmSeed) -> Interval:
+    """Identify one simulated arm.
+
+    The truth of the identified parameters is their estimate from noise-free positions of the same plant, with the same
+    parameters merged into them: these have no true value of their own.
+    """
+    profile, arm, q = planned.profile, drawn.arm, planned.stops(drawn.arm)
+    nominal = nominal_arm(profile.arms[arm])
+    plant = build_plant(bare_profile(profile, len(q), plant_seed=drawn.seed))
+    exact = plant.smr_positions(arm, q)
+    noisy, covariance = plant.measure_positions(exact, np.random.default_rng([profile.seed, 0xC0, drawn.seed]))
+    start = start_from_nominal(nominal, q, noisy, tool_unknown=False)
+    estimate = identify(start, q, noisy, sigma=covariance, tolerance=1e-10)
+    exactly = identify(start, q, exact, parameter_set="full", tolerance=1e-12)
+    if np.abs(exactly.residuals).max() > 1e-8:
+        raise ValueError(f"the model does not fit noise-free positions: {exactly.message}")
+    truth = estimate.parameter_set.merged_values(exactly.geometry, start)
+    limit = stdtrit(estimate.degrees_of_freedom, 0.975)
+    held = np.abs(estimate.values - truth) <= limit * estimate.standard_errors
+    return Interval(held=dict(zip(estimate.names, held.tolist(), strict=True)), scatter=float(estimate.scale))
+
+
+INTERVALS = TaskKind("cellapp.commands.trials.coverage:INTERVALS", PlannedCell, ArmSeed, Interval, as_given, interval)
+
+
+def _coverage(found: Sequence[Interval]) -> ArmCoverage:
+    inside: dict[str, list[bool]] = {}
+    for one in found:
+        for name, held in one.held.items():
+            inside.setdefault(name, []).append(held)
+    every = [held for some in inside.values() for held in some]
+    return ArmCoverage(
+        runs=len(found),
+        intervals=len(every),
+        share=float(np.mean(every)),
+        by_parameter={name: float(np.mean(some)) for name, some in inside.items()},
+        scatter=float(np.mean([one.scatter for one in found])),
+    )

@@ -1,0 +1,263 @@
+"""Judge blind trials: calibrate and search every run without its truth, then open the truth and score.
+
+What was found is stored in each run's file, so that judging continues where it was interrupted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pydantic import ValidationError
+
+import cellapp
+from cellapp import __version__
+from cellapp.cell.run import RunFile
+from cellapp.commands.discover.result import arm_result
+from cellapp.commands.pipeline import calibrate_run
+from cellapp.commands.stages import read_stages
+from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
+from cellapp.commands.trials.run_score import score_run
+from cellapp.commands.trials.scoring import scores
+from cellapp.commands.trials.sealed import GroundTruth, check_seal, digest_of, open_truth
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
+from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.results import CALIBRATE, Record
+from cellapp.ground.scale.executor import IN_PROCESS, Resources
+from cellapp.ground.scale.gather import gather
+from cellapp.ground.scale.task import Batch, TaskKind, as_given
+from cellapp.robot.model import CellModel
+
+TRIAL_RESULT = "sealed-trial"
+"""Name of the document in which a run keeps what was found in it."""
+_SEARCHING = ("calibration", "design", "discovery", "effects", "kinematics", "model")
+
+
+class StoredFindings(Record):
+    """What was found in one arm, as its run keeps it."""
+
+    discovery: ArmDiscoveryResult
+    seconds: float
+    cpu_seconds: float
+
+
+class StoredTrial(Record):
+    """What was found in one run, by which state of the program (``source``)."""
+
+    written: str
+    program: str
+    source: str
+    arms: Mapping[str, StoredFindings]
+
+
+def judge_trials(
+    folder: Path,
+    *,
+    resources: Resources = IN_PROCESS,
+    again: bool = False,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> JudgeResult:
+    """Calibrate and search all runs of a folder that were not yet, then open the truth and compare.
+
+    What was found is kept in the runs themselves, so that ``resources`` needs no store; workers of a cluster must see
+    the folder under the same path. ``again`` also repeats what was judged before. A run that fails is reported and does
+    not stop the others.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no sealed trials, or a run is missing or was changed since.
+    CheckFailed
+        If the seal is broken.
+    Cancelled
+        On request; what was judged so far is kept.
+    """
+    cancel = cancel or CancelToken()
+    check_seal(folder)  # without parsing it: a broken seal is reported before hours of work
+    runs = sorted(path for path in folder.glob("run-*") if path.is_dir())
+    if not runs:
+        raise InputError(f"{folder} holds no runs; give a folder that 'cellapp trials seal' made")
+    source = source_digest()
+    pending = runs if again else [run for run in runs if _stored(run) is None]
+    failures, jobs = _judge_all(pending, source, resources, len(runs), listener, cancel)
+    opened = open_truth(folder)
+    scored, sources, failed = _compare(folder, opened.trials, failures)
+    return JudgeResult(
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+        program=f"cellapp {__version__}",
+        source=source,
+        judged_by_other_source=sum(other != source for other in sources),
+        jobs=jobs,
+        sealed=opened.sealed,
+        failed=failed,
+        **dict(scores(scored)),
+    )
+
+
+class Source(Record):
+    """State of the program that judges; see ``source_digest``."""
+
+    source: str
+
+
+class JudgedFolder(Record):
+    """The folder of one run, under a path that every worker sees."""
+
+    folder: str
+
+
+class Judged(Record):
+    """That a run was judged; it keeps itself what was found."""
+
+    run: str
+
+
+def _judge(source: Source, one: JudgedFolder) -> Judged:
+    judge_run(Path(one.folder), source.source)
+    return Judged(run=Path(one.folder).name)
+
+
+RUNS = TaskKind("cellapp.commands.trials.judge:RUNS", Source, JudgedFolder, Judged, as_given, _judge)
+
+
+def judge_run(folder: Path, source: str) -> None:
+    """Calibrate one run, search its arms, and store what was found and how long it took in the run's file.
+
+    ``source`` identifies the state of the program; see ``source_digest``.
+    """
+    with RunFile.open(folder, write=True) as run:
+        calibrate_run(run)
+        calibrated = read_stages(run).current[CALIBRATE]
+        model = CellModel.from_json(calibrated.model or "", str(folder))
+        readings = {name: run.readings(name) for name in model.arms}
+        conditions = conditions_of_arms(model.arms, readings)
+        arms = {}
+        for name, arm in model.arms.items():
+            wall_s, cpu_s = time.perf_counter(), time.process_time()
+            found = discover_arm(run.profile, name, arm, readings[name], conditions=conditions[name])
+            arms[name] = StoredFindings(
+                seconds=time.perf_counter() - wall_s,
+                cpu_seconds=time.process_time() - cpu_s,
+                # pictures are large, and 'discover' draws them again
+                discovery=arm_result(found).model_copy(update={"pictures": ()}),
+            )
+        stored = StoredTrial(
+            written=datetime.now(UTC).isoformat(timespec="seconds"),
+            program=f"cellapp {__version__}",
+            source=source,
+            arms=arms,
+        )
+        run.write_result(TRIAL_RESULT, stored.model_dump_json(by_alias=True))
+
+
+def source_digest() -> str:
+    """Short SHA-256 of the modules that calibrate and search: it distinguishes results of different program states."""
+    root = Path(cellapp.__file__).parent
+    found = hashlib.sha256()
+    for package in _SEARCHING:
+        for path in sorted((root / package).rglob("*.py")):
+            found.update(path.relative_to(root).as_posix().encode())
+            found.update(path.read_bytes())
+    return found.hexdigest()[:12]
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _stored(folder: Path) -> StoredTrial | None:
+    """What was found in a run; None where nothing is stored, or by a version that this one cannot read."""
+    with RunFile.open(folder) as run:
+        text = run.read_result(TRIAL_RESULT)
+    try:
+        return None if text is None else StoredTrial.model_validate_json(text)
+    except ValidationError:
+        return None
+
+
+def _judge_all(
+    runs: Sequence[Path], source: str, resources: Resources, total: int, listener: Listener, cancel: CancelToken
+) -> tuple[dict[str, str], int]:
+    """Judge runs. Returns run -> what went wrong, for those that failed, and how many were judged at the same time."""
+    before = total - len(runs)
+    listener(Progress("judge", before, total, f"{before} judged before" if before else ""))
+    if not runs:
+        return {}, 1
+    tasks = [JudgedFolder(folder=str(run.absolute())) for run in runs]
+    batch = Batch(RUNS, Source(source=source), tasks, [run.name for run in runs])
+
+    def of_all(event: Progress) -> None:
+        listener(replace(event, done=before + event.done, total=total))
+
+    gathered = gather(batch, "judge", replace(resources, store=None), of_all, cancel, all_may_fail=True)
+    return dict(gathered.failures), gathered.workers
+
+
+def _compare(
+    folder: Path, truths: Sequence[GroundTruth], failures: Mapping[str, str]
+) -> tuple[list[ScoredRun], list[str], tuple[str, ...]]:
+    """Score every run that was judged; also the program's state for each, and a sentence for each other run."""
+    scored, sources, failed = [], [], []
+    for truth in truths:
+        path = folder / truth.run
+        if not path.is_dir():
+            raise InputError(f"{path} is missing, but was sealed; put it back, or seal new trials")
+        with RunFile.open(path) as run:
+            digest = digest_of({name: run.readings(name) for name in run.arms()})
+        if digest != truth.readings:
+            raise CheckFailed(f"{path}: its readings are not those that were sealed; seal new trials")
+        stored = _stored(path)
+        if stored is None or truth.run in failures:
+            failed.append(f"{truth.run}: {failures.get(truth.run, 'not judged')}")
+            continue
+        arms = {name: _findings(arm, truth.held_out_um[name]) for name, arm in stored.arms.items()}
+        scored.append(score_run(truth, arms))
+        sources.append(stored.source)
+    return scored, sources, tuple(failed)
+
+
+def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
+    """What was found in an arm, beside the rms length of the noise drawn at its held-out stops [um]."""
+    found = stored.discovery
+    return ArmFindings(
+        accepted=tuple(effect.effect for effect in found.accepted),
+        answer_sets=tuple(effect.answer_set for effect in found.accepted),
+        described=tuple(
+            DescribedTerm(
+                channel=effect.where.channel or "",
+                variables=effect.where.variables or (),
+                sentence="" if effect.description is None else effect.description.sentence,
+            )
+            for effect in found.accepted
+            if effect.effect == UNKNOWN
+        ),
+        posteriors=_posteriors(found),
+        invisible=tuple(effect.effect for effect in found.invisible),
+        verdict=found.verdict,
+        sentence=found.sentence,
+        heldout_um=BeforeAfter(before=found.heldout_mm.before * 1e3, after=found.heldout_mm.after * 1e3),
+        noise_um=NoiseLengths(
+            stated=None if found.noise_floor_mm is None else found.noise_floor_mm * 1e3, drawn=drawn_um
+        ),
+        seconds=stored.seconds,
+        cpu_seconds=stored.cpu_seconds,
+    )
+
+
+def _posteriors(found: ArmDiscoveryResult) -> dict[str, float]:
+    """Stated probability of each effect: of the candidates, and of what was accepted; empty where none is stated."""
+    candidates: Mapping[str, float | None] = getattr(found, "candidates", None) or {}
+    stated = {slug: float(value) for slug, value in candidates.items() if value is not None}
+    for effect in found.accepted:
+        posterior: float | None = getattr(effect, "posterior", None)
+        if posterior is not None and effect.effect != UNKNOWN:
+            stated[effect.effect] = max(posterior, stated.get(effect.effect, 0.0))
+    return stated

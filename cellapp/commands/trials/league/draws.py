@@ -1,0 +1,129 @@
+"""One draw of the league: calibrate and discover on some rows, judge geometry, network and discovery on the others."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.commands.trials.league.series import Entrant, Group, Rows, SeriesTexts, draw_rows, parse_entrants
+from cellapp.estimation.calibration.calibrate import calibrate_arm, train_arm
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.ground.results import Record
+from cellapp.ground.scale.task import TaskKind
+from cellapp.robot.kinematics.transforms import Array
+
+_TWO_SIDED_95 = 1.959964
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
+
+class HeldOutScore(Record):
+    """Errors of the three models on held-out rows.
+
+    Attributes
+    ----------
+    n : int
+        Held-out rows.
+    geometry_mm, network_mm, discovery_mm : float
+        Mean position error. That of the residual network is None where it was not asked for, and that of geometry
+        alone where its folds chose no network.
+    within_95 : float
+        Share of the measured coordinates within the 95 % interval that discovery states for them.
+    """
+
+    n: int
+    geometry_mm: float
+    network_mm: float | None
+    discovery_mm: float
+    within_95: float
+
+
+class LeagueDraw(Record):
+    """One draw: ``learned`` rows of a series, drawn by ``seed``.
+
+    Attributes
+    ----------
+    rows : int or "all"
+        The size that was asked for.
+    scores : mapping
+        Group of held-out rows -> errors; the first one is all of them.
+    names : tuple of str
+        Effects that discovery accepted.
+    seconds : float
+        Wall time of discovery, in one thread [s].
+    """
+
+    series: str
+    rows: Rows
+    seed: int
+    learned: int
+    scores: Mapping[Group, HeldOutScore]
+    names: tuple[str, ...]
+    verdict: str
+    seconds: float
+
+
+class DrawTask(Record):
+    """What to draw of a series; ``learnable`` as in ``draw_rows``, ``network`` trains the residual network too."""
+
+    series: str
+    rows: Rows
+    seed: int
+    network: bool = False
+    learnable: int | None = None
+
+
+def run_draw(entrant: Entrant, task: DrawTask) -> LeagueDraw:
+    """Learn from the drawn rows, and judge on the held-out ones. Raises ``InputError`` if there are too few rows."""
+    rows = draw_rows(entrant, task.rows, task.seed, task.learnable)
+    profile = entrant.profile.model_copy(update={"seed": task.seed})
+    words = np.full(len(entrant.readings), None, dtype=object)
+    words[rows.learned], words[rows.judged] = "identify", "validate"
+    readings = replace(entrant.readings, split=tuple(words.tolist()))
+    conditions = measurement_conditions(readings)
+    arm, _ = calibrate_arm(profile, entrant.arm, readings)
+    began = time.perf_counter()
+    found = discover_arm(profile, entrant.arm, arm.model, readings, conditions=conditions)
+    seconds = time.perf_counter() - began
+    network = train_arm(profile, arm, readings).model if task.network else None
+    left = {
+        name: readings.p_M - model.predict(readings.q, conditions=conditions)
+        for name, model in (("geometry", arm.model), ("network", network), ("discovery", found.model))
+        if model is not None
+    }
+    sd = found.model.measured_uncertainty(readings.q, conditions)
+    return LeagueDraw(
+        series=entrant.name,
+        rows=task.rows,
+        seed=task.seed,
+        learned=len(rows.learned),
+        scores={
+            group: _score({name: off[some] for name, off in left.items()}, sd[some])
+            for group, some in rows.held_out.items()
+        },
+        names=tuple(effect.term.slug for effect in found.accepted),
+        verdict=found.verdict,
+        seconds=seconds,
+    )
+
+
+def _score(left: Mapping[str, Array], sd: Array) -> HeldOutScore:
+    """Score of what the models leave (n, 3) [m], beside the stated standard deviations (n,) [m]."""
+    means = {name: float(np.linalg.norm(off, axis=1).mean()) * 1e3 for name, off in left.items()}
+    return HeldOutScore(
+        n=len(sd),
+        geometry_mm=means["geometry"],
+        network_mm=means.get("network"),
+        discovery_mm=means["discovery"],
+        within_95=float(np.mean(np.abs(left["discovery"]) <= _TWO_SIDED_95 * sd[:, np.newaxis])),
+    )
+
+
+def _draw(entrants: Mapping[str, Entrant], task: DrawTask) -> LeagueDraw:
+    return run_draw(entrants[task.series], task)
+
+
+DRAWS = TaskKind("cellapp.commands.trials.league.draws:DRAWS", SeriesTexts, DrawTask, LeagueDraw, parse_entrants, _draw)

@@ -1,0 +1,275 @@
+"""All draws of the league, means over draws, and the bars they are held to."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from cellapp import __version__
+from cellapp.commands.trials.league.draws import DRAWS, DrawTask, HeldOutScore, LeagueDraw
+from cellapp.commands.trials.league.series import SERIES, Entrant, Group, Rows, draw_rows, parse_entrants, series_texts
+from cellapp.ground.errors import InputError
+from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.results import Record, Result
+from cellapp.ground.scale.executor import IN_PROCESS, Resources
+from cellapp.ground.scale.gather import gather
+from cellapp.ground.scale.task import Batch
+
+CURVE_SERIES = "C"
+"""The longest series."""
+CURVE_ROWS = (100, 200, 300, 600, 1200, 2200)
+"""Sizes of the learning curve; the rows beyond the largest are held out for all of them."""
+_BAR_ROWS: Rows = 300
+"""Size at which no draw may be much worse than the mean."""
+_MOST_ABOVE_MEAN = 1.15
+_WITHIN_95 = (0.90, 0.98)
+"""Share of measured coordinates that stated 95 % intervals must hold."""
+
+
+class LeagueLine(Record):
+    """A series at one size: means over its draws on one group of held-out rows.
+
+    Attributes
+    ----------
+    draws, learned, held_out : int
+        Number of draws; rows of a draw that were learned from and held out.
+    geometry_mm, network_mm, discovery_mm : float
+        Mean over draws of the mean position error; of the network None where it was not asked for.
+    worst_to_mean : float
+        Largest mean position error of a draw, over the mean of all draws; discovery.
+    within_95 : float
+        Share of coordinates within the stated 95 % intervals, of all draws.
+    names : mapping
+        Effect -> number of draws in which discovery accepted it.
+    verdicts : mapping
+        Verdict -> number of draws.
+    seconds_median, seconds_worst : float
+        Wall time of discovery [s].
+    published_mm : float or None
+        Mean position error that the authors of the data published for these held-out rows, learned from all others.
+    """
+
+    series: str
+    rows: Rows
+    group: Group
+    draws: int
+    learned: int
+    held_out: int
+    geometry_mm: float
+    network_mm: float | None
+    discovery_mm: float
+    worst_to_mean: float
+    within_95: float
+    names: Mapping[str, int]
+    verdicts: Mapping[str, int]
+    seconds_median: float
+    seconds_worst: float
+    published_mm: float | None
+
+
+class LeagueBar(Record):
+    """A bar, what was reached, and whether it is met; None is no limit on that side."""
+
+    series: str
+    rows: Rows
+    what: Literal["held-out error [mm]", "worst draw to mean", "within 95 %"]
+    least: float | None
+    most: float
+    reached: float
+    met: bool
+
+
+class LeagueResult(Result):
+    """``trials league``: a line for each series, size and group of held-out rows, the bars, and every draw.
+
+    ``curve`` and ``curve_draws`` are those of the learning curve, empty where it was not asked for; ``failed`` names
+    the draws that failed, and why.
+    """
+
+    schema_: Literal["cellapp-trials-league"] = "cellapp-trials-league"
+    version: Literal[1] = 1
+    date: str
+    program: str
+    jobs: int
+    seeds: int
+    lines: tuple[LeagueLine, ...]
+    bars: tuple[LeagueBar, ...]
+    draws: tuple[LeagueDraw, ...]
+    curve: tuple[LeagueLine, ...] = ()
+    curve_draws: tuple[LeagueDraw, ...] = ()
+    failed: tuple[str, ...] = ()
+
+    def complaints(self) -> list[str]:
+        """Draws that failed and bars that are missed, in words."""
+        return [
+            *self.failed,
+            *(
+                f"series {bar.series}, {bar.rows} rows: {bar.what} is {bar.reached:.3f}, {bar_words(bar)}"
+                for bar in self.bars
+                if not bar.met
+            ),
+        ]
+
+
+def bar_words(bar: LeagueBar) -> str:
+    """The limits in words."""
+    return f"at most {bar.most:g}" if bar.least is None else f"{bar.least:g} to {bar.most:g}"
+
+
+def league_trials(
+    series: Sequence[str],
+    rows: Sequence[Rows],
+    seeds: int,
+    *,
+    data: Path,
+    profiles: Path,
+    network: bool = False,
+    curve: bool = False,
+    resources: Resources = IN_PROCESS,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> LeagueResult:
+    """Run every series with every number of rows over the seeds 0 to ``seeds`` - 1.
+
+    Parameters
+    ----------
+    data, profiles : Path
+        Folders of the series and of their profiles.
+    network : bool
+        Train the residual networks of ``calibrate`` too; slow.
+    curve : bool
+        Also learn from 100 to 2200 rows of series C, held out the same rows each time.
+    resources : Resources
+        Where the draws are computed.
+
+    Raises
+    ------
+    InputError
+        If a series, or the asked number of rows, is not there.
+    Cancelled
+        On request.
+    """
+    if not (series and rows and seeds > 0):
+        raise InputError("trials league: ask for at least one series, one number of rows and one seed")
+    texts = series_texts([*series, CURVE_SERIES] if curve else series, data, profiles)
+    tasks = [
+        DrawTask(series=name, rows=size, seed=seed, network=network)
+        for name in dict.fromkeys(series)
+        for size in dict.fromkeys(rows)
+        for seed in range(seeds)
+    ]
+    curve_tasks = _curve_tasks(seeds) if curve else []
+    every = [*tasks, *curve_tasks]
+    _check_rows(parse_entrants(texts), every)
+    names = [f"series {task.series}, {task.rows} rows, seed {task.seed}" for task in every]
+    gathered = gather(Batch(DRAWS, texts, every, names), "league", resources, listener, cancel)
+    draws = [draw for draw in gathered.results[: len(tasks)] if draw is not None]
+    curve_draws = [draw for draw in gathered.results[len(tasks) :] if draw is not None]
+    return results_of(draws, curve_draws, seeds=seeds, jobs=gathered.workers, failed=gathered.failed)
+
+
+def results_of(
+    draws: Sequence[LeagueDraw],
+    curve_draws: Sequence[LeagueDraw],
+    *,
+    seeds: int,
+    jobs: int,
+    failed: tuple[str, ...] = (),
+) -> LeagueResult:
+    """Lines and bars of draws that were made over ``seeds`` seeds by ``jobs`` processes."""
+    lines = _lines(draws)
+    return LeagueResult(
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+        program=f"cellapp {__version__}",
+        jobs=jobs,
+        seeds=seeds,
+        lines=lines,
+        bars=_bars(lines),
+        draws=tuple(draws),
+        curve=_lines(curve_draws),
+        curve_draws=tuple(curve_draws),
+        failed=failed,
+    )
+
+
+def _check_rows(entrants: Mapping[str, Entrant], tasks: Sequence[DrawTask]) -> None:
+    """Too few rows are said before hours of work."""
+    for task in tasks:
+        draw_rows(entrants[task.series], task.rows, task.seed, task.learnable)
+
+
+def _curve_tasks(seeds: int) -> list[DrawTask]:
+    return [
+        DrawTask(series=CURVE_SERIES, rows=size, seed=seed, learnable=CURVE_ROWS[-1])
+        for size in CURVE_ROWS
+        for seed in range(seeds)
+    ]
+
+
+def _lines(draws: Sequence[LeagueDraw]) -> tuple[LeagueLine, ...]:
+    by_size: dict[tuple[str, Rows], list[LeagueDraw]] = {}
+    for draw in draws:
+        by_size.setdefault((draw.series, draw.rows), []).append(draw)
+    return tuple(_line(some, group) for some in by_size.values() for group in some[0].scores)
+
+
+def _line(draws: Sequence[LeagueDraw], group: Group) -> LeagueLine:
+    """Means over the draws of one series and size."""
+    first, scores = draws[0], [draw.scores[group] for draw in draws]
+    errors = [score.discovery_mm for score in scores]
+    networks = [score.network_mm for score in scores if score.network_mm is not None]
+    seconds = [draw.seconds for draw in draws]
+    return LeagueLine(
+        series=first.series,
+        rows=first.rows,
+        group=group,
+        draws=len(draws),
+        learned=first.learned,
+        held_out=scores[0].n,
+        geometry_mm=float(np.mean([score.geometry_mm for score in scores])),
+        network_mm=float(np.mean(networks)) if networks else None,
+        discovery_mm=float(np.mean(errors)),
+        worst_to_mean=max(errors) / float(np.mean(errors)),
+        within_95=_share(scores),
+        names=dict(Counter(name for draw in draws for name in dict.fromkeys(draw.names)).most_common()),
+        verdicts=dict(Counter(draw.verdict for draw in draws).most_common()),
+        seconds_median=float(np.median(seconds)),
+        seconds_worst=max(seconds),
+        published_mm=SERIES[first.series].published_mm if group == "published" else None,
+    )
+
+
+def _share(scores: Sequence[HeldOutScore]) -> float:
+    return float(np.average([score.within_95 for score in scores], weights=[score.n for score in scores]))
+
+
+def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
+    """The bars of every series and size, on all held-out rows; a single draw has no worst."""
+    judged: dict[tuple[str, Rows], LeagueLine] = {}
+    for line in lines:
+        judged.setdefault((line.series, line.rows), line)  # the first line is that of all held-out rows
+    bars = []
+    for line in judged.values():
+        most = SERIES[line.series].bars_mm.get(line.rows)
+        if most is not None:
+            bars.append(_bar(line, "held-out error [mm]", None, most, line.discovery_mm))
+        if line.rows == _BAR_ROWS and line.draws > 1:
+            bars.append(_bar(line, "worst draw to mean", None, _MOST_ABOVE_MEAN, line.worst_to_mean))
+        bars.append(_bar(line, "within 95 %", *_WITHIN_95, line.within_95))
+    return tuple(bars)
+
+
+def _bar(
+    line: LeagueLine,
+    what: Literal["held-out error [mm]", "worst draw to mean", "within 95 %"],
+    least: float | None,
+    most: float,
+    reached: float,
+) -> LeagueBar:
+    met = reached <= most and (least is None or reached >= least)
+    return LeagueBar(series=line.series, rows=line.rows, what=what, least=least, most=most, reached=reached, met=met)

@@ -1,0 +1,81 @@
+"""Results of ``trials links --person``: what a person meets at the cell, and the bars it must keep."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from cellapp.commands.view.table import Cell, Column, Number, Table
+from cellapp.ground.results import Record, Result
+
+
+class PersonRow(Record):
+    """One row: ``median`` and ``worst`` in ``unit``, None where it never came; a ``median_bar`` None is not judged."""
+
+    what: str
+    before: str
+    unit: Literal["ms", ""]
+    n: int
+    median: float | None
+    worst: float | None
+    median_bar: float | None
+    worst_bar: float
+
+    @classmethod
+    def of(
+        cls,
+        what: str,
+        before: str,
+        values: Sequence[float],
+        worst_bar: float,
+        median_bar: float | None = None,
+        unit: Literal["ms", ""] = "ms",
+    ) -> PersonRow:
+        """Statistics of values, at least one."""
+        return cls(
+            what=what, before=before, unit=unit, n=len(values), median=_finite(float(np.median(values))),
+            worst=_finite(float(max(values))), median_bar=median_bar, worst_bar=worst_bar,
+        )  # fmt: skip
+
+    @property
+    def kept(self) -> bool:
+        """Whether the bars were kept."""
+        if self.worst is None or self.median is None:
+            return False
+        return self.worst <= self.worst_bar and (self.median_bar is None or self.median <= self.median_bar)
+
+
+class PersonResult(Result):
+    """``trials links --person``: the rows, beside ``busy`` processes that compute; which parts failed, and how."""
+
+    schema_: Literal["cellapp-trials-person"] = "cellapp-trials-person"
+    version: Literal[1] = 1
+    busy: int
+    rows: tuple[PersonRow, ...]
+    not_measured: tuple[str, ...] = ()
+
+    def missed(self) -> tuple[str, ...]:
+        """What did not keep its bars, and what was not measured."""
+        return (*(row.what for row in self.rows if not row.kept), *self.not_measured)
+
+
+def person_table(result: PersonResult) -> Table:
+    """All rows; *was* is the worst that was met on 2026-11-23. A bar is of the worst, or of median and worst."""
+    columns = (
+        Column("to the stop, ms"),
+        Column("before"),
+        *(Column(t) for t in ("n", "median", "worst", "bar", "kept")),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for row in result.rows:
+        bar = f"{row.worst_bar:g}" if row.median_bar is None else f"{row.median_bar:g}, {row.worst_bar:g}"
+        median, worst = ("never" if value is None else Number(value, 0) for value in (row.median, row.worst))
+        rows.append((row.what, row.before, row.n, median, worst, bar, "yes" if row.kept else "MISSED"))
+    return Table(f"A person at the cell, beside {result.busy} busy processes", columns, tuple(rows))
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

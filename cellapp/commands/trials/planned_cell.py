@@ -1,0 +1,50 @@
+"""A simulated cell without hidden effects and the stops at which its arms of all seeds are measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.results import Record
+from cellapp.robot.kinematics.transforms import Array
+
+
+class PlannedCell(Record):
+    """What all seeds share; ``planned`` is arm -> joint positions (n, N) of its stops [rad]."""
+
+    profile: Profile
+    planned: Mapping[str, tuple[tuple[float, ...], ...]]
+
+    def stops(self, arm: str) -> Array:
+        """Joint positions (n, N) of an arm [rad]."""
+        return np.array(self.planned[arm])
+
+
+class ArmSeed(Record):
+    """One arm whose true geometry and noise are drawn by a seed."""
+
+    arm: str
+    seed: int
+
+
+def planned_cell(profile: Profile, stops: int) -> PlannedCell:
+    """Plan so many stops. Raises ``InputError`` if the profile has no simulated cell or they cannot be reached."""
+    planned = plan_stops(bare_profile(profile, stops))
+    return PlannedCell(
+        profile=profile, planned={arm: tuple(tuple(row) for row in q.tolist()) for arm, q in planned.items()}
+    )
+
+
+def bare_profile(profile: Profile, stops: int, *, plant_seed: int | None = None) -> Profile:
+    """The profile with ``stops`` stops and no hidden effects; ``plant_seed`` draws another true geometry."""
+    if profile.plant is None:
+        raise InputError(f"profile {profile.name}: these trials need a section 'plant' (a simulated cell)")
+    plant = profile.plant.model_copy(
+        update={"effects": {}, "seed": profile.plant.seed if plant_seed is None else plant_seed}
+    )
+    plan = profile.plan.model_copy(update={"stops": stops})
+    return profile.model_copy(update={"plant": plant, "plan": plan})

@@ -1,0 +1,433 @@
+"""Blind trials: runs of simulated cells with hidden effects, their ground truth in a sealed file that is opened last.
+
+A folder of trials holds ``run-0001``, ``run-0002`` ..., each like an imported run, ``truth.json``, and ``seal.txt``
+with the SHA-256 of it in the form that ``sha256sum -c`` takes. A run has no section ``plant`` and no seed that its
+truth was drawn from, and the runs are in random order: only ``truth.json`` states what is hidden in which arm.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import secrets
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import JsonValue
+
+from cellapp import __version__
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.run import RunFile
+from cellapp.commands.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
+from cellapp.commands.trials.sealed_cases import EXPECTED, OUT, Case, cases, library_name
+from cellapp.commands.trials.sealed_setup import NOISES, USUAL_SETUP, Setup
+from cellapp.commands.trials.visible_size import beyond_geometry, beyond_law, registered_model
+from cellapp.estimation.calibration.calibrate import rms_length_mm
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.profile import Profile, Sensors
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.results import Record, Result
+from cellapp.robot.kinematics.transforms import Array
+from drivers.no_driver import NoDriver
+from drivers.plant import suggest, suggest_other_law
+
+TRUTH_FILE = "truth.json"
+SEAL_FILE = "seal.txt"
+
+_TRIALS_A_PLAN = 25
+"""Runs that share a plan: planning takes longer than measuring a simulated run."""
+
+
+class HiddenLaw(Record):
+    """One hidden effect: its name in the library and in the plant, its parameters, and how far it moves the SMR.
+
+    ``raw_um`` is the rms displacement over the run's stops [um], ``visible_um`` what remains of it after the part that
+    the geometric parameters can follow, ``beyond_law_um`` what geometry and the library's best law of that effect
+    leave (None where the library has no such law).
+    """
+
+    effect: str
+    plant: str
+    parameters: Mapping[str, JsonValue]
+    raw_um: float
+    visible_um: float
+    beyond_law_um: float | None = None
+
+    @property
+    def law(self) -> str:
+        """The word by which the plant selects the law; empty for the default one."""
+        return str(self.parameters.get("law") or self.parameters.get("mode") or "")
+
+
+class ExpectedTerm(Record):
+    """Channel and variables that a description of a law outside the library must state."""
+
+    channel: str
+    variables: tuple[str, ...]
+
+
+class GroundTruth(Record):
+    """What is true of one sealed run.
+
+    Attributes
+    ----------
+    arm : str
+        The arm with the effects; empty where nothing is hidden.
+    noise_um, held_out_um : mapping
+        Arm -> rms length [um] of the stated noise, and of the error that was really drawn at the stops of its validate
+        split.
+    expected : ExpectedTerm or None
+        For a law that the library lacks.
+    readings : str
+        SHA-256 of what was measured.
+    """
+
+    run: str
+    kind: str
+    look_alikes: bool
+    arm: str
+    effects: tuple[HiddenLaw, ...]
+    expected: ExpectedTerm | None
+    noise_um: Mapping[str, float]
+    held_out_um: Mapping[str, float]
+    seeds: Mapping[str, int]
+    readings: str
+
+
+class SealHeader(Record):
+    """How and when the trials were sealed."""
+
+    written: str
+    program: str
+    profile: str
+    seed: int
+    setup: Setup
+    runs: int
+    stops: int
+
+
+class TruthFile(Result):
+    """The content of ``truth.json``."""
+
+    schema_: Literal["cellapp-trials-truth"] = "cellapp-trials-truth"
+    version: Literal[1] = 1
+    sealed: SealHeader
+    trials: tuple[GroundTruth, ...]
+
+
+class SealResult(Result):
+    """``trials seal``: number of runs, their folder, and the SHA-256 of the truth."""
+
+    schema_: Literal["cellapp-trials-seal"] = "cellapp-trials-seal"
+    version: Literal[1] = 1
+    runs: int
+    folder: str
+    sha256: str
+
+
+def seal_trials(
+    profile: Profile,
+    folder: Path,
+    n: int = 200,
+    setup: Setup = USUAL_SETUP,
+    *,
+    seed: int | None = None,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> SealResult:
+    """Write ``n`` sealed runs into a new folder, under the conditions of ``setup``.
+
+    Without ``seed`` one is drawn that only ``truth.json`` states.
+
+    Raises
+    ------
+    InputError
+        If the profile has no simulated cell of two arms, a word is unknown, or the folder is not empty.
+    Cancelled
+        On request; nothing is left behind then.
+    """
+    cancel = cancel or CancelToken()
+    setup.check()
+    if profile.plant is None or len(profile.arms) != 2:
+        raise InputError(f"profile {profile.name}: sealed trials need a section 'plant' and two arms")
+    seed = secrets.randbits(31) if seed is None else seed
+    profile = setup.cell(profile)
+    build_plant(profile)  # an error in the cell is reported before a folder is made
+    made = _new_folder(folder)
+    try:
+        hidden = cases(tuple(profile.arms), setup.hides, n, seed)
+        truths = _write_runs(profile, folder, hidden, seed, setup, listener, cancel)
+        header = SealHeader(
+            written=datetime.now(UTC).isoformat(timespec="seconds"),
+            program=f"cellapp {__version__}",
+            profile=profile.name,
+            seed=seed,
+            setup=setup,
+            runs=n,
+            stops=profile.plan.stops,
+        )
+        data = (TruthFile(sealed=header, trials=tuple(truths)).to_json(indent=1) + "\n").encode()
+        digest = hashlib.sha256(data).hexdigest()
+        (folder / TRUTH_FILE).write_bytes(data)
+        (folder / SEAL_FILE).write_text(f"{digest}  {TRUTH_FILE}\n", encoding="utf-8")
+    except BaseException:  # also on Ctrl-C: an incomplete set of trials has no truth
+        _take_back(folder, made)
+        raise
+    return SealResult(runs=n, folder=str(folder), sha256=digest)
+
+
+def check_seal(folder: Path) -> bytes:
+    """The bytes of ``truth.json``, unread, if they are those that were sealed.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no sealed trials.
+    CheckFailed
+        If truth and seal do not belong together.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: folder not found; 'cellapp trials seal' makes one")
+    for name in (TRUTH_FILE, SEAL_FILE):
+        if not (folder / name).is_file():
+            raise InputError(
+                f"{folder} holds no sealed trials ({name} is missing); give a folder that 'cellapp trials seal' made"
+            )
+    try:
+        data = (folder / TRUTH_FILE).read_bytes()
+        seal = (folder / SEAL_FILE).read_bytes().split()
+    except OSError as error:
+        raise InputError(f"{folder}: {error.filename} cannot be read ({error.strerror})") from None
+    found = hashlib.sha256(data).hexdigest()
+    if not seal or seal[0] != found.encode():
+        stated = seal[0].decode("ascii", "replace")[:64] if seal else "nothing"
+        raise CheckFailed(
+            f"{folder / TRUTH_FILE}: the seal is broken: its SHA-256 is {found}, {SEAL_FILE} says {stated};"
+            " these trials prove nothing, seal new ones"
+        )
+    return data
+
+
+def open_truth(folder: Path) -> TruthFile:
+    """Check the seal and open the truth. Raises as ``check_seal``, and ``InputError`` for another version's file."""
+    return TruthFile.from_json(check_seal(folder).decode("utf-8", "replace"), str(folder / TRUTH_FILE))
+
+
+def digest_of(readings: Mapping[str, Readings]) -> str:
+    """SHA-256 of the joint positions and points of all arms, in the arms' order by name."""
+    found = hashlib.sha256()
+    for name in sorted(readings):
+        found.update(name.encode())
+        found.update(np.ascontiguousarray(readings[name].q).tobytes())
+        found.update(np.ascontiguousarray(readings[name].p_M).tobytes())
+    return found.hexdigest()
+
+
+def without_truth(profile: Profile, number: int) -> Profile:
+    """The profile of a sealed run: no section ``plant``, no device, the run's number as its seed."""
+    arms = {name: arm.model_copy(update={"driver": NoDriver()}) for name, arm in profile.arms.items()}
+    return profile.model_copy(
+        update={
+            "name": f"sealed-{number:04d}",
+            "seed": number,
+            "arms": arms,
+            "tracker": profile.tracker.model_copy(update={"driver": NoDriver()}),
+            "sensors": Sensors(),
+            "network": profile.network.model_copy(update={"kind": "none"}),
+            "plant": None,
+            "targets": None,
+        }
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+_Effects = Mapping[str, Mapping[str, Any]]
+"""Effect of the plant -> parameters."""
+
+
+def _write_runs(
+    profile: Profile,
+    folder: Path,
+    cases: Sequence[Case],
+    seed: int,
+    setup: Setup,
+    listener: Listener,
+    cancel: CancelToken,
+) -> list[GroundTruth]:
+    """Write the runs and return their truth."""
+    truths: list[GroundTruth] = []
+    plan: Mapping[str, Array] | PlannedStops = {}
+    plan_seed = 0
+    for place, case in enumerate(cases):
+        cancel.check()
+        number = place + 1
+        listener(Progress("seal", place, len(cases), f"run {number}"))
+        if place % _TRIALS_A_PLAN == 0:
+            plan_seed = int(np.random.default_rng([seed, 0x91A2, place]).integers(2**31))
+            plan = setup.plan(profile, plan_seed, cancel)
+        truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, plan_seed, seed, setup))
+    listener(Progress("seal", len(cases), len(cases), "done"))
+    return truths
+
+
+@dataclass(frozen=True, eq=False)
+class _HiddenCell:
+    """The simulated cell of one run, with effects of one arm; ``plan`` and ``noise_seed`` are as in ``blind_readings``.
+
+    ``plant_seed`` draws the true geometry, ``split_seed`` the splits.
+    """
+
+    profile: Profile
+    arm: str
+    plan: Mapping[str, Array] | PlannedStops
+    plant_seed: int
+    noise_seed: int
+    split_seed: int
+
+    def measured(self, effects: _Effects, noise: Noise) -> dict[str, Readings]:
+        """Readings with noise."""
+        return blind_readings(self._cell(effects, noise_on=True), self.plan, self.noise_seed, noise)
+
+    def exact(self, effects: _Effects) -> dict[str, Readings]:
+        """Readings at the same stops without noise."""
+        return blind_readings(self._cell(effects, noise_on=False), self.plan, self.noise_seed)
+
+    def _cell(self, effects: _Effects, *, noise_on: bool) -> Profile:
+        hidden = with_hidden(self.profile, {self.arm: effects} if effects else {}, self.plant_seed)
+        assert hidden.plant is not None
+        settings = hidden.plant.model_copy(update={"noise": noise_on})
+        return hidden.model_copy(update={"plant": settings, "seed": self.split_seed})
+
+
+def _write_run(
+    profile: Profile,
+    folder: Path,
+    number: int,
+    case: Case,
+    plan: Mapping[str, Array] | PlannedStops,
+    plan_seed: int,
+    seed: int,
+    setup: Setup,
+) -> GroundTruth:
+    """Write one run and return its ground truth."""
+    rng = np.random.default_rng([seed, 0x5EA1, number])
+    plant_seed, noise_seed = (int(value) for value in rng.integers(2**31, size=2))
+    parameters = _drawn_parameters(profile, case, setup, rng)
+    public = without_truth(profile, number)
+    cell = _HiddenCell(profile, case.arm, plan, plant_seed, noise_seed, split_seed=public.seed)
+    readings, with_all = cell.measured(parameters, NOISES[setup.noise]), cell.exact(parameters)
+
+    def fill(run: RunFile) -> None:
+        for name, arm in readings.items():
+            run.add_readings(name, setup.reported(arm))
+
+    RunFile.create(folder, public, fill).close()
+    held_out = {name: arm.in_split("validate") for name, arm in readings.items()}
+    expected = EXPECTED.get(case.slugs[0]) if case.kind == OUT else None
+    return GroundTruth(
+        run=folder.name,
+        kind=case.kind,
+        look_alikes=case.look_alikes,
+        arm=case.arm,
+        effects=_hidden_laws(cell, parameters, with_all),
+        expected=None if expected is None else ExpectedTerm(channel=expected[0], variables=expected[1]),
+        noise_um={name: _stated_um(arm) for name, arm in readings.items()},
+        held_out_um={name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()},
+        seeds={"plan": plan_seed, "plant": plant_seed, "noise": noise_seed},
+        readings=digest_of(readings),
+    )
+
+
+def _drawn_parameters(
+    profile: Profile, case: Case, setup: Setup, rng: np.random.Generator
+) -> dict[str, dict[str, Any]]:
+    """Parameters of every effect of a case, drawn for its arm."""
+    if not case.slugs:
+        return {}
+    config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
+    draw = suggest_other_law if setup.laws == "other" and case.kind != OUT else suggest
+    return {slug: draw(slug, rng, config, DURATION_S) for slug in case.slugs}
+
+
+def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str, Readings]) -> tuple[HiddenLaw, ...]:
+    """Every hidden effect; ``with_all`` are the exact readings with all of them."""
+    found = []
+    for slug, own in parameters.items():
+        without = cell.exact({other: values for other, values in parameters.items() if other != slug})
+        found.append(_hidden_law(cell.profile, cell.arm, slug, own, without, with_all))
+    return tuple(found)
+
+
+def _hidden_law(
+    profile: Profile,
+    name: str,
+    slug: str,
+    parameters: Mapping[str, Any],
+    without: Mapping[str, Readings],
+    with_all: Mapping[str, Readings],
+) -> HiddenLaw:
+    """One hidden effect in arm ``name``, from exact readings of all arms without it and with all effects."""
+    own = without[name]
+    moved = with_all[name].p_M - own.p_M
+    models = {each: registered_model(profile, each, readings.q, readings.p_M) for each, readings in without.items()}
+    conditions = conditions_of_arms(models, without)[name]
+    beyond = beyond_law(models[name], library_name(slug), own.q, conditions, moved)
+    return HiddenLaw(
+        effect=library_name(slug),
+        plant=slug,
+        parameters=_plain(parameters),
+        raw_um=_rms_um(moved),
+        visible_um=_rms_um(beyond_geometry(profile.arms[name], own.q, own.p_M, moved)),
+        beyond_law_um=None if beyond is None else _rms_um(beyond),
+    )
+
+
+def _plain(parameters: Mapping[str, Any]) -> dict[str, JsonValue]:
+    """Parameters of a hidden law as plain JSON values."""
+    plain: dict[str, JsonValue] = json.loads(json.dumps(parameters))
+    return plain
+
+
+def _rms_um(vectors: Array) -> float:
+    """Root mean square length [um] of vectors (n, 3) [m]; NaN of none."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) * 1e6 if len(vectors) else math.nan
+
+
+def _stated_um(readings: Readings) -> float:
+    stated = stated_uncertainty(readings)
+    assert stated is not None, "a plant states the covariance of every reading"
+    return rms_length_mm(stated) * 1e3
+
+
+def _new_folder(folder: Path) -> bool:
+    """Make the folder and return whether it was missing. Raises ``InputError`` if it cannot be used."""
+    try:
+        if folder.is_dir():
+            if any(folder.iterdir()):
+                raise InputError(f"{folder} is not empty; give a new folder for the trials")
+            return False
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"{folder}: {error.strerror}; give another folder for the trials") from None
+    return True
+
+
+def _take_back(folder: Path, made: bool) -> None:
+    """Remove what an interrupted sealing has written."""
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+    if made:
+        folder.rmdir()

@@ -1,0 +1,162 @@
+"""Conditions under which sealed trials are made: number of stops, joint ranges, masses, laws, what readings state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.plan import draw_stops, plan_stops
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.commands.trials.blind import Noise
+from cellapp.commands.trials.sealed_cases import FLIP, KINDS, MIXED, ONE
+from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Arm, Profile
+from cellapp.ground.progress import CancelToken
+from cellapp.ground.results import Record
+from cellapp.robot.kinematics.transforms import Array
+
+NOISES: Mapping[str, Noise] = {
+    "gaussian": Noise(),
+    "heavy": Noise("heavy"),
+    "repeatability": Noise("gaussian", 8e-6),
+}
+"""How readings scatter: as stated, with heavy tails, or with 8 urad unstated repeatability of each joint."""
+LAWS = ("same", "other")
+RANGES = ("full", "narrow")
+PLANS = ("random", "designed")
+MASS_ERROR = 0.05
+"""Standard deviation of true link masses about the nominal ones, relative: they are never known better."""
+FEWEST_STOPS = 40
+"""Below, a quarter of the stops no longer determines the geometry."""
+_NARROW_RAD = (math.radians(10.0), math.radians(50.0))
+"""Widths of narrow joint ranges."""
+_CENTRES = 30
+"""Centres of narrow ranges that are tried: about a few of them the wrist never shows the SMR to the tracker."""
+
+
+class Setup(Record):
+    """Conditions of a set of trials.
+
+    Attributes
+    ----------
+    kind : str
+        What is hidden: one of ``KINDS``, or mixed.
+    noise : str
+        One of ``NOISES``.
+    laws : str
+        same: by laws of the library's shape; other: by laws of other shapes.
+    stops : int or None
+        Stops of each run, in place of the profile's.
+    ranges : str
+        full; narrow: each joint moves over 10 to 50 degrees about a drawn centre.
+    mass_error : float
+        Standard deviation of true link masses, relative to the nominal ones.
+    stated : bool
+        Whether readings state their uncertainty.
+    flip_approach : bool
+        Whether approach signs have the opposite convention; last steps are then not given.
+    plan_method : str
+        random or designed: how the stops of each run are chosen.
+    """
+
+    kind: str = ONE
+    noise: str = "gaussian"
+    laws: str = "same"
+    stops: int | None = None
+    ranges: str = "full"
+    mass_error: float = MASS_ERROR
+    stated: bool = True
+    flip_approach: bool = False
+    plan_method: str = "random"
+
+    @property
+    def hides(self) -> str:
+        """The kind of its cases."""
+        return FLIP if self.flip_approach else self.kind
+
+    def check(self) -> None:
+        """Raise ``InputError`` for an unknown word, or for what does not belong together."""
+        words: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+            ("kind", self.kind, (*KINDS, MIXED)),
+            ("noise", self.noise, tuple(NOISES)),
+            ("laws", self.laws, LAWS),
+            ("ranges", self.ranges, RANGES),
+            ("plan", self.plan_method, PLANS),
+        )
+        for name, word, known in words:
+            if word not in known:
+                raise InputError(f"--{name}: '{word}' is not known; {name.rstrip('s')}s are {', '.join(known)}")
+        if self.flip_approach and self.kind != ONE:
+            raise InputError(f"--flip-approach hides backlash and friction by itself; leave out --kind {self.kind}")
+        if self.plan_method == "designed" and self.ranges != "full":
+            raise InputError("--plan designed needs the full joint ranges; leave out --ranges narrow")
+        if self.stops is not None and self.stops < FEWEST_STOPS:
+            raise InputError(f"--stops: {self.stops} are too few to identify the geometry; give {FEWEST_STOPS} or more")
+        if not 0.0 <= self.mass_error < 1.0:
+            raise InputError(f"--mass-error: {self.mass_error:g} is not a share from 0 to below 1")
+
+    def cell(self, profile: Profile) -> Profile:
+        """The profile with the number of stops, the splits and the masses of these trials, and nothing hidden."""
+        assert profile.plant is not None
+        geometry = profile.plant.geometry.model_copy(update={"mass": self.mass_error})
+        plant = profile.plant.model_copy(update={"geometry": geometry, "effects": {}})
+        changes: dict[str, object] = {"plant": plant}
+        if self.stops is not None:
+            quarter = self.stops // 4
+            splits = {
+                "identify": max(quarter, 15),
+                "validate_": quarter,
+                "train": self.stops - quarter - max(quarter, 15),
+                "pair_identify": quarter,
+                "pair_validate": quarter,
+            }
+            changes["plan"] = profile.plan.model_copy(update={"stops": self.stops, "reserve": 0})
+            changes["splits"] = profile.splits.model_copy(update=splits)
+        return profile.model_copy(update=changes)
+
+    def plan(self, profile: Profile, seed: int, cancel: CancelToken) -> Mapping[str, Array] | PlannedStops:
+        """Stops of all arms, drawn or designed by ``seed``. Raises ``InputError`` if none are found."""
+        if self.ranges == "full":
+            if self.plan_method == "random":
+                return plan_stops(profile.model_copy(update={"seed": seed}), cancel=cancel)
+            designed = profile.plan.model_copy(update={"method": "designed"})
+            return make_stops(profile.model_copy(update={"seed": seed, "plan": designed}), cancel=cancel)[0]
+        rng = np.random.default_rng([seed, 0x4A44])
+        for _ in range(_CENTRES):
+            narrowed = _narrowed(profile, rng)
+            try:
+                return draw_stops(cell_bodies(narrowed), narrowed, profile.plan.stops, rng, cancel)
+            except InputError:
+                continue
+        raise InputError(f"--ranges narrow: about none of {_CENTRES} centres does the tracker see enough stops")
+
+    def reported(self, readings: Readings) -> Readings:
+        """The readings as a run of these trials holds them."""
+        if not self.stated:
+            readings = replace(readings, covariance_M=None)
+        if self.flip_approach:
+            readings = replace(readings, approach=-readings.approach, step=None)
+        return readings
+
+
+USUAL_SETUP = Setup()
+"""One hidden effect in each run, by the library's laws, and stated Gaussian noise."""
+
+
+def _narrowed(profile: Profile, rng: np.random.Generator) -> Profile:
+    """The profile with joint limits of 10 to 50 degrees about a stop at which all SMRs are visible."""
+    centre = draw_stops(cell_bodies(profile), profile, 1, rng)
+    arms: dict[str, Arm] = {}
+    for name, arm in profile.arms.items():
+        outer = np.array(arm.limits or tuple(joint.limit for joint in arm.type.joints))
+        half = 0.5 * rng.uniform(*_NARROW_RAD, len(outer))
+        low, high = np.maximum(centre[name][0] - half, outer[:, 0]), np.minimum(centre[name][0] + half, outer[:, 1])
+        limits = tuple(zip(low.tolist(), high.tolist(), strict=True))
+        arms[name] = arm.model_copy(update={"limits": limits})
+    return profile.model_copy(update={"arms": arms, "plan": profile.plan.model_copy(update={"ranges": None})})

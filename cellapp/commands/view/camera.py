@@ -1,0 +1,22 @@
+"""What is shown of many readings, and the frame in which a cell is drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.robot.kinematics.transforms import Array
+
+
+def evenly_spread(n: int, most: int) -> NDArray[np.intp]:
+    """At most ``most`` of n rows, evenly spread."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
+
+
+def levelling_rotation(up_M: Array) -> Array:
+    """The smallest rotation (3, 3) that takes ``up_M`` to z (Rodrigues' formula with axis up_M x z)."""
+    x, y, z = up_M
+    if z < -1.0 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    skew = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + z))

@@ -1,0 +1,186 @@
+"""A chart as data: what is drawn, in which units, and what a person should see in it. No medium, no I/O.
+
+The modules ``charts_*`` make charts from typed results; ``cellapp.interfaces.tui.plots`` draws them in a terminal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cellapp.ground.results import STAGES
+
+Array = NDArray[np.float64]  # not that of kinematics, which loads scipy: a screen that draws must open fast
+Kind = Literal["line", "points", "steps", "bars"]
+Key = TypeVar("Key", bound=str)
+"""Name of a stage or a method."""
+
+STAGE_STYLES: Mapping[str, int] = {stage: number for number, stage in enumerate(STAGES)}
+"""Style of each stage: the same in all charts."""
+SMALLEST_MM = 1e-6
+"""What a logarithmic axis shows for an error of zero [mm]."""
+LEAST = 1e-100
+"""Smaller values, in whatever unit, are drawn as zero: steps between denormal numbers are not exact."""
+_BINS = 40
+"""Bins of a histogram over all errors."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What an axis shows and its unit (empty: a plain number)."""
+
+    label: str
+    unit: str = ""
+    logarithmic: bool = False
+
+    @property
+    def words(self) -> str:
+        """Label and unit, as in ``held-out rms [mm]``."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Values y (n,) over x (n,), in the units of the axes; NaN is a gap.
+
+    Attributes
+    ----------
+    kind : str
+        ``line`` joins the points, ``steps`` holds each value up to the next x, ``bars`` fills from zero to each value.
+    band : array, shape (n,), or None
+        Half width of a band about y.
+    style : int
+        Number of its colour and mark. One arm or stage has one number, whichever chart it is in.
+    mark : str
+        One character that stands at every point, instead of the mark of the style.
+    hints : tuple of str, length n or 0
+        What the page shows under the pointer beside the coordinates of each point.
+    """
+
+    name: str
+    x: Array
+    y: Array
+    kind: Kind = "line"
+    band: Array | None = None
+    style: int = 0
+    mark: str = ""
+    hints: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for what, values in (("y", self.y), ("band", self.band)):
+            if values is not None and values.shape != self.x.shape:
+                raise ValueError(f"series {self.name}: {what} of shape {values.shape} for x of shape {self.x.shape}")
+        if self.hints and len(self.hints) != len(self.x):
+            raise ValueError(f"series {self.name}: {len(self.hints)} hints for {len(self.x)} points")
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A line across the chart at one value of an axis: a noise floor, a tolerance."""
+
+    name: str
+    value: float
+    axis: Literal["x", "y"] = "y"
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """One chart.
+
+    Attributes
+    ----------
+    message : str
+        The chart in one or two sentences, for those who do not see it; where there is nothing to draw, why.
+    categories : tuple of str
+        Names of the bars at x = 0, 1, ..., if the x axis has no numbers.
+    bar_texts : tuple of str
+        Their values as texts.
+    equal : bool
+        A map: one unit has the same length along both axes.
+    by_stage : bool
+        The styles are those of stages (``STAGE_STYLES``), not of arms: the page has colours for either.
+    y_range : tuple of float, or None
+        The part of the y axis that is drawn, where a few far points would flatten all others; None: all values.
+    """
+
+    title: str
+    x: Axis
+    y: Axis
+    series: tuple[Series, ...]
+    message: str
+    limits: tuple[Limit, ...] = ()
+    categories: tuple[str, ...] = ()
+    bar_texts: tuple[str, ...] = ()
+    equal: bool = False
+    y_range: tuple[float, float] | None = None
+    by_stage: bool = False
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no finite value to draw."""
+        return not any(np.any(np.isfinite(one.x) & np.isfinite(one.y)) for one in self.series)
+
+
+def series(
+    name: str,
+    x: ArrayLike,
+    y: ArrayLike,
+    kind: Kind = "line",
+    *,
+    band: ArrayLike | None = None,
+    style: int = 0,
+    mark: str = "",
+    hints: Iterable[str] = (),
+) -> Series:
+    """A series from anything that numpy takes as an array."""
+    as_array = np.asarray(x, dtype=np.float64)
+    width = None if band is None else np.asarray(band, dtype=np.float64)
+    return Series(name, as_array, np.asarray(y, dtype=np.float64), kind, width, style, mark, tuple(hints))
+
+
+def bar_chart(title: str, bars: Mapping[str, tuple[float, str]], axis: Axis, message: str) -> Chart:
+    """One bar for each name, with its value and that value as a text."""
+    values, texts = [value for value, _ in bars.values()], tuple(text for _, text in bars.values())
+    drawn = (series(title, np.arange(float(len(bars))), values, "bars"),) if bars else ()
+    return Chart(title, Axis(""), axis, drawn, message, categories=tuple(bars), bar_texts=texts)
+
+
+def noise_limit(floor_mm: float | None, axis: Literal["x", "y"] = "y", name: str = "noise floor") -> tuple[Limit, ...]:
+    """The limit at a noise floor [mm]; none where it is not known."""
+    return () if floor_mm is None else (Limit(name, floor_mm, axis),)
+
+
+def drawable_mm(errors_mm: ArrayLike) -> Array:
+    """Errors [mm] for a logarithmic axis."""
+    return np.maximum(np.asarray(errors_mm, dtype=np.float64), SMALLEST_MM)
+
+
+def error_counts(
+    errors_mm: Mapping[Key, Array], low: float, high: float, bins: int = _BINS
+) -> tuple[Array, dict[Key, NDArray[np.intp]]]:
+    """Edges (bins + 1,) [mm] from ``low`` to ``high`` on a logarithmic axis, and the number of errors in each bin."""
+    edges = np.geomspace(low, high, bins + 1)
+    return edges, {what: np.histogram(drawable_mm(errors), edges)[0] for what, errors in errors_mm.items()}
+
+
+def mm(value: float) -> str:
+    """A length [mm] with two or three significant digits, and no more than four decimals."""
+    if not np.isfinite(value):
+        return "unknown"
+    decimals = 4 if abs(value) < 0.01 else 3 if abs(value) < 1.0 else 2 if abs(value) < 10.0 else 1
+    return f"{value:.{decimals}f} mm"
+
+
+def enumerated(parts: Iterable[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    words = list(parts)
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+def styles(names: Sequence[str]) -> dict[str, int]:
+    """Style of each arm or reference, by its place in the profile or the data."""
+    return {name: number for number, name in enumerate(dict.fromkeys(names))}

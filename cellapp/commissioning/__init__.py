@@ -1,1 +1,0 @@
-"""What a cell needs beside measuring: doctor, emulator, tracker bridge."""

@@ -1,0 +1,119 @@
+"""Identification of an arm: weights that include unmodelled physics, and the SMR on the right side of the wrist."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from cellapp.estimation.calibration.identification import Identification, identify
+from cellapp.estimation.calibration.parameters import ParameterSet, SetName
+from cellapp.estimation.calibration.weights import RobustName, excess_variance, with_excess
+from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
+from cellapp.robot.kinematics.transforms import Array, register, rotation_x
+
+_EXCESS_ROUNDS = 6
+"""Rounds of identification and excess variance; the variance settles to a percent in two or three."""
+_EXCESS_SETTLED = 0.01
+"""Relative change of the excess variance at which the rounds end: weights then change by less than 1 %."""
+_WRIST_ERRORS = 20.0
+"""Standard errors of the SMR along the last axis that its mirror image may be away: it is a minimum only where it lies
+within some 10, and the linear standard error understates the width of such a valley."""
+
+
+class _Fit(Protocol):
+    def __call__(
+        self, start: Geometry, *, sigma: Array | None, parameter_set: SetName | ParameterSet
+    ) -> Identification: ...
+
+
+def identify_with_excess(
+    start: Geometry,
+    q: Array,
+    p_M: Array,
+    *,
+    sigma: Array | None,
+    parameter_set: SetName | ParameterSet = "auto",
+    prior_sigma: Mapping[str, float] | None = None,
+    robust: RobustName = "none",
+    tolerance: float = 1e-8,
+    max_iterations: int = 50,
+) -> tuple[Identification, float]:
+    """``identify`` with weights that include the scatter beyond the stated uncertainty.
+
+    Unmodelled physics leaves residuals far above the uncertainty of the tracker. Weights from the tracker's uncertainty
+    alone would then let the few readings with the smallest one dominate. The excess variance is estimated from the
+    residuals, added to the stated one, and the identification repeated until it settles; the first round weighs all
+    readings alike. Arguments are those of ``identify``; the mean of the priors is ``start``.
+
+    Where the last axis hardly turns in space, the SMR's position along it is known through small angles only. Its
+    mirror image about the wrist with the opposite angles fits nearly as well, and is a second minimum: the better of
+    the two is returned.
+
+    Returns
+    -------
+    identification : Identification
+        With the iterations and steps of all rounds.
+    excess : float
+        Excess standard deviation of a coordinate [m].
+    """
+    fit: _Fit = partial(
+        identify,
+        q=q,
+        p_M=p_M,
+        prior_sigma=prior_sigma,
+        prior_mean=start,
+        robust=robust,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+    )
+    found, excess = _rounds(fit, start, sigma, parameter_set)
+    tool = _mirrored_tool(found)
+    if tool is None:
+        return found, excess
+    at_origin = replace(start, tool=tool).with_T_M_B(np.eye(4))
+    mirrored = at_origin.with_T_M_B(register(p_M, smr_positions(at_origin, q)))
+    other, its_excess = _rounds(fit, mirrored, sigma, parameter_set)
+    return (other, its_excess) if _square(other) < _square(found) else (found, excess)
+
+
+def _rounds(
+    fit: _Fit, start: Geometry, sigma: Array | None, parameter_set: SetName | ParameterSet
+) -> tuple[Identification, float]:
+    """Identification and excess scatter [m] from one start."""
+    found = fit(start, sigma=None, parameter_set=parameter_set)
+    if sigma is None:
+        return found, 0.0
+    tau_squared = math.inf
+    for _ in range(_EXCESS_ROUNDS):
+        before = tau_squared
+        tau_squared = excess_variance(found.residuals, sigma, found.degrees_of_freedom)
+        if abs(tau_squared - before) <= _EXCESS_SETTLED * tau_squared:
+            break
+        earlier = found
+        found = fit(earlier.geometry, sigma=with_excess(sigma, tau_squared), parameter_set=parameter_set)
+        found = replace(found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps))
+    return found, math.sqrt(tau_squared)
+
+
+def _mirrored_tool(found: Identification) -> Array | None:
+    """The SMR (3,) [m] mirrored along the last axis about the origin of the frame before; None if out of reach."""
+    places = [found.estimated.names.index(name) for name in TOOL_NAMES if name in found.estimated.names]
+    if len(places) < len(TOOL_NAMES):
+        return None
+    _, d, a, alpha, _ = found.geometry.rows[-1].tolist()
+    to_last = rotation_x(alpha).T
+    axis, wrist = to_last[:, 2], -to_last @ np.array([a, 0.0, d])
+    tool = found.geometry.tool
+    shift = 2.0 * float((tool - wrist) @ axis)
+    variance = float(axis @ found.estimated_covariance[np.ix_(places, places)] @ axis)
+    return tool - shift * axis if abs(shift) < _WRIST_ERRORS * math.sqrt(variance) else None
+
+
+def _square(found: Identification) -> float:
+    """Weighted sum of the squares of the residuals [m^2]."""
+    return float(found.weights @ np.sum(found.residuals**2, axis=1))

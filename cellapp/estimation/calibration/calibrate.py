@@ -1,0 +1,362 @@
+"""Calibration: identified arms, residual networks and inter-base transform from readings, with held-out errors."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from cellapp.estimation.calibration.arm_identification import identify_with_excess
+from cellapp.estimation.calibration.evaluation import evaluate, repeatability
+from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_geometry, left_out_words, without
+from cellapp.estimation.calibration.identification import Identification, TooFewReadings, start_from_nominal
+from cellapp.estimation.calibration.network_training import Shape, Training, train_network, training_steps
+from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
+from cellapp.estimation.calibration.records import ArmPriorResult, Repeatability
+from cellapp.estimation.calibration.splits import draw_splits
+from cellapp.estimation.calibration.station_change import station_change
+from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Arm, Profile
+from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
+from cellapp.ground.results import Provenance, Stage, StageErrors
+from cellapp.robot.kinematics.chain import Geometry, smr_positions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
+from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
+from cellapp.robot.plugins import program_of
+
+_BASE_STEPS = training_steps()
+_TRAINING_STEPS = _BASE_STEPS + training_steps(1)
+"""Steps of an arm's training: in the base frame, and of the best shape in the tracker frame."""
+_HARDLY_BETTER = 0.9
+"""Share of the nominal error from which an identified geometry is hardly better."""
+_OF_NOISE = 3.0
+"""Multiple of the tracker's noise below which an error is no reason to look for wrong readings."""
+
+
+@dataclass(frozen=True)
+class ArmCalibration:
+    """One calibrated arm.
+
+    Attributes
+    ----------
+    model : ArmModel
+    identification : Identification
+    excess_m : float
+        Standard deviation of a coordinate beyond the stated uncertainty [m].
+    validate : mapping
+        Held-out errors by model stage.
+    counts : mapping
+        Number of readings in each split.
+    repeatability : Repeatability or None
+    tracker_mm : float or None
+        Rms length of the stated noise [mm].
+    training : Training or None
+        How the residual network was trained.
+    tracker_frame_network : ResidualNetwork or None
+        The same network trained in the tracker frame, the counter-example of Bai et al. (2023).
+    prior : ArmPriorResult or None
+        The earlier calibration that was taken as prior; identification and model are then with it, without a network.
+    left_out : tuple of int
+        Configurations of readings with gross errors. Nothing here rests on them: no parameter, no held-out error.
+    left_out_counts : mapping
+        Their number in each split.
+    """
+
+    model: ArmModel
+    identification: Identification
+    excess_m: float
+    validate: Mapping[Stage, StageErrors]
+    counts: Mapping[str, int]
+    repeatability: Repeatability | None
+    tracker_mm: float | None
+    training: Training | None = None
+    tracker_frame_network: ResidualNetwork | None = None
+    prior: ArmPriorResult | None = None
+    left_out: tuple[int, ...] = ()
+    left_out_counts: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The calibrated cell: its model, every arm, the pair, and notes for the operator."""
+
+    model: CellModel
+    arms: Mapping[str, ArmCalibration]
+    pair: PairCalibration | None
+    notes: tuple[str, ...]
+    provenance: Provenance
+
+
+def calibrate_readings(
+    profile: Profile,
+    readings: Mapping[str, Readings],
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> Calibration:
+    """Calibrate from readings whose splits are drawn: geometry, networks, pair.
+
+    Raises
+    ------
+    InputError
+        If an arm has too few readings.
+    Cancelled
+        If the token says so.
+    """
+    cancel = cancel or CancelToken()
+    notes: list[str] = []
+    training = _TRAINING_STEPS if profile.network.kind == "mlp" else 0
+    total = (1 + training) * len(readings) + 1
+    arms: dict[str, ArmCalibration] = {}
+    for name, arm_readings in readings.items():
+        listener(Progress("calibrate", len(arms), total, f"arm {name}: geometry"))
+        cancel.check()
+        arms[name], arm_notes = calibrate_arm(profile, name, arm_readings)
+        notes += arm_notes
+    if profile.network.kind == "mlp":
+        listener(Progress("calibrate", len(arms), total, "residual networks"))
+        with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
+            shared = SharedProgress(listener, "calibrate", len(arms), total)
+            tasks = {
+                name: pool.submit(train_arm, profile, arm, readings[name], cancel, shared.part(f"arm {name}"))
+                for name, arm in arms.items()
+            }
+            for name, task in tasks.items():
+                arms[name] = task.result()
+    listener(Progress("calibrate", total - 1, total, "pair"))
+    cancel.check()
+    good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
+    pair, pair_notes = calibrate_pair(profile, good, arms)
+    notes += pair_notes
+    names = tuple(profile.arms)
+    provenance = provenance_of(profile)
+    model = CellModel(
+        arms={name: arm.model for name, arm in arms.items()},
+        T_R_L=None if pair is None else pair.T_R_L,
+        pair=None if pair is None else (names[0], names[1]),
+        provenance=provenance.model_dump(),
+    )
+    listener(Progress("calibrate", total, total, "done"))
+    return Calibration(model, arms, pair, tuple(notes), provenance)
+
+
+def provenance_of(profile: Profile) -> Provenance:
+    """The provenance of a model that is made now."""
+    return Provenance(
+        profile=profile.name,
+        seed=profile.seed,
+        program=program_of(profile),
+        python=platform.python_version(),
+        numpy=np.__version__,
+        written=datetime.now(UTC).isoformat(timespec="seconds"),
+    )
+
+
+def missing_splits(
+    profile: Profile, readings: Mapping[str, Readings]
+) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
+    """Splits of readings of which none has one yet, and notes; empty where some have."""
+    if any(word is not None for arm in readings.values() for word in arm.split or ()):
+        return {}, ()
+    return profile_splits(profile, readings)
+
+
+def profile_splits(
+    profile: Profile, readings: Mapping[str, Readings]
+) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
+    """A split for each reading of each arm, the same for all arms at a stop, drawn by the profile's seed; and notes."""
+    splits = profile.splits
+    numbers = np.concatenate([arm.configuration for arm in readings.values()])
+    validate = None if splits.validate_ == "rest" else splits.validate_
+    drawn, notes = draw_splits(numbers, splits.identify, splits.train, validate, profile.seed)
+    words = {name: tuple(drawn[number] for number in arm.configuration.tolist()) for name, arm in readings.items()}
+    return words, notes
+
+
+def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmCalibration, list[str]]:
+    """Identify one arm on its identify split, evaluate it on its validate split; and notes.
+
+    Readings with gross errors are found among all of them and left out of everything, also of the held-out errors.
+    """
+    fitted = _fitted(profile, name, readings)
+    for _ in range(ROUNDS):
+        good = fitted.readings
+        learned = len(good.in_split("identify"))
+        wrong = gross_errors_of_geometry(fitted.identification.geometry, fitted.nominal, good.q, good.p_M, learned)
+        if not wrong.any():
+            break
+        fitted = _fitted(profile, name, good.take(~wrong), robust=True)
+    calibration = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
+    return calibration, _arm_notes(name, calibration, fitted)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fitted:
+    """An arm identified from those of its readings that are not left out, where it began, and its excess scatter."""
+
+    readings: Readings
+    nominal: Geometry
+    identification: Identification
+    excess_m: float
+
+
+def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = False) -> _Fitted:
+    """Identify one arm on its identify split; ``robust`` even where the profile does not ask for it."""
+    identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
+    if len(identify_rows) < 4 or len(validate_rows) < 1:
+        raise InputError(
+            f"arm '{name}': {len(readings)} readings leave {len(identify_rows)} to identify and {len(validate_rows)} to"
+            f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
+        )
+    arm, learn = profile.arms[name], readings.take(identify_rows)
+    nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
+    identification, excess = _identify(profile, name, nominal, learn, robust=robust)
+    return _Fitted(readings, nominal, identification, excess)
+
+
+def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> ArmCalibration:
+    """The calibration of one arm with its held-out errors; ``readings`` are all, with those that were left out."""
+    good, nominal, identification = fitted.readings, fitted.nominal, fitted.identification
+    held_out = good.take(good.in_split("validate"))
+    model = ArmModel(
+        geometry=identification.geometry,
+        nominal=nominal,
+        bodies=bodies_of(arm),
+        up_M=up_M,
+        smr_normal=np.array(arm.smr.normal, dtype=np.float64),
+        identified=identification.estimated.names,
+        covariance=identification.estimated_covariance,
+    )
+    stages: dict[Stage, StageErrors] = {
+        "nominal": evaluate(held_out.p_M, smr_positions(nominal, held_out.q)),
+        "geometry": evaluate(held_out.p_M, smr_positions(identification.geometry, held_out.q)),
+    }
+    left_out = readings.take(~np.isin(readings.configuration, good.configuration))
+    stated = stated_uncertainty(held_out)
+    return ArmCalibration(
+        model=model,
+        identification=identification,
+        excess_m=fitted.excess_m,
+        validate=stages,
+        counts={word: len(good.in_split(word)) for word in SPLITS},
+        repeatability=repeatability(good.q, good.p_M),
+        tracker_mm=None if stated is None else rms_length_mm(stated),
+        left_out=tuple(left_out.configuration.tolist()),
+        left_out_counts={word: len(left_out.in_split(word)) for word in SPLITS} if len(left_out) else {},
+    )
+
+
+def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
+    """What the operator must know of the calibration of one arm."""
+    found, readings = arm.identification, fitted.readings
+    notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
+    if arm.left_out:
+        notes.append(left_out_note(name, arm))
+    notes += _hardly_better(name, arm)
+    moved = station_change(smr_positions(fitted.nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
+    if moved is not None:
+        notes.append(
+            f"arm '{name}': the tracker or the base seems to have been moved before configuration"
+            f" {readings.configuration[moved]}; import the two parts as runs of their own"
+        )
+    return notes
+
+
+def left_out_note(name: str, arm: ArmCalibration) -> str:
+    """Which readings were left out, and how many of those that are held out."""
+    held_out, left_out = arm.counts["validate"], arm.left_out_counts.get("validate", 0)
+    return (
+        f"arm '{name}': {left_out_words(arm.left_out)}; held-out errors are those of {held_out} readings, without"
+        f" {left_out} of these: look at the rows, and measure these configurations again"
+    )
+
+
+def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
+    """A note where the identified geometry predicts hardly better than the nominal one, though the noise is smaller."""
+    nominal, found = arm.validate["nominal"].position_mm, arm.validate["geometry"].position_mm
+    if found.mean < _HARDLY_BETTER * nominal.mean or found.mean < _OF_NOISE * (arm.tracker_mm or 0.0):
+        return []
+    return [
+        f"arm '{name}': the identified geometry is hardly better than the nominal one (mean held-out error"
+        f" {found.mean:.3f} mm, nominal {nominal.mean:.3f} mm): look for readings in other units, swapped rows, another"
+        " arm type or SMR offset, and too few readings, before you use this calibration"
+    ]
+
+
+def _identify(
+    profile: Profile, name: str, nominal: Geometry, learn: Readings, *, robust: bool
+) -> tuple[Identification, float]:
+    """Identify one arm as the profile says; also its excess scatter [m]."""
+    settings = profile.calibration
+    try:
+        return identify_with_excess(
+            nominal,
+            learn.q,
+            learn.p_M,
+            sigma=stated_uncertainty(learn),
+            parameter_set=settings.parameter_set,
+            prior_sigma=prior_sigmas(nominal, settings.priors),
+            robust="tukey" if robust and settings.robust == "none" else settings.robust,
+            tolerance=settings.tolerance,
+            max_iterations=settings.max_iterations,
+        )
+    except TooFewReadings as error:
+        raise InputError(f"arm '{name}': {error}") from None
+    except ValueError as error:
+        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
+
+
+def train_arm(
+    profile: Profile,
+    arm: ArmCalibration,
+    readings: Readings,
+    cancel: CancelToken | None = None,
+    report: Report = ignore_report,
+) -> ArmCalibration:
+    """Train the residual network of an arm in its base frame, and the same in the tracker frame for comparison.
+
+    The training data are the train split, or the identify split where there is no train split.
+    """
+    readings = without(readings, arm.left_out)
+    rows = readings.in_split("train")
+    learn = readings.take(rows if len(rows) else readings.in_split("identify"))
+    held_out = readings.take(readings.in_split("validate"))
+    if len(learn) < 2 * profile.network.folds:
+        return arm
+    rotation = arm.model.geometry.T_M_B()[:3, :3]
+    left_M = learn.p_M - arm.model.predict(learn.q, learn.approach, learn.payload_kg)
+
+    def train(residual: Array, shapes: Sequence[Shape] | None, first: int, frame: str) -> Training:
+        return train_network(
+            learn.q,
+            residual,
+            seed=profile.seed,
+            folds=profile.network.folds,
+            iterations=profile.network.iterations,
+            shapes=shapes,
+            cancel=cancel,
+            report=lambda done, words: report(first + done, f"{frame}: {words}"),
+        )
+
+    training = train(left_M @ rotation, None, 0, "base frame")
+    if training.network is None:
+        return replace(arm, training=training)
+    # the same layer, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
+    in_tracker = train(
+        left_M, (replace(training.shape, rotates_with_joint_1=False),), _BASE_STEPS, "tracker frame"
+    ).network
+    model = replace(arm.model, network=training.network)
+    computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
+    stages: dict[Stage, StageErrors] = {**arm.validate, "network": evaluate(held_out.p_M, computed)}
+    return replace(arm, model=model, validate=stages, training=training, tracker_frame_network=in_tracker)
+
+
+def rms_length_mm(sigma: Array) -> float:
+    """Root mean square length of the stated noise, from sigmas (n,) [m] or covariances (n, 3, 3) [m^2]."""
+    squares = 3.0 * sigma**2 if sigma.ndim == 1 else np.trace(sigma, axis1=1, axis2=2)
+    return float(np.sqrt(squares.mean())) * 1e3

@@ -1,0 +1,88 @@
+"""Error statistics of a model on held-out readings: position errors, ISO 9283 distance errors, repeatability."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from cellapp.estimation.calibration.records import Repeatability
+from cellapp.ground.results import ErrorSummary, StageErrors
+from cellapp.robot.kinematics.transforms import Array
+
+_SAMPLES = 400
+"""Bootstrap samples: they fix the ends of a 95 % interval to a few per cent of its width."""
+_SAME_JOINTS_RAD = 1e-4
+"""Stops whose joints differ by less are the same stop: above a controller's repeatability, below any planned step."""
+
+
+def summarise(errors: Array, means: Array | None = None) -> ErrorSummary:
+    """Statistics in mm of errors (n,) [m].
+
+    ``means`` (samples,) [m] are bootstrapped means, needed where the errors are not independent.
+    """
+    mm = np.abs(errors) * 1e3
+    if means is None:
+        weights = _resampled(len(mm))
+        means = weights @ np.abs(errors) / len(mm)
+    low, high = np.quantile(means, [0.025, 0.975]) * 1e3
+    p50, p95 = np.quantile(mm, [0.5, 0.95])
+    return ErrorSummary(
+        mean=float(mm.mean()),
+        rms=float(np.sqrt(np.mean(mm**2))),
+        std=float(mm.std(ddof=1)) if len(mm) > 1 else 0.0,
+        max=float(mm.max()),
+        p50=float(p50),
+        p95=float(p95),
+        mean_ci95=(float(low), float(high)),
+        n=len(mm),
+    )
+
+
+def _resampled(n: int) -> Array:
+    """Bootstrap weights: how often each of n is drawn in each sample, shape (samples, n)."""
+    return np.random.default_rng(n).multinomial(n, np.full(n, 1.0 / n), size=_SAMPLES).astype(np.float64)
+
+
+def position_errors(measured: Array, computed: Array) -> Array:
+    """Absolute error of each point, ``|P_M - P_C|``, shape (n,) [m]."""
+    return np.asarray(np.linalg.norm(measured - computed, axis=1))
+
+
+def distance_errors(measured: Array, computed: Array) -> Array:
+    """ISO 9283 distance error ``|d_M - d_C|`` of every pair of points (n, 3) of one arm, shape (n, n) [m]."""
+    return np.asarray(np.abs(cdist(measured, measured) - cdist(computed, computed)))
+
+
+def distance_summary(measured: Array, computed: Array) -> ErrorSummary:
+    """Statistics of the distance errors of all pairs; the bootstrap resamples points, as pairs share points."""
+    errors = distance_errors(measured, computed)
+    n = len(measured)
+    weights = _resampled(n)
+    total = np.einsum("sn,sn->s", weights @ errors, weights)
+    different = n * n - np.einsum("sn,sn->s", weights, weights)
+    means = total / np.maximum(different, 1.0)
+    return summarise(errors[np.triu_indices(n, 1)], means)
+
+
+def repeatability(q: Array, p_M: Array) -> Repeatability | None:
+    """Position repeatability of repeated stops (same joints to 0.1 mrad), None where no stop was repeated.
+
+    ISO 9283: mean distance from the barycentre plus three standard deviations, here over all groups of repeats.
+    """
+    _, group = np.unique(np.round(q / _SAME_JOINTS_RAD).astype(np.int64), axis=0, return_inverse=True)
+    group = group.ravel()
+    sizes = np.bincount(group)
+    repeated = sizes[group] > 1
+    if not repeated.any():
+        return None
+    centers = np.stack([np.bincount(group, p_M[:, k]) / sizes for k in range(3)], axis=1)
+    off = np.linalg.norm(p_M - centers[group], axis=1)[repeated] * 1e3
+    return Repeatability(mean=float(off.mean()), rp=float(off.mean() + 3.0 * off.std(ddof=1)), n=len(off))
+
+
+def evaluate(measured: Array, computed: Array) -> StageErrors:
+    """Absolute and distance errors of one model at points (n, 3) [m]; a single point has no distance."""
+    return StageErrors(
+        position_mm=summarise(position_errors(measured, computed)),
+        distance_mm=distance_summary(measured, computed) if len(measured) > 1 else None,
+    )

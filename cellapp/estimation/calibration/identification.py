@@ -1,0 +1,450 @@
+"""Identification of one arm's geometry from SMR positions by weighted nonlinear least squares.
+
+    minimise  sum_i w_i |W_i (P_i - f(q_i; g))|^2 / v + sum_j ((g_j - m_j) / s_j)^2
+
+over the geometry g, with whitening W_i, robust weights w_i, Gaussian priors (mean m_j, standard deviation s_j), and the
+variance v of the whitened residuals, which is estimated: ``v = sum_i w_i |W_i r_i|^2 / (3 n - gamma)``, where gamma is
+the number of parameters that the data determine (MacKay, Neural Comput. 4 (1992) 415). All parameters that can have an
+effect are estimated; what the data do not determine stays near nominal. The table states the *determined* ones, at the
+values that they have when the others are nominal and predictions are the same.
+Effects that are linear in their parameters (``EffectColumns``) are identified jointly with the geometry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from cellapp.estimation.calibration.gauss_newton import Minimum, damped_step, minimise
+from cellapp.estimation.calibration.linear import inverse_diagonal, inverse_psd
+from cellapp.estimation.calibration.normal_equations import (
+    EffectColumns,
+    NormalEquations,
+    Observations,
+    normal_equations,
+    parameter_scale,
+    split_values,
+    with_gradient,
+)
+from cellapp.estimation.calibration.parameters import (
+    ParameterSet,
+    PriorSpread,
+    SetName,
+    determined_set,
+    estimated_parameters,
+    prior_sds,
+    prior_spreads,
+)
+from cellapp.estimation.calibration.weights import RobustName, robust_weights, whitener
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, parameter_names, smr_positions
+from cellapp.robot.kinematics.transforms import Array, register
+
+_LEAST_WEIGHT = 1e-3
+"""Points with a smaller robust weight do not count as degrees of freedom."""
+_SAME_JACOBIAN = 1e-3
+"""Change of the parameters [m at arm's length] up to which the normal matrix of many effects is kept: it changes by
+about as much, relatively. The gradient is that of the present values, so that the solution is the same."""
+_MANY_EFFECTS = 200
+"""Columns of effects from which the normal matrix is kept: those of smooth functions, which priors hold. The lines of a
+law without priors may be nearly singular with few readings, and another matrix then leads elsewhere."""
+_SMALLEST = 1e-300
+"""Keeps a variance above zero."""
+_TRACKER_M = 1e-5
+"""Standard deviation of a coordinate from the tracker alone. Where no uncertainty is stated, one coordinate with this
+scatter is added to those that weigh the priors: with few readings, or without noise, these would lose all weight."""
+
+
+class TooFewReadings(ValueError):
+    """Fewer measured coordinates than parameters."""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Identified parameters of one arm, their uncertainty and the residuals.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        With all estimated values; parameters outside ``estimated`` keep those of the start.
+    estimated : ParameterSet
+        The parameters that were estimated.
+    estimated_covariance : array, shape (K + m, K + m)
+        Of the estimated parameters, then of the effects: for the uncertainty of predictions.
+    prior_sigma : mapping
+        Parameter -> standard deviation of its prior, stated or estimated; none of those without a prior.
+    parameter_set : ParameterSet
+        For the table: the estimated parameters that the data determine, and the others that are merged into them. The
+        estimated ones themselves, unless the set is ``auto``.
+    names, units : tuple of str, length k
+        Of the parameters in the table, geometry first, then effects.
+    values, standard_errors : array, shape (k,)
+        A value is that which the parameter has with the merged ones at nominal and the same predictions.
+    covariance : array, shape (k, k)
+        Of the values, scaled by the scatter of the residuals (``scale``) unless the priors of effects forbid it.
+    effect_values : array, shape (m,)
+        The last m of ``values``.
+    iterations : int
+        Number of steps computed.
+    converged : bool
+    message : str
+        Why the iteration ended.
+    scale : float
+        Root of chi-square per degree of freedom: 1 where the scatter agrees with the stated uncertainty. Without a
+        stated uncertainty, the standard deviation of a coordinate [m].
+    degrees_of_freedom : int
+    residuals : array, shape (n, 3)
+        Measured minus computed position in the tracker frame [m].
+    weights : array, shape (n,)
+        Robust weights; 1 without robust estimation.
+    steps : tuple of float
+        Largest component of each step in metres at arm's length.
+    gram : array, shape (K, K)
+        ``J^T J / n`` of the unweighted Jacobian by the geometric parameters in the table, scaled to metres at arm's
+        length, without priors.
+    configurations : int
+        Number of readings n.
+    """
+
+    geometry: Geometry
+    estimated: ParameterSet
+    estimated_covariance: Array = field(repr=False)
+    prior_sigma: Mapping[str, float] = field(repr=False)
+    parameter_set: ParameterSet
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    standard_errors: Array
+    covariance: Array
+    effect_values: Array
+    iterations: int
+    converged: bool
+    message: str
+    scale: float
+    degrees_of_freedom: int
+    residuals: Array = field(repr=False)
+    weights: Array = field(repr=False)
+    steps: tuple[float, ...]
+    gram: Array = field(repr=False)
+    configurations: int
+
+    @cached_property
+    def singular_values(self) -> Array:
+        """Singular values of the scaled Jacobian divided by root n, in descending order, shape (K,)."""
+        result: Array = np.sqrt(np.clip(np.linalg.eigvalsh(self.gram)[::-1], 0.0, None))
+        return result
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the scaled Jacobian."""
+        s = self.singular_values
+        return float(s[0] / s[-1]) if s[-1] > 0.0 else math.inf
+
+    @property
+    def observability(self) -> dict[str, float]:
+        """Observability indices O1 ... O5 of the scaled Jacobian.
+
+        O1 geometric mean of the singular values (D-optimality), O2 inverse condition number, O3 the smallest singular
+        value (E), O4 noise amplification s_min^2 / s_max, O5 inverse sum of inverse singular values (A).
+        Source: Sun, Hollerbach, ICRA 2008, 831-836; here on the Jacobian scaled to metres and divided by root n.
+        """
+        s = self.singular_values
+        if s[-1] <= 0.0:
+            return {f"O{i}": 0.0 for i in range(1, 6)}
+        return {
+            "O1": float(np.exp(np.mean(np.log(s)))),
+            "O2": float(s[-1] / s[0]),
+            "O3": float(s[-1]),
+            "O4": float(s[-1] ** 2 / s[0]),
+            "O5": float(1.0 / np.sum(1.0 / s)),
+        }
+
+
+def start_from_nominal(nominal: Geometry, q: Array, p_M: Array, *, tool_unknown: bool) -> Geometry:
+    """Initial geometry: the nominal chain with its base registered to the measured points.
+
+    Parameters
+    ----------
+    nominal : Geometry
+        Its base is not used.
+    q : array, shape (n, N)
+        Joint positions [rad].
+    p_M : array, shape (n, 3)
+        Measured SMR positions in the tracker frame [m].
+    tool_unknown : bool
+        Whether the tool is estimated too, jointly with the base, starting from zero.
+    """
+    at_origin = nominal.with_T_M_B(np.eye(4))
+    if not tool_unknown:
+        return nominal.with_T_M_B(register(p_M, smr_positions(at_origin, q)))
+    geometry = replace(at_origin, tool=np.zeros(3))
+    geometry = geometry.with_T_M_B(register(p_M, smr_positions(geometry, q)))
+    count = len(parameter_names(nominal.joints))
+    columns = (*range(3, 6), *range(3), *range(count - 3, count))  # rotations and translations of the base, tool
+    parameters = ParameterSet("base and tool", nominal.joints, columns)
+    return identify(geometry, q, p_M, parameter_set=parameters, max_iterations=200).geometry
+
+
+def identify(
+    start: Geometry,
+    q: Array,
+    p_M: Array,
+    *,
+    sigma: Array | None = None,
+    parameter_set: SetName | ParameterSet = "auto",
+    prior_sigma: Mapping[str, float] | None = None,
+    prior_mean: Geometry | None = None,
+    robust: RobustName = "none",
+    effects: EffectColumns | None = None,
+    tolerance: float = 1e-8,
+    max_iterations: int = 50,
+) -> Identification:
+    """Identify the geometry of one arm.
+
+    Parameters
+    ----------
+    start : Geometry
+        Initial geometry: nominal chain, base near the truth (``start_from_nominal``).
+    q : array, shape (n, N)
+        Joint positions [rad].
+    p_M : array, shape (n, 3)
+        Measured SMR positions in the tracker frame [m].
+    sigma : array, shape (n,) or (n, 3, 3), optional
+        Standard uncertainty of each point [m], or its covariance [m^2]. Equal weights if not given.
+    parameter_set : str or ParameterSet
+        ``auto`` (all, with weak priors on those of the arm), ``paper``, ``full``, or a given set.
+    prior_sigma : mapping, optional
+        Parameter name -> standard deviation about ``prior_mean``. Parameters without an entry are free, unless the set
+        is ``auto``.
+    prior_mean : Geometry, optional
+        Mean of the priors; the start if not given.
+    robust : str
+        ``none``, or ``huber`` or ``tukey`` weights of whole points, scaled by the residuals' median norm.
+    effects : EffectColumns, optional
+        Linear effects that are identified jointly with the geometry.
+    tolerance : float
+        The iteration ends when the next step is at most this large [m at arm's length].
+    max_iterations : int
+
+    Raises
+    ------
+    TooFewReadings
+        If there are fewer coordinates than parameters and not enough priors.
+    """
+    observations = Observations(
+        angles=JointAngles.of(q),
+        q=q,
+        p_M=np.ascontiguousarray(p_M.T),
+        white=None if sigma is None else whitener(sigma),
+        effects=effects,
+    )
+    parameters, priors = (
+        (parameter_set, prior_sigma or {})
+        if isinstance(parameter_set, ParameterSet)
+        else estimated_parameters(parameter_set, start, prior_sigma or {})
+    )
+    precision, mean = _priors(parameters, effects, priors, prior_mean or start)
+    _check_count(len(q), precision)
+    free = set(priors) - set(prior_sigma or {})
+    problem = _Problem(
+        start,
+        observations,
+        parameters,
+        precision,
+        mean,
+        robust,
+        spreads=prior_spreads(parameters, free),
+        tabulated=parameter_set == "auto",
+    )
+    return problem.result(minimise(problem, problem.at_start(), tolerance=tolerance, max_iterations=max_iterations))
+
+
+def _priors(
+    parameters: ParameterSet, effects: EffectColumns | None, sigma: Mapping[str, float], mean: Geometry
+) -> tuple[Array, Array]:
+    """Precision of each prior, 0 without one, and their means, both (k,), in the parameters' units."""
+    precision = 1.0 / prior_sds(parameters, sigma) ** 2
+    of_effects = np.zeros(0 if effects is None else len(effects.names))
+    means = np.concatenate([mean.vector()[list(parameters.columns)], of_effects])
+    if effects is not None and effects.prior_sd is not None:
+        of_effects = 1.0 / effects.prior_sd**2
+    return np.concatenate([precision, of_effects]), means
+
+
+def _check_count(n: int, precision: Array) -> None:
+    k, priors = len(precision), np.count_nonzero(precision)
+    if 3 * n + priors < k or (3 * n <= k and not priors):
+        raise TooFewReadings(
+            f"{n} readings give {3 * n} coordinates for {k} parameters; measure at least {k // 3 + 1} configurations"
+        )
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """Parameter values (k,), the normal equations there, the weights they were made with, precisions of priors (k,).
+
+    ``variance`` multiplies the stated covariance of the readings where it is weighed against the priors. ``moved_m`` is
+    how far the values are from those of the normal matrix [m at arm's length].
+    """
+
+    values: Array
+    normal: NormalEquations
+    weights: Array | None
+    precision: Array
+    variance: float = 1.0
+    moved_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The least-squares problem of ``identify``, for ``gauss_newton.minimise``."""
+
+    start: Geometry
+    observations: Observations
+    parameters: ParameterSet
+    precision: Array
+    """Of the priors (k,), at the start; zero without one."""
+    mean: Array
+    robust: RobustName
+    spreads: tuple[PriorSpread, ...]
+    """Priors whose standard deviations are estimated."""
+    tabulated: bool
+    """Whether the table states only what the data determine."""
+
+    @property
+    def effect_count(self) -> int:
+        effects = self.observations.effects
+        return 0 if effects is None else len(effects.names)
+
+    @property
+    def sigma_is_exact(self) -> bool:
+        """Priors of effects come with a noise level, which is then that of the readings."""
+        effects = self.observations.effects
+        return effects is not None and effects.prior_sd is not None
+
+    def at_start(self) -> _Estimate:
+        values = self.start.vector()[list(self.parameters.columns)]
+        effects = self.observations.effects
+        of_effects = np.zeros(self.effect_count) if effects is None or effects.start is None else effects.start
+        return self._estimate(np.concatenate([values, of_effects]), None, self.precision)
+
+    def _estimate(self, values: Array, weights: Array | None, precision: Array) -> _Estimate:
+        normal = normal_equations(self.start, self.observations, self.parameters, values, weights)
+        return _Estimate(values, normal, weights, precision)
+
+    def reweighted(self, point: _Estimate) -> _Estimate:
+        if self.robust != "none":
+            whitened = self.observations.whiten(point.normal.residuals, 0, self.observations.count)
+            weights = robust_weights(np.linalg.norm(whitened, axis=0), self.robust)
+            point = replace(self._estimate(point.values, weights, point.precision), variance=point.variance)
+        elif point.moved_m > _SAME_JACOBIAN:
+            point = replace(self._estimate(point.values, None, point.precision), variance=point.variance)
+        # Priors are weighed against the present scatter of the readings. Far from the solution, where the scatter is
+        # large, they dominate; near it they only determine what the readings do not.
+        if not point.precision.any() or (self.sigma_is_exact and not self.spreads):
+            return point
+        by_priors = self._by_priors(point)
+        precision = point.precision.copy()
+        for spread in self.spreads:
+            places = spread.places
+            deviations = point.values[places] - self.mean[places]
+            if deviations.any():  # all are zero at the start
+                precision[places] = 1.0 / spread.square(deviations, float(by_priors[places].sum()))
+        if self.sigma_is_exact:
+            return replace(point, precision=precision)
+        expected = _TRACKER_M**2 if self.observations.white is None else 1.0
+        freedom = self._degrees_of_freedom(point, by_priors)
+        return replace(point, precision=precision, variance=(point.normal.cost + expected) / (freedom + 1.0))
+
+    def step(self, point: _Estimate, damping: float) -> tuple[Array, Array]:
+        b = point.normal.b / point.variance + point.precision * (self.mean - point.values)
+        unit = point.normal.unit
+        step = damped_step(_posterior_precision(point, point.variance), unit * b, damping)
+        return unit * step, step
+
+    def moved(self, point: _Estimate, step: Array) -> _Estimate:
+        values = point.values + step
+        if self.robust != "none" or self.effect_count < _MANY_EFFECTS:
+            return replace(self._estimate(values, point.weights, point.precision), variance=point.variance)
+        normal = with_gradient(point.normal, self.start, self.observations, self.parameters, values)
+        moved_m = point.moved_m + float(np.max(np.abs(step * normal.scale)))
+        return replace(point, values=values, normal=normal, moved_m=moved_m)
+
+    def objective(self, point: _Estimate) -> float:
+        return point.normal.cost / point.variance + float(point.precision @ (point.values - self.mean) ** 2)
+
+    def result(self, minimum: Minimum[_Estimate]) -> Identification:
+        point, effects = minimum.point, self.observations.effects
+        normal, n = point.normal, self.observations.count
+        geometry, effect_values = split_values(self.start, self.parameters, point.values)
+        freedom = self._degrees_of_freedom(point, self._by_priors(point))
+        variance = max(normal.cost / freedom, _SMALLEST)
+        covariance = _covariance(point, 1.0 if self.sigma_is_exact else variance)
+        chosen = self._determined(normal.A / point.variance) if self.tabulated else self.parameters
+        to_table, kept = chosen.from_estimated(self.parameters, self.effect_count)
+        in_table = covariance if chosen is self.parameters else to_table @ covariance @ to_table.T
+        of_geometry = kept[: len(chosen.columns)]
+        gram = normal.gram[of_geometry[:, None], of_geometry]
+        scale = parameter_scale(np.diag(gram), n, chosen)
+        return Identification(
+            geometry=geometry,
+            estimated=self.parameters,
+            estimated_covariance=covariance,
+            prior_sigma={
+                name: precision**-0.5
+                for name, precision in zip(self.parameters.names, point.precision.tolist(), strict=False)
+                if precision > 0.0
+            },
+            parameter_set=chosen,
+            names=chosen.names + (() if effects is None else effects.names),
+            units=chosen.units + (() if effects is None else effects.units),
+            values=self.mean[kept] + to_table @ (point.values - self.mean),
+            standard_errors=np.sqrt(np.diag(in_table)),
+            covariance=in_table,
+            effect_values=effect_values,
+            iterations=len(minimum.steps),
+            converged=minimum.converged,
+            message=minimum.message,
+            scale=math.sqrt(variance),
+            degrees_of_freedom=max(1, round(freedom)),
+            residuals=normal.residuals.T,
+            weights=np.ones(n) if point.weights is None else point.weights,
+            steps=minimum.steps,
+            gram=gram / (scale * scale[:, None]) / n,
+            configurations=n,
+        )
+
+    def _determined(self, information: Array) -> ParameterSet:
+        """The estimated parameters of the geometry that readings with ``information`` (K + m, K + m) determine."""
+        size = len(self.parameters.columns)
+        with np.errstate(divide="ignore"):
+            prior_sd = 1.0 / np.sqrt(self.precision[:size])
+        return determined_set(self.parameters, information[:size, :size], prior_sd)
+
+    def _by_priors(self, point: _Estimate) -> Array:
+        """Share (k,) of each parameter that its prior, and not the readings, determines."""
+        if not point.precision.any():
+            return point.precision
+        variances = inverse_diagonal(_posterior_precision(point, point.variance))
+        return np.asarray(point.precision * point.normal.unit**2 * variances)
+
+    def _degrees_of_freedom(self, point: _Estimate, by_priors: Array) -> float:
+        """Measured coordinates less the parameters that they determine."""
+        n = self.observations.count if point.weights is None else int(np.count_nonzero(point.weights > _LEAST_WEIGHT))
+        return max(1.0, 3 * n - len(by_priors) + float(by_priors.sum()))
+
+
+def _covariance(point: _Estimate, variance: float) -> Array:
+    """Covariance (k, k) of all values: the readings' part is scaled by their ``variance``, the priors are not."""
+    unit = point.normal.unit
+    return inverse_psd(_posterior_precision(point, variance)) * (unit * unit[:, None])
+
+
+def _posterior_precision(point: _Estimate, variance: float) -> Array:
+    """Precision (k, k) of the parameters, each in its ``unit``."""
+    H = point.normal.scaled_A / variance
+    H.flat[:: len(H) + 1] += point.precision * point.normal.unit**2
+    return H

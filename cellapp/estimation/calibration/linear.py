@@ -1,0 +1,96 @@
+"""Solving with symmetric positive semi-definite matrices: Cholesky where that is accurate, else truncated eigenvalues.
+
+Least squares with columns ``X`` (d, p) and prior precisions ``P`` needs ``G = X^T X + P``. Redundant parameters make G
+singular. All modules use this rule:
+
+1. Factor ``G = L L^T``. ``L_ii^2 / G_ii`` is the share of column i that columns 1 to i - 1 do not explain (the
+   *tolerance* of regression, the inverse of the variance inflation factor). It does not depend on the columns' units.
+   If every ``L_ii > PIVOT sqrt(G_ii)``, use the factor.
+2. Else decompose ``G = V diag(e) V^T`` and drop eigenvalues below ``EIGENVALUE`` times the largest. This gives the
+   solution of least norm in the caller's scaling: scale parameters to comparable size before (unit columns, or metres
+   at arm's length).
+
+Sources: Golub, Van Loan, Matrix Computations, 4th ed., sections 4.2 and 5.5; van der Sluis, Numer. Math. 14 (1969) 14
+(Cholesky's accuracy does not depend on the scaling of the columns).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import lapack, solve_triangular
+
+from cellapp.robot.kinematics.transforms import Array
+
+PIVOT = 3e-5
+"""Least L_ii / sqrt(G_ii) for which the Cholesky factor is used. The relative error of a solution is about
+eps / PIVOT^2 = 2e-7, a tenth of a nanometre on a correction of a millimetre."""
+EIGENVALUE = 1e-11
+"""Eigenvalues below this share of the largest count as zero: 1e5 eps, above rounding; about PIVOT^2 / 100, so that
+no direction is dropped of a matrix that lies just below the limit for Cholesky."""
+_SMALLEST = 1e-300
+"""Guards divisions by a norm of zero; any size far below that of data and above the smallest float."""
+
+
+def cholesky(gram: Array) -> Array | None:
+    """Lower Cholesky factor of ``gram`` (p, p), zero above the diagonal; None where it would be inaccurate."""
+    factor, failed = lapack.dpotrf(gram, lower=1)
+    if failed or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
+        return None
+    return np.asarray(factor)
+
+
+def solve_psd(gram: Array, rhs: Array) -> Array:
+    """``gram^-1 rhs`` for ``rhs`` (p,) or (p, r); the solution of least norm where ``gram`` (p, p) is singular."""
+    factor = cholesky(gram)
+    if factor is not None:
+        return np.asarray(lapack.dpotrs(factor, rhs, lower=1)[0])
+    values, vectors = _significant(gram)
+    return np.asarray((vectors / values) @ (vectors.T @ rhs))
+
+
+def inverse_psd(gram: Array) -> Array:
+    """Inverse of ``gram`` (p, p); the pseudo-inverse where it is singular."""
+    factor = cholesky(gram)
+    if factor is not None:
+        lower = lapack.dpotri(factor, lower=1)[0]  # leaves the zeros above the diagonal
+        inverse = lower + lower.T
+        np.fill_diagonal(inverse, lower.diagonal())
+        return np.asarray(inverse)
+    values, vectors = _significant(gram)
+    return np.asarray((vectors / values) @ vectors.T)
+
+
+def inverse_diagonal(gram: Array) -> Array:
+    """Diagonal (p,) of the inverse of ``gram`` (p, p)."""
+    factor = cholesky(gram)
+    inverse = inverse_psd(gram) if factor is None else lapack.dpotri(factor, lower=1)[0]
+    return np.asarray(inverse.diagonal())
+
+
+def orthonormal_basis(design: Array, precision: Array | None = None) -> Array:
+    """``Q`` (d, k) with ``Q Q^T = X (X^T X + P)^-1 X^T``; its columns are orthonormal where there are no priors.
+
+    Parameters
+    ----------
+    design : array, shape (d, p)
+        Columns X.
+    precision : array, shape (p,), optional
+        Diagonal of P: inverse prior variances, zero without a prior.
+    """
+    scale = 1.0 / np.maximum(np.linalg.norm(design, axis=0), _SMALLEST)
+    scaled = design * scale
+    gram = scaled.T @ scaled
+    if precision is not None:
+        gram = gram + np.diag(precision * scale**2)
+    factor = cholesky(gram)
+    if factor is not None:
+        return np.ascontiguousarray(solve_triangular(factor, scaled.T, lower=True, check_finite=False).T)
+    values, vectors = _significant(gram)
+    return np.asarray(scaled @ (vectors / np.sqrt(values)))
+
+
+def _significant(gram: Array) -> tuple[Array, Array]:
+    """Eigenvalues (k,) that count and their vectors (p, k)."""
+    values, vectors = np.linalg.eigh(gram)
+    kept = values > EIGENVALUE * values[-1]
+    return values[kept], vectors[:, kept]

@@ -1,0 +1,308 @@
+"""Residuals of the measurement model, their Jacobian and the weighted normal equations.
+
+The model of one reading is ``P_i = f(q_i + sum_j beta_j o_ij; g) + sum_j beta_j s_ij``: geometry g, and effects that
+are linear in their parameters beta, each an offset o of a joint or a shift s of the SMR. Readings are taken in chunks,
+so that memory does not grow with their number.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.parameters import ParameterSet, gram_matrix
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.workspace import Workspace
+
+_CHUNK = 2048
+"""Configurations per chunk: the Jacobian of one chunk (3 x 40 x 2048 floats, 2 MB) stays in the cache."""
+
+
+@dataclass(frozen=True)
+class EffectColumns:
+    """Effects that are linear in their parameters: columns that offset a joint first, then those that shift the SMR.
+
+    Attributes
+    ----------
+    names, units : tuple of str, length m
+    joints : array, shape (k,), k <= m
+        Joint that each of the first k columns offsets, from 0.
+    offsets : array, shape (k, n)
+        Joint offset per unit of the parameter [rad].
+    shifts_M : array, shape (m - k, 3, n)
+        Shift of the SMR per unit of the other parameters, in the tracker frame [m].
+    prior_sd : array, shape (m,), optional
+        Standard deviation of a zero-mean prior in each parameter's unit, infinite without a prior. Where it is given,
+        the stated uncertainty of the readings is taken as exact and is not rescaled by their scatter.
+    start : array, shape (m,), optional
+        Values from which the iteration begins; zero without.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    joints: NDArray[np.intp]
+    offsets: Array
+    shifts_M: Array
+    prior_sd: Array | None = None
+    start: Array | None = None
+
+    def take(self, rows: NDArray[np.intp]) -> EffectColumns:
+        """The columns at some of the configurations."""
+        return replace(self, offsets=self.offsets[:, rows], shifts_M=self.shifts_M[:, :, rows])
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Readings in the layout of the kinematics, component first and configurations last.
+
+    Attributes
+    ----------
+    angles : JointAngles
+        Joint positions of the n configurations.
+    q : array, shape (n, N)
+        Joint positions [rad].
+    p_M : array, shape (3, n)
+        Measured SMR positions in the tracker frame [m].
+    white : array, shape (3, 3, n) or (n,), or None
+        Whitening factors (``weights.whitener``); None for equal weights.
+    effects : EffectColumns or None
+    workspace : Workspace
+        Holds the Jacobian of one chunk at a time.
+    """
+
+    angles: JointAngles
+    q: Array
+    p_M: Array
+    white: Array | None
+    effects: EffectColumns | None
+    workspace: Workspace = field(default_factory=Workspace, repr=False, compare=False)
+
+    @cached_property
+    def common_white(self) -> float | None:
+        """Whitening factor that all coordinates share; None where they differ."""
+        if self.white is None:
+            return 1.0
+        first = float(self.white.flat[0])
+        return first if self.white.ndim == 1 and bool(np.all(self.white == first)) else None
+
+    @property
+    def count(self) -> int:
+        """Number of readings n."""
+        return self.angles.count
+
+    def chunks(self) -> Iterator[tuple[int, int]]:
+        """First and one past the last configuration of each chunk."""
+        for first in range(0, self.count, _CHUNK):
+            yield first, min(first + _CHUNK, self.count)
+
+    def angles_with(self, beta: Array, first: int, last: int) -> JointAngles:
+        """Joint positions of a chunk after the effects' offsets."""
+        if self.effects is None or not len(self.effects.joints):
+            return self.angles.part(first, last)
+        q = self.q[first:last].copy()
+        joints, offsets = self.effects.joints, self.effects.offsets[:, first:last]
+        for joint in np.unique(joints):
+            columns = np.flatnonzero(joints == joint)
+            q[:, joint] += beta[columns] @ offsets[columns]
+        return JointAngles.of(q)
+
+    def shift(self, beta: Array, first: int, last: int) -> Array | None:
+        """Shift of the SMR by the effects in a chunk, (3, last - first) [m]; None without such effects."""
+        if self.effects is None or not len(self.effects.shifts_M):
+            return None
+        shifts = self.effects.shifts_M[:, :, first:last]
+        return np.asarray(np.tensordot(beta[len(self.effects.joints) :], shifts, axes=1))
+
+    def left(self, P: Array, beta: Array, first: int, last: int) -> Array:
+        """Measured less computed SMR positions of a chunk (3, last - first), ``P`` those without shifts [m]."""
+        shift = self.shift(beta, first, last)
+        left = self.p_M[:, first:last] - P
+        return left if shift is None else left - shift
+
+    def weigh(self, white: Array, first: int, last: int) -> Array:
+        """Whitened vectors (3, last - first) times the transposed whitening: W^T W times the vectors before."""
+        if self.white is None:
+            return white
+        factors = self.white[..., first:last]
+        return white * factors if factors.ndim == 1 else np.einsum("acn,an->cn", factors, white)
+
+    def whiten(self, vectors: Array, first: int, last: int, out: Array | None = None) -> Array:
+        """Vectors (3, ..., last - first) in units of their standard uncertainty, in ``out`` if that is given.
+
+        Without whitening, the vectors themselves.
+        """
+        if self.white is None:
+            return vectors
+        white = self.white[..., first:last]
+        if white.ndim == 1:
+            return np.multiply(vectors, white, out=out)
+        out = np.empty_like(vectors) if out is None else out
+        for row in range(3):  # white is lower triangular
+            np.multiply(white[row, 0], vectors[0], out=out[row])
+            for column in range(1, row + 1):
+                out[row] += white[row, column] * vectors[column]
+        return out
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Computed SMR positions ``P`` (3, n) [m] and their Jacobian ``J`` (3, k, n)."""
+
+    P: Array
+    J: Array
+
+    def part(self, first: int, last: int) -> Linearisation:
+        """The same for one chunk of the configurations."""
+        if last - first == self.P.shape[1]:
+            return self
+        return Linearisation(self.P[:, first:last], self.J[:, :, first:last])
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Normal equations at one set of parameter values.
+
+    Attributes
+    ----------
+    A : array, shape (k, k)
+        ``sum J^T W J`` over whitened and weighted readings.
+    b : array, shape (k,)
+        ``sum J^T W r``.
+    gram : array, shape (K, K)
+        ``sum J^T J`` of the K geometric parameters without whitening and weights.
+    cost : float
+        ``sum r^T W r``.
+    scale : array, shape (k,)
+        Root mean square displacement of the SMR per unit of each parameter, one value for all rotations of the
+        geometry [m/rad, m/m]. It scales parameters to metres at arm's length.
+    residuals : array, shape (3, n)
+        Measured minus computed SMR positions [m].
+    """
+
+    A: Array
+    b: Array
+    gram: Array
+    cost: float
+    scale: Array
+    residuals: Array
+
+    @cached_property
+    def unit(self) -> Array:
+        """Amount (k,) of each parameter that moves the SMR by one metre at arm's length."""
+        return 1.0 / self.scale
+
+    @cached_property
+    def scaled_A(self) -> Array:
+        """``A`` (k, k) with each parameter in its ``unit``."""
+        return self.A * (self.unit * self.unit[:, None])
+
+
+def split_values(start: Geometry, parameters: ParameterSet, values: Array) -> tuple[Geometry, Array]:
+    """The geometry with the identified parameters set to the first of ``values`` (k,), and the effects' values."""
+    vector = start.vector()
+    size = len(parameters.columns)
+    vector[list(parameters.columns)] = values[:size]
+    return start.with_vector(vector), values[size:]
+
+
+def normal_equations(
+    start: Geometry,
+    observations: Observations,
+    parameters: ParameterSet,
+    values: Array,
+    weights: Array | None,
+    linearised: Linearisation | None = None,
+) -> NormalEquations:
+    """Normal equations at ``values`` (k,) with robust ``weights`` (n,).
+
+    ``linearised`` saves the evaluation where it is known; it covers all readings.
+    """
+    geometry, beta = split_values(start, parameters, values)
+    k, size = len(values), len(parameters.columns)
+    A, b, gram, cost = np.zeros((k, k)), np.zeros(k), np.zeros((size, size)), 0.0
+    squares = np.zeros(k)
+    residuals = np.empty((3, observations.count))
+    common = observations.common_white if weights is None else None
+    for first, last in observations.chunks():
+        if linearised is None:
+            model = _linearise(geometry, observations, parameters, beta, first, last)
+        else:
+            model = linearised.part(first, last)
+        J = model.J
+        r = residuals[:, first:last] = observations.left(model.P, beta, first, last)
+        if common is None:
+            gram += gram_matrix(J[:, :size])
+            squares[size:] += np.einsum("akn,akn->k", J[:, size:], J[:, size:])
+            (white,) = observations.workspace.arrays("white", (k, 3, last - first))
+            white = white.swapaxes(0, 1)
+            J, r = observations.whiten(J, first, last, out=white), observations.whiten(r, first, last)
+            if weights is not None:
+                root = np.sqrt(weights[first:last])
+                J, r = np.multiply(J, root, out=white), r * root
+        A += gram_matrix(J)
+        b += J.swapaxes(0, 1).reshape(k, -1) @ r.ravel()
+        cost += float(np.vdot(r, r))
+    if common is None:
+        squares[:size] = gram.diagonal()
+    else:
+        gram, squares = A[:size, :size], A.diagonal()
+        A, b, cost = A * common**2, b * common**2, cost * common**2
+    scale = parameter_scale(squares, observations.count, parameters)
+    return NormalEquations(A, b, gram, cost, scale, residuals)
+
+
+def with_gradient(
+    near: NormalEquations, start: Geometry, observations: Observations, parameters: ParameterSet, values: Array
+) -> NormalEquations:
+    """Residuals and gradient at ``values`` (k,) without robust weights, with the normal matrix of a point nearby.
+
+    Costs as much as the residuals: the effects' columns are not multiplied out.
+    """
+    geometry, beta = split_values(start, parameters, values)
+    effects = observations.effects
+    b, cost, residuals = np.zeros(len(values)), 0.0, np.empty((3, observations.count))
+    size = len(parameters.columns)
+    for first, last in observations.chunks():
+        angles = observations.angles_with(beta, first, last)
+        P, J = jacobian(geometry, angles, parameters.columns, observations.workspace)
+        r = residuals[:, first:last] = observations.left(P, beta, first, last)
+        white = observations.whiten(r, first, last)
+        cost += float(np.vdot(white, white))
+        weighed = observations.weigh(white, first, last)
+        b[:size] += np.einsum("akn,an->k", J, weighed)
+        if effects is not None:
+            _, by_joint = joint_jacobian(geometry, angles)
+            torque = np.einsum("ajn,an->jn", by_joint, weighed)
+            last_offset = size + len(effects.joints)
+            b[size:last_offset] += np.einsum("kn,kn->k", effects.offsets[:, first:last], torque[effects.joints])
+            b[last_offset:] += np.einsum("kan,an->k", effects.shifts_M[:, :, first:last], weighed)
+    return replace(near, b=b, cost=cost, residuals=residuals)
+
+
+def _linearise(
+    geometry: Geometry, observations: Observations, parameters: ParameterSet, beta: Array, first: int, last: int
+) -> Linearisation:
+    angles, effects = observations.angles_with(beta, first, last), observations.effects
+    P, J = jacobian(geometry, angles, parameters.columns, observations.workspace)
+    if effects is not None:
+        _, by_joint = joint_jacobian(geometry, angles)
+        by_offset = effects.offsets[:, None, first:last] * by_joint.swapaxes(0, 1)[effects.joints]
+        J = np.concatenate([J.swapaxes(0, 1), by_offset, effects.shifts_M[:, :, first:last]]).swapaxes(0, 1)
+    return Linearisation(P, J)
+
+
+def parameter_scale(squares: Array, count: int, parameters: ParameterSet) -> Array:
+    """``NormalEquations.scale`` from the sums of squares (k,) of J; 1 for translations of the geometry."""
+    mean_square = np.maximum(squares / count, 1e-30)  # a parameter without effect must not divide by zero
+    scale = np.ones(len(squares))
+    rotations, size = parameters.rotations, len(parameters.columns)
+    if rotations:
+        scale[:rotations] = math.sqrt(float(mean_square[:rotations].sum()) / rotations)
+    scale[size:] = np.sqrt(mean_square[size:])
+    return scale

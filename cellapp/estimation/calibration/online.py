@@ -1,0 +1,480 @@
+"""Identification of one arm while its stops are measured: a new estimate and its standard errors after every stop.
+
+Between renewals the measurement model is linear about one geometry, and a new reading is a step of recursive least
+squares. A renewal linearises all readings again at the present estimate. Renewals follow a growing schedule, and come
+at once where the estimate has left the range in which the linear model holds.
+
+Few readings do not determine all parameters. Priors about the nominal arm then do, as in ``identification``. The
+weights are those of ``arm_identification``: stated covariance plus the excess variance that unmodelled physics leaves.
+A gross error (a wrong target) gets no weight.
+
+Predictions come from a second model with the same geometry and the joints' compliance under gravity. The first model
+is what ``calibrate`` identifies; on a UR10 gravity leaves it residuals of half a millimetre, which hide a loose SMR.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.normal_equations import Linearisation, Observations, normal_equations
+from cellapp.estimation.calibration.online_model import GROSS, LinearModel, StoredReadings, excess_of, gross_weights
+from cellapp.estimation.calibration.parameters import (
+    ParameterSet,
+    SetName,
+    auto_set,
+    estimated_parameters,
+    gram_matrix,
+    prior_sds,
+    prior_spreads,
+    weak_priors,
+)
+from cellapp.estimation.calibration.weights import RobustName, robust_weights, whitener
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import StopReport
+from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian
+from cellapp.robot.kinematics.statics import Bodies, gravity_loads
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
+
+_TOOL_PRIOR_M = 20e-3
+"""Standard deviation of the SMR offset: an adapter measured with a ruler."""
+_UNKNOWN_TOOL_PRIOR_M = 0.3
+"""The same for an offset that the profile calls unknown: any adapter."""
+_OFF_AXIS = np.array([0.05, 0.03, 0.05])
+"""Any SMR offset [m] that is not on the last axis: on it, fewer parameters would be identifiable."""
+_FIRST_READINGS = 4
+"""Readings from which the base is found. Three determine it; a fourth shows whether they fit."""
+_LEAST_SPREAD_M = 0.05
+"""Least rms distance of the first points from their common line: with errors of some millimetres, the base is then
+known to 0.1 rad, from where Gauss-Newton steps converge."""
+_REGISTERED_AGAIN = (8, 16)
+"""Numbers of readings with which the base is registered again: the first four may have been a poor start."""
+_GROWTH = 1.2
+"""Growth of the number of readings between renewals: 20 renewals up to 400 readings."""
+_LINEAR = 1e-3
+"""Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 1 um, and
+standard errors are far larger as long as single readings change the estimate by this much."""
+_STEPS = 4
+"""Most Gauss-Newton steps of a renewal; one is enough after the first readings."""
+_FIRST_EXCESS_M = 1e-4
+"""Excess standard deviation of a coordinate until the readings tell it: what gravity and backlash leave in UR arms."""
+_LEAST_FREEDOM = 10.0
+"""Degrees of freedom from which the excess is estimated."""
+_GRAM_VALID = 2e-3
+"""Largest change of a parameter [m or rad] for one Jacobian of the planned stops; it changes by about as much."""
+_COMPLIANCE_PRIOR = 5e-5
+"""Standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
+_PLANNED_RAD = 0.01
+"""Joint positions nearer than this to the planned ones have the same gravity torques, to a percent."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Where the model expects an SMR.
+
+    Attributes
+    ----------
+    p_M : array, shape (3,)
+        [m]
+    covariance_M : array, shape (3, 3)
+        From the parameters alone [m^2].
+    scatter_m : float
+        Standard deviation of a measured coordinate about the model [m].
+    """
+
+    p_M: Array
+    covariance_M: Array
+    scatter_m: float
+
+    @property
+    def sigma_m(self) -> float:
+        """Standard uncertainty of the distance between the SMR that will be measured and ``p_M`` [m]."""
+        return math.sqrt(float(np.trace(self.covariance_M)) + 3.0 * self.scatter_m**2)
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """A reading against the model that did not know it yet.
+
+    Attributes
+    ----------
+    stop : int
+    p_M : array, shape (3,)
+        Measured SMR position [m].
+    off_M : array, shape (3,)
+        Measured minus predicted position [m].
+    covariance_M : array, shape (3, 3)
+        Of ``off_M``: parameters, stated noise, excess scatter [m^2].
+    R_M_F : array, shape (3, 3)
+        Rotation of the flange.
+    scatter_m : float
+        Standard deviation of a coordinate about the model [m].
+    freedom : float
+        Degrees of freedom from which the scatter was estimated.
+    """
+
+    stop: int
+    p_M: Array
+    off_M: Array
+    covariance_M: Array
+    R_M_F: Array
+    scatter_m: float
+    freedom: float
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Masses of the arm and the direction (3,) against gravity in the tracker frame, for its joint compliance."""
+
+    bodies: Bodies
+    up_M: Array
+
+
+def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
+    """The fit of an arm as the profile's calibration section asks; ``planned_q`` (n, N) [rad] are the planned stops."""
+    arm, settings = profile.arms[name], profile.calibration
+    nominal = nominal_arm(arm)
+    return OnlineFit(
+        name,
+        nominal,
+        planned_q,
+        parameter_set=settings.parameter_set,
+        prior_sigma=prior_sigmas(nominal, settings.priors),
+        robust=settings.robust,
+        tool_unknown=arm.smr.offset == "unknown",
+        gravity=Gravity(bodies_of(arm), up_in_tracker(profile)),
+    )
+
+
+class OnlineFit:
+    """The geometry of one arm, refitted after every stop. It has no model until ``ready``.
+
+    Parameters
+    ----------
+    arm : str
+        Name, for the reports.
+    nominal : Geometry
+        Nominal chain; its base is not used.
+    planned_q : array, shape (n, N)
+        Joint positions [rad] of the planned stops, over which the uncertainty of a prediction is averaged.
+    parameter_set : str
+        ``auto``, ``paper`` or ``full``. Redundant parameters of ``full`` are held by the priors.
+    prior_sigma : mapping, optional
+        Parameter -> standard deviation about the nominal one, instead of those of ``estimated_parameters``.
+    robust : str
+        ``none``, ``huber`` or ``tukey``; these weights are renewed with the linearisation.
+    tool_unknown : bool
+        Whether the SMR offset is unknown.
+    gravity : Gravity, optional
+        Without it, predictions do not know joint compliance.
+
+    Raises
+    ------
+    InputError
+        If the parameter set is not for this arm.
+    """
+
+    def __init__(
+        self,
+        arm: str,
+        nominal: Geometry,
+        planned_q: Array,
+        *,
+        parameter_set: SetName = "auto",
+        prior_sigma: Mapping[str, float] | None = None,
+        robust: RobustName = "none",
+        tool_unknown: bool = False,
+        gravity: Gravity | None = None,
+    ) -> None:
+        self.arm = arm
+        self.innovation: Innovation | None = None
+        """The newest reading against the model before it; None where there was none."""
+        self._nominal, self._tool_unknown, self._robust = nominal, tool_unknown, robust
+        typical = replace(nominal, tool=_OFF_AXIS) if tool_unknown else nominal
+        given = prior_sigma or {}
+        try:
+            self._parameters, priors = estimated_parameters(parameter_set, typical, given)
+        except ValueError as error:
+            raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
+        self._table = auto_set(typical, planned_q) if parameter_set == "auto" else self._parameters
+        weak = {**weak_priors(nominal.joints), **_tool_priors(tool_unknown=tool_unknown)}
+        self._precision = 1.0 / prior_sds(self._parameters, weak | dict(priors)) ** 2
+        self._spreads = prior_spreads(self._parameters, set(priors) - set(given))
+        self._rows = _Rows(self._parameters, planned_q, gravity)
+        self._readings = StoredReadings(nominal.joints)
+        self._models: _Models | None = None
+        self._next_renewal = 0
+
+    @property
+    def count(self) -> int:
+        """Number of readings."""
+        return self._readings.count
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is a model: after four readings, if their points are spread."""
+        return self._models is not None
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """The present estimate, without compliance."""
+        return None if self._models is None else self._estimate(self._models)
+
+    @property
+    def scatter_m(self) -> float | None:
+        """Standard deviation of a measured coordinate about the geometry alone [m]."""
+        return None if self._models is None else self._models.geometry.scatter_m
+
+    def predict(self, stop: int, q: Array) -> Prediction | None:
+        """Where the SMR is expected at ``q`` (N,) [rad], at or near a planned stop; None without a model."""
+        if self._models is None:
+            return None
+        model = self._models.predicting
+        row = self._rows.at(self._models.origin, stop, q)
+        return Prediction(row.P + row.J @ model.step, row.J @ model.covariance @ row.J.T, model.scatter_m)
+
+    def add(self, stop: int, q: Array, p_M: Array, covariance_M: Array | None = None) -> StopReport | None:
+        """Refit with one reading: ``q`` (N,) [rad], ``p_M`` (3,) [m], ``covariance_M`` (3, 3) [m^2].
+
+        None while there is no model.
+        """
+        self._readings.append(q, p_M, covariance_M)
+        self.innovation = None
+        if self._models is not None:
+            self._insert(self._models, stop, q, p_M)
+        if self._models is None or self.count in _REGISTERED_AGAIN:
+            self._renew(registered=True)
+        elif self.count >= self._next_renewal or self._models.geometry.moved > _LINEAR:
+            self._renew()
+        return self._report(stop, q, p_M)
+
+    def add_all(
+        self, stops: Sequence[int], q: Array, p_M: Array, covariance_M: Array | None = None
+    ) -> StopReport | None:
+        """Refit with stored readings: ``q`` (n, N) [rad], ``p_M`` (n, 3) [m], ``covariance_M`` (n, 3, 3), NaN: none.
+
+        The report is that of the last one.
+        """
+        if not len(stops):
+            return None
+        for row in range(len(stops)):
+            self._readings.append(q[row], p_M[row], None if covariance_M is None else covariance_M[row])
+        self.innovation = None
+        self._renew(registered=True)
+        return self._report(stops[-1], q[-1], p_M[-1])
+
+    def _report(self, stop: int, q: Array, p_M: Array) -> StopReport | None:
+        if self._models is None:
+            return None
+        origin, model = self._models.origin, self._models.geometry
+        row = self._rows.at(origin, stop, q)
+        residual = p_M - row.P - row.J[:, : len(model.step)] @ model.step
+        mean_square = max(float(np.vdot(self._rows.planned_gram(origin), model.covariance)), 0.0)
+        return StopReport(
+            stop=stop,
+            arm=self.arm,
+            residual_mm=1e3 * float(np.linalg.norm(residual)),
+            standard_error_mm=1e3 * math.sqrt(mean_square),
+            parameter_errors=self._parameter_errors(model.covariance),
+        )
+
+    def _parameter_errors(self, covariance: Array) -> dict[str, float]:
+        """Standard errors of the parameters that the planned stops determine, the others being nominal."""
+        determined = np.isin(self._parameters.columns, self._table.columns)
+        kept, rest = covariance[determined][:, determined], covariance[~determined]
+        by_rest = np.linalg.solve(rest[:, ~determined], rest[:, determined])
+        variances = np.diag(kept) - np.sum(rest[:, determined] * by_rest, axis=0)
+        errors = np.sqrt(np.maximum(variances, 0.0)).tolist()  # rounding may leave less than zero
+        return dict(zip(self._table.names, errors, strict=True))
+
+    def _estimate(self, models: _Models) -> Geometry:
+        vector = models.origin.vector()
+        vector[list(self._parameters.columns)] += models.geometry.step
+        return models.origin.with_vector(vector)
+
+    def _insert(self, models: _Models, stop: int, q: Array, p_M: Array) -> None:
+        """Add the newest reading to both models, unless it is a gross error."""
+        row = self._rows.at(models.origin, stop, q)
+        J, off, stated, model = row.J, p_M - row.P, self._readings.newest_stated(), models.predicting
+        innovation, expected = model.innovation(J, off, stated)
+        self.innovation = Innovation(stop, p_M, innovation, expected, row.R_M_F, model.scatter_m, model.freedom)
+        if innovation @ np.linalg.solve(expected, innovation) <= GROSS**2:
+            model.add(J, off, stated)
+            models.geometry.add(J[:, : len(self._precision)], off, stated)
+
+    def _renew(self, *, registered: bool = False) -> None:
+        """Linearise all readings at the present estimate, or, ``registered``, from the nominal arm again."""
+        start = self._registered() if registered else self.geometry
+        if start is None:
+            return
+        before = None if registered else self._models
+        for _ in range(_STEPS):
+            self._models = before = self._linearised(start, before)
+            if before.geometry.moved <= _LINEAR:
+                break
+            start = self._estimate(before)
+        self._next_renewal = math.ceil(_GROWTH * self.count)
+
+    def _registered(self) -> Geometry | None:
+        """The nominal arm with its base at the points; None if they are too few or nearly on one line."""
+        q, p_M = self._readings.q, self._readings.p_M
+        if len(q) < _FIRST_READINGS:
+            return None
+        spread = np.linalg.svd(p_M - p_M.mean(axis=0), compute_uv=False)[1] / math.sqrt(len(q))
+        if spread < _LEAST_SPREAD_M:
+            return None
+        return start_from_nominal(self._nominal, q, p_M, tool_unknown=self._tool_unknown)
+
+    def _linearised(self, origin: Geometry, before: _Models | None) -> _Models:
+        """Both models at ``origin``; their weights follow from the residuals that the models ``before`` leave."""
+        readings, k = self._readings, len(self._precision)
+        P, J = self._rows.of(origin, readings.q)
+        off, stated = readings.p_M - P.T, readings.stated()
+        both = []
+        for which, columns in enumerate((J[:, :k], J)):
+            weighting = _Weighting(np.ones(readings.count), _FIRST_EXCESS_M**2, 1.0)
+            if before is not None:
+                model = (before.geometry, before.predicting)[which]
+                step = model.step.copy()
+                step[:k] += (before.origin.vector() - origin.vector())[list(self._parameters.columns)]
+                weighting = self._weighting(model, off - columns.transpose(2, 0, 1) @ step, stated)
+            both.append(self._solved(origin, P, columns, weighting))
+        return _Models(origin, both[0], both[1])
+
+    def _weighting(self, model: LinearModel, residuals: Array, stated: Array) -> _Weighting:
+        """Weights of the readings from the residuals (n, 3) [m] that ``model`` leaves."""
+        weights, excess = gross_weights(residuals, stated, model.excess), model.excess
+        if model.freedom >= _LEAST_FREEDOM:
+            excess = excess_of(residuals, stated, weights, model.freedom)
+        if self._robust != "none":
+            white = whitener(stated + excess * np.eye(3))
+            weights = weights * robust_weights(
+                np.linalg.norm(np.einsum("ijn,nj->ni", white, residuals), axis=1), self._robust
+            )
+        return _Weighting(weights, excess, model.variance)
+
+    def _solved(self, origin: Geometry, P: Array, J: Array, weighting: _Weighting) -> LinearModel:
+        """The model with the Jacobian ``J`` (3, k + m, n): geometry first, then compliances."""
+        readings, k = self._readings, len(self._precision)
+        stated = readings.stated()
+        white = whitener(stated + weighting.excess * np.eye(3))
+        observations = Observations(JointAngles.of(readings.q), readings.q, readings.p_M.T, white, None)
+        extra = J.shape[1] - k
+        columns = list(self._parameters.columns)
+        values = np.concatenate([origin.vector()[columns], np.zeros(extra)])
+        linear = Linearisation(P, J)
+        normal = normal_equations(origin, observations, self._parameters, values, weighting.weights, linear)
+        model = LinearModel(
+            A=normal.A,
+            b=normal.b,
+            cost=normal.cost,
+            scale=normal.scale,
+            precision=np.concatenate([self._precision, np.full(extra, _COMPLIANCE_PRIOR**-2)]),
+            prior_step=np.concatenate([self._nominal.vector()[columns], np.zeros(extra)]) - values,
+            used=int(np.count_nonzero(weighting.weights)),
+            excess=weighting.excess,
+            mean_stated=float(np.trace(stated, axis1=1, axis2=2).mean()) / 3.0,
+            variance=weighting.variance,
+        )
+        model.solve()
+        deviations, by_priors = model.step - model.prior_step, model.precision * np.diag(model.covariance)
+        for spread in self._spreads:
+            square = spread.square(deviations[spread.places], float(by_priors[spread.places].sum()))
+            model.precision[spread.places] = 1.0 / square
+        model.solve()  # with the scatter that the first solution left, and the spread that it found
+        return model
+
+
+@dataclass(frozen=True)
+class _Models:
+    """The geometry alone, and the geometry with compliance, for predictions; both linear about ``origin``."""
+
+    origin: Geometry
+    geometry: LinearModel
+    predicting: LinearModel
+
+
+@dataclass(frozen=True)
+class _Weighting:
+    """Weights (n,) of the readings, excess variance of a coordinate [m^2], chi-square per degree of freedom."""
+
+    weights: Array
+    excess: float
+    variance: float
+
+
+@dataclass(frozen=True)
+class _Row:
+    """SMR position (3,), its derivatives (3, k + m) and the rotation of the flange (3, 3) at one stop."""
+
+    origin: Geometry
+    q: Array
+    P: Array
+    J: Array
+    R_M_F: Array
+
+
+class _Rows:
+    """SMR positions and their derivatives by the parameters (k), then by the compliances of the joints (m)."""
+
+    def __init__(self, parameters: ParameterSet, planned_q: Array, gravity: Gravity | None) -> None:
+        self._gravity, self._planned_q, self._planned = gravity, planned_q, JointAngles.of(planned_q)
+        joints, k = parameters.joints, len(parameters.columns)
+        of_joints = [6 + 5 * joint for joint in range(joints)]
+        of_tool = list(range(6 + 5 * joints, 9 + 5 * joints))
+        missing = [column for column in of_joints + of_tool if column not in parameters.columns]
+        self._columns, self._k = (*parameters.columns, *missing), k
+        self._joints, self._tool = ([self._columns.index(c) for c in group] for group in (of_joints, of_tool))
+        self._gram_at: Array | None = None
+        self._gram, self._torques = np.zeros((k, k)), np.zeros((0, joints))
+        self._last: _Row | None = None
+
+    def of(self, origin: Geometry, q: Array) -> tuple[Array, Array]:
+        """SMR positions (3, n) [m] and their derivatives (3, k + m, n) at joint positions ``q`` (n, N) [rad]."""
+        P, J = jacobian(origin, JointAngles.of(q), self._columns)
+        return P, self._with_compliances(J, None if self._gravity is None else self._torques_of(origin, q))
+
+    def at(self, origin: Geometry, stop: int, q: Array) -> _Row:
+        """The same at one stop; the last one is kept."""
+        last = self._last
+        if last is None or last.origin is not origin or not np.array_equal(last.q, q):
+            P, J = jacobian(origin, JointAngles.of(q[None]), self._columns)
+            torques = None
+            if self._gravity is not None:
+                planned = 0 <= stop < len(self._torques) and np.abs(self._planned_q[stop] - q).max() < _PLANNED_RAD
+                torques = self._torques[stop : stop + 1] if planned else self._torques_of(origin, q[None])
+            row = self._with_compliances(J, torques)[:, :, 0]
+            self._last = last = _Row(origin, q.copy(), P[:, 0], np.ascontiguousarray(row), J[:, self._tool, 0])
+        return last
+
+    def _with_compliances(self, J: Array, torques: Array | None) -> Array:
+        """Columns of the parameters, then of the compliances at gravity torques (n, N) [Nm] if there are any."""
+        if torques is None:
+            return J[:, : self._k]
+        return np.concatenate([J[:, : self._k], J[:, self._joints] * torques.T], axis=1)
+
+    def planned_gram(self, origin: Geometry) -> Array:
+        """Mean of ``J^T J`` (k, k) over the planned stops; renewed where the geometry has changed much."""
+        vector = origin.vector()
+        if self._gram_at is None or np.max(np.abs(vector - self._gram_at)) > _GRAM_VALID:
+            _, J = jacobian(origin, self._planned, self._columns[: self._k])
+            self._gram, self._gram_at = gram_matrix(J) / self._planned.count, vector
+            if self._gravity is not None:
+                self._torques = self._torques_of(origin, self._planned_q)
+        return self._gram
+
+    def _torques_of(self, origin: Geometry, q: Array) -> Array:
+        """Gravity torques (n, N) [Nm]."""
+        assert self._gravity is not None
+        return gravity_loads(frame_poses(origin, q), self._gravity.bodies, self._gravity.up_M).joint_torques()
+
+
+def _tool_priors(*, tool_unknown: bool) -> dict[str, float]:
+    """Standard deviations [m] of the SMR offset. The base has none: four points determine it."""
+    return dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M)

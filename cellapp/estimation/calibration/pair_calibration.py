@@ -1,0 +1,186 @@
+"""Cooperative accuracy of two arms by every method, on the same held-out stops.
+
+    nominal    published chains; bases registered to the tracker
+    method_1   identified geometry alone
+    method_2   geometry and a network trained in the tracker frame; its output is added in the base frame: wrong
+    proposed   geometry and a network in the base frame (Bai et al. 2023)
+    effects    geometry and the named effects
+
+Each method identifies the inter-base transform from its own positions: from distances alone, and from the common
+tracker frame as well (both bases registered to the tracker on the same stops), so that the two can be compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.evaluation import position_errors, summarise
+from cellapp.estimation.calibration.inter_base_transform import PairIdentification, distances, identify_pair
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.ground.results import ErrorSummary, Method
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.transforms import Array, apply, invert, register
+from cellapp.robot.model import ArmModel, ResidualNetwork
+
+_BEST_FIRST: tuple[Method, ...] = ("effects", "proposed", "method_1")
+
+
+class CalibratedArm(Protocol):
+    """One arm as the pair uses it."""
+
+    @property
+    def model(self) -> ArmModel:
+        """The calibrated model, with its residual network if it has one."""
+
+    @property
+    def tracker_frame_network(self) -> ResidualNetwork | None:
+        """The network trained in the tracker frame."""
+
+
+@dataclass(frozen=True)
+class PairMethod:
+    """One method on the held-out stops, with both inter-base transforms.
+
+    ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed; ``position_errors``
+    maps each arm to the absolute errors (n,) [m] at the same stops, with the bases as the arms' calibration found them.
+    """
+
+    by_distances: ErrorSummary
+    by_tracker: ErrorSummary
+    identification: PairIdentification
+    T_R_L_tracker: Array
+    errors: Mapping[str, Array]
+    position_errors: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class PairCalibration:
+    """The pair by method.
+
+    ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; ``stops`` (n,) are the numbers
+    of the held-out configurations in the order of each method's errors.
+    """
+
+    methods: Mapping[Method, PairMethod]
+    chosen: str
+    counts: Mapping[str, int]
+    stops: NDArray[np.int64]
+
+    @property
+    def T_R_L(self) -> Array:
+        """The selected transform of the best available method, shape (4, 4)."""
+        best = next(name for name in _BEST_FIRST if name in self.methods)
+        method = self.methods[best]
+        return method.identification.T_R_L if self.chosen == "distances" else method.T_R_L_tracker
+
+
+def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
+    """The readings of two arms at their common stops, in the same order."""
+    _, i, k = np.intersect1d(first.configuration, second.configuration, return_indices=True)
+    return first.take(i), second.take(k)
+
+
+def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the common stops that identify and that validate the pair, drawn by the profile's seed.
+
+    The validating rows come from the arms' validate split, so that no reading is used for both.
+    """
+    held_out = left.in_split("validate")
+    learn = np.setdiff1d(np.arange(len(left)), held_out)
+    draw = np.random.default_rng([profile.seed, 0xBA5E])
+    learn = np.sort(draw.permutation(learn)[: profile.splits.pair_identify])
+    return learn, np.sort(draw.permutation(held_out)[: profile.splits.pair_validate])
+
+
+def calibrate_pair(
+    profile: Profile, readings: Mapping[str, Readings], arms: Mapping[str, CalibratedArm]
+) -> tuple[PairCalibration | None, list[str]]:
+    """The pair by every method that the arms' models allow, and notes; None with the reason where it is skipped."""
+    if len(readings) != 2:
+        return None, [f"pair: skipped, the profile has {len(readings)} arm(s)"]
+    left, right = common_stops(*readings.values())
+    learn, held_out = pair_stops(profile, left)
+    if len(learn) < 7 or len(held_out) < 1:
+        return None, [
+            f"pair: skipped, {len(left)} common stops leave {len(learn)} to identify and {len(held_out)} to"
+            " validate; 7 and 1 are needed"
+        ]
+    notes = []
+    if len(learn) < profile.splits.pair_identify or len(held_out) < profile.splits.pair_validate:
+        notes.append(
+            f"pair: {len(learn)} stops to identify and {len(held_out)} to validate are fewer than the profile requires"
+        )
+    both = (left, right)
+    measured = np.linalg.norm(left.p_M - right.p_M, axis=1)
+    models = [arm.model for arm in arms.values()]
+    start = np.asarray(invert(models[1].geometry.T_M_B()) @ models[0].geometry.T_M_B())
+    methods: dict[Method, PairMethod] = {}
+    for name, positions in _positions(both, list(arms.values())).items():
+        found = identify_pair(start, positions[0][learn], positions[1][learn], measured[learn])
+        T_M = [register(r.p_M[learn], p[learn]) for r, p in zip(both, positions, strict=True)]
+        tracker = np.asarray(invert(T_M[1]) @ T_M[0])
+        p_L, p_R = positions[0][held_out], positions[1][held_out]
+        errors = {
+            "distances": measured[held_out] - distances(found.T_R_L, p_L, p_R),
+            "tracker": measured[held_out] - distances(tracker, p_L, p_R),
+        }
+        bases = [(model.nominal if name == "nominal" else model.geometry).T_M_B() for model in models]
+        methods[name] = PairMethod(
+            by_distances=summarise(errors["distances"]),
+            by_tracker=summarise(errors["tracker"]),
+            identification=found,
+            T_R_L_tracker=tracker,
+            errors=errors,
+            position_errors={
+                arm: position_errors(r.p_M[held_out], apply(T_M_B, p[held_out]))
+                for arm, r, T_M_B, p in zip(readings, both, bases, positions, strict=True)
+            },
+        )
+        if not found.converged:
+            notes.append(f"pair: {name}: the inter-base transform did not converge; do not use it")
+    counts = {"identify": len(learn), "validate": len(held_out)}
+    return PairCalibration(methods, profile.pair.transform, counts, left.configuration[held_out]), notes
+
+
+def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:
+    """SMR positions p_B (n, 3) [m] of both arms in their own base frames, by method."""
+    left, right = both
+    conditions = (
+        measurement_conditions(left, (arms[1].model, right)),
+        measurement_conditions(right, (arms[0].model, left)),
+    )
+
+    def geometry_only(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
+        return smr_positions(arm.model.geometry.with_T_M_B(np.eye(4)), r.q)
+
+    def nominal(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
+        return smr_positions(arm.model.nominal.with_T_M_B(np.eye(4)), r.q)
+
+    def full(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
+        p_M = arm.model.predict(r.q, conditions=conditions)
+        return apply(np.asarray(invert(arm.model.geometry.T_M_B())), p_M)
+
+    def wrong_frame(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
+        network = arm.tracker_frame_network
+        p_B = geometry_only(arm, r, conditions)
+        return p_B if network is None else np.asarray(p_B + network.correct(r.q))
+
+    predictors: dict[Method, Callable[[CalibratedArm, Readings, MeasurementConditions], Array]] = {"nominal": nominal}
+    if any(arm.model.effects for arm in arms):
+        predictors["effects"] = full
+    else:
+        predictors["method_1"] = geometry_only
+        if any(arm.model.network is not None for arm in arms):
+            predictors |= {"method_2": wrong_frame, "proposed": full}
+    return {
+        name: (predict(arms[0], left, conditions[0]), predict(arms[1], right, conditions[1]))
+        for name, predict in predictors.items()
+    }

@@ -1,0 +1,337 @@
+"""Sets of parameters: which are estimated, with which priors, and which of them the data determine.
+
+The estimate uses all parameters that can have an effect, each with its prior, so that predictions lose nothing. Few
+data sets determine all of them: some act exactly like others, some too weakly to rise above noise and prior. The
+*determined* set is what a table can state with standard errors; the other parameters are merged into it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+
+from cellapp.robot.kinematics.chain import (
+    Geometry,
+    JointAngles,
+    jacobian,
+    parallel_rows,
+    parameter_names,
+    parameter_unit,
+)
+from cellapp.robot.kinematics.transforms import Array
+
+SetName = Literal["auto", "paper", "full"]
+
+EXPECTED_SCATTER_M = 1e-4
+"""Standard deviation of a coordinate before any reading tells it: what gravity and backlash leave in UR arms."""
+_PAPER_DROPS = {"theta1", "d1", "d2", "d4", "alpha5", "theta6", "d6", "a6", "alpha6"}
+"""Parameters of a UR arm that Bai et al. (2023) do not identify."""
+_WEAK_PRIOR = {"m": 3e-3, "rad": 5e-3}
+"""Standard deviation of the arm's own parameters about the published ones where the profile states none: three to ten
+times what calibrations of industrial arms find (0.3 to 1 mm, 0.5 to 2 mrad). It bounds what the data do not determine,
+and leaves no trace in what they do."""
+_TYPICAL = {"m": 0.5e-3, "rad": 1e-3}
+"""Standard deviation that calibrations of industrial arms typically find."""
+_TYPICAL_COUNT = 2.0
+"""Number of parameters of typical size that are added to those of the arm in the estimate of their spread: enough that
+it has a value where the data determine few of them."""
+_UNKNOWN = {"m": 0.1, "rad": 0.1}
+"""Stands in for the prior of base and tool, which have none, in the judgement whether the data determine them: a first
+guess by eye is that good."""
+_LEAST_INFORMATION = 3.0
+"""Information of the data, in units of the prior's, from which a parameter counts as determined: its standard deviation
+is then at most half of the prior's."""
+_RIDGE = 1e-3
+"""Is added to that information, so that exactly dependent columns can be factored."""
+_ROUNDING = 1e-12
+"""Share of a column's information that rounding leaves after the elimination of some 30 others."""
+_EXACT = 10.0
+"""A column with less information than this many ridges depends on others exactly: to eliminate it changes no other."""
+_HELD = 1e30
+"""Precision of a parameter that is held at its nominal value."""
+_SMALL_SHARE = 1e-3
+"""Smaller shares of a merged parameter are not listed."""
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """A choice of parameters, and those that are merged into them.
+
+    Attributes
+    ----------
+    name : str
+        ``auto``, ``paper``, ``full`` or a name given by the caller.
+    joints : int
+        Number of joints N.
+    columns : tuple of int, length k
+        Indices of the parameters in ``parameter_names``; rotations before translations.
+    dropped : tuple of int, length l
+        Indices of the candidates whose effect the data cannot tell from a linear combination of the columns'.
+    scaled_information : array, shape (k + l, k + l), optional
+        Information of the data about columns and dropped columns, in that order, each times its ``unit``.
+    unit : array, shape (k + l,), optional
+    """
+
+    name: str
+    joints: int
+    columns: tuple[int, ...]
+    dropped: tuple[int, ...] = ()
+    scaled_information: Array | None = None
+    unit: Array | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return _names_of(self.columns, self.joints)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters."""
+        return _units_of(self.columns, self.joints)
+
+    @property
+    def rotations(self) -> int:
+        """Number of rotations among the columns; they come first."""
+        return self.units.count("rad")
+
+    @cached_property
+    def shares(self) -> Array:
+        """Coefficients (k, l): a unit of dropped parameter l has the effect of these amounts of the kept ones."""
+        k = len(self.columns)
+        if self.scaled_information is None or self.unit is None:
+            return np.zeros((k, 0))
+        shares = np.linalg.solve(self.scaled_information[:k, :k], self.scaled_information[:k, k:])
+        return np.asarray(shares * self.unit[:k, None] / self.unit[k:])
+
+    @cached_property
+    def merged(self) -> dict[str, dict[str, float]]:
+        """Dropped parameter -> {kept parameter: coefficient}; an empty entry has no effect on these data."""
+        names = parameter_names(self.joints)
+        return {
+            names[column]: {
+                kept: round(float(share), 9)
+                for kept, share in zip(self.names, self.shares[:, place], strict=True)
+                if abs(share) > _SMALL_SHARE
+            }
+            for place, column in enumerate(self.dropped)
+        }
+
+    def merged_values(self, geometry: Geometry, nominal: Geometry) -> Array:
+        """Values (k,) of the parameters that act like ``geometry`` while the dropped ones are ``nominal``."""
+        vector, columns, dropped = geometry.vector(), list(self.columns), list(self.dropped)
+        return np.asarray(vector[columns] + self.shares @ (vector - nominal.vector())[dropped])
+
+    def from_estimated(self, estimated: ParameterSet, effects: int = 0) -> tuple[Array, NDArray[np.intp]]:
+        """Matrix from deviations of all ``estimated`` parameters to those of this set, and the places of these.
+
+        Both are followed by ``effects`` parameters of effects: the matrix is (k + effects, K + effects).
+        """
+        place = {column: i for i, column in enumerate(estimated.columns)}
+        size, k = len(estimated.columns), len(self.columns)
+        kept = np.array([*(place[column] for column in self.columns), *range(size, size + effects)], dtype=np.intp)
+        matrix = np.eye(size + effects)[kept]
+        if self is not estimated:
+            matrix[:k, [place[column] for column in self.dropped]] = self.shares
+        return matrix, kept
+
+
+@lru_cache(maxsize=64)
+def _names_of(columns: tuple[int, ...], joints: int) -> tuple[str, ...]:
+    names = parameter_names(joints)
+    return tuple(names[c] for c in columns)
+
+
+@lru_cache(maxsize=64)
+def _units_of(columns: tuple[int, ...], joints: int) -> tuple[str, ...]:
+    return tuple(parameter_unit(name) for name in _names_of(columns, joints))
+
+
+@lru_cache(maxsize=32)
+def _candidates(joints: int, parallel: tuple[int, ...]) -> tuple[int, ...]:
+    names = parameter_names(joints)
+    betas = {f"beta{i + 1}" for i in parallel}
+    return _rotations_first(
+        tuple(
+            column
+            for column, name in enumerate(names)
+            if name != f"alpha{joints}" and (name == "beta0" or not name.startswith("beta") or name in betas)
+        ),
+        joints,
+    )
+
+
+@lru_cache(maxsize=32)
+def _preference(columns: tuple[int, ...], joints: int) -> NDArray[np.int64]:
+    """Places of ``columns`` in order of preference for a table: base, tool, then the rows from the first joint on."""
+    tool = 6 + 5 * joints
+    return np.array(sorted(range(len(columns)), key=lambda place: (6 <= columns[place] < tool, columns[place])))
+
+
+def candidate_columns(geometry: Geometry) -> tuple[int, ...]:
+    """Parameters that can have an effect: base, tool and D-H rows, with beta between parallel axes, without alpha_N."""
+    return _candidates(geometry.joints, parallel_rows(geometry))
+
+
+def full_set(geometry: Geometry) -> ParameterSet:
+    """The redundant model of all candidates (34 for six joints with two parallel pairs), the start of the paper."""
+    columns = candidate_columns(geometry)
+    return ParameterSet("full", geometry.joints, columns)
+
+
+def paper_set(geometry: Geometry) -> ParameterSet:
+    """The 26 parameters of a UR arm in Bai et al. (2023); alpha5 is dropped too, though it is not redundant.
+
+    Raises
+    ------
+    ValueError
+        If the arm is not a UR: six joints, axes 2, 3 and 4 parallel.
+    """
+    if geometry.joints != 6 or parallel_rows(geometry) != (1, 2):
+        raise ValueError("the paper's parameter set is for six joints with axes 2, 3 and 4 parallel; use 'auto'")
+    names = parameter_names(6)
+    columns = tuple(c for c in candidate_columns(geometry) if names[c] not in _PAPER_DROPS)
+    return ParameterSet("paper", geometry.joints, columns)
+
+
+@lru_cache(maxsize=32)
+def weak_priors(joints: int) -> Mapping[str, float]:
+    """Standard deviations [m, rad] of the arm's own parameters about their nominal values; base and tool have none."""
+    return MappingProxyType({name: _WEAK_PRIOR[parameter_unit(name)] for name in parameter_names(joints)[6:-3]})
+
+
+def typical_spreads(joints: int) -> dict[str, float]:
+    """Standard deviations [m, rad] of the arm's own parameters that calibrations of industrial arms typically find."""
+    return {name: _TYPICAL[parameter_unit(name)] for name in parameter_names(joints)[6:-3]}
+
+
+def estimated_parameters(
+    wanted: SetName, geometry: Geometry, prior_sigma: Mapping[str, float]
+) -> tuple[ParameterSet, Mapping[str, float]]:
+    """What is estimated under the name of a set, and with which standard deviations of the priors [m, rad].
+
+    ``auto`` is all candidates, each of the arm's own with a prior: the given one, else a weak one. The sets ``paper``
+    and ``full`` have the given priors only.
+
+    Raises
+    ------
+    ValueError
+        If the set is not for this arm.
+    """
+    if wanted == "paper":
+        return paper_set(geometry), prior_sigma
+    if wanted == "full":
+        return full_set(geometry), prior_sigma
+    return replace(full_set(geometry), name="auto"), {**weak_priors(geometry.joints), **prior_sigma}
+
+
+def determined_set(estimated: ParameterSet, information: Array, prior_sd: Array) -> ParameterSet:
+    """The parameters among the ``estimated`` ones that the data determine, judged against noise and priors.
+
+    In order of preference, a parameter is kept if the data, with all kept ones before it free, halve the standard
+    deviation that its prior leaves it. The others are merged into the kept ones.
+
+    Parameters
+    ----------
+    estimated : ParameterSet
+        k columns.
+    information : array, shape (k, k)
+        ``J^T W J``, W the inverse of the readings' covariance.
+    prior_sd : array, shape (k,)
+        Standard deviations of the priors in the parameters' units, infinite without one.
+    """
+    weak = np.array([_UNKNOWN[unit] for unit in estimated.units])
+    unit = np.where(np.isfinite(prior_sd), prior_sd, weak) / math.sqrt(_LEAST_INFORMATION)
+    scaled = information * unit * unit[:, None]
+    order = _preference(estimated.columns, estimated.joints)
+    held = np.zeros(len(order), dtype=bool)
+    held[order] = _undetermined(scaled[order[:, None], order])
+    kept, dropped = np.flatnonzero(~held).tolist(), np.flatnonzero(held).tolist()
+    both = np.array([*kept, *dropped], dtype=np.intp)
+    return ParameterSet(
+        estimated.name,
+        estimated.joints,
+        columns=tuple(estimated.columns[place] for place in kept),
+        dropped=tuple(estimated.columns[place] for place in dropped),
+        scaled_information=scaled[both[:, None], both],
+        unit=unit[both],
+    )
+
+
+def _undetermined(information: Array) -> NDArray[np.bool_]:
+    """Columns (k,) with too little information of their own, if the kept ones before them are free: 1 is enough.
+
+    The square of a Cholesky pivot is the information about a parameter while those before it are free. A column that is
+    not kept is held at its nominal value, and the rest factored again, unless it is exactly dependent.
+    """
+    held = np.zeros(len(information), dtype=bool)
+    diagonal, work = np.diag(information), information.copy()
+    ridge = _RIDGE + _ROUNDING * diagonal
+    while True:
+        np.fill_diagonal(work, diagonal + np.where(held, _HELD, ridge))
+        factor, _ = lapack.dpotrf(work, lower=1)
+        own = np.diag(factor) ** 2
+        low = np.flatnonzero(own <= 1.0 + ridge)
+        inexact = np.flatnonzero(own[low] > _EXACT * ridge[low])
+        if not len(inexact):
+            held[low] = True
+            return held
+        held[low[: inexact[0] + 1]] = True
+
+
+def auto_set(geometry: Geometry, q: Array, noise_m: float = EXPECTED_SCATTER_M) -> ParameterSet:
+    """The parameters that readings at ``q`` (n, N) [rad] determine, with ``noise_m`` [m] on each coordinate."""
+    estimated, priors = estimated_parameters("auto", geometry, {})
+    _, J = jacobian(geometry, JointAngles.of(q), estimated.columns)
+    return determined_set(estimated, gram_matrix(J) / noise_m**2, prior_sds(estimated, priors))
+
+
+@dataclass(frozen=True)
+class PriorSpread:
+    """Parameters at ``places`` of an estimate whose priors share a standard deviation that nobody stated.
+
+    It is estimated with them, about a ``typical`` one (MacKay, Neural Comput. 4 (1992) 415).
+    """
+
+    places: NDArray[np.intp]
+    typical: float
+
+    def square(self, deviations: Array, by_priors: float) -> float:
+        """Variance from the ``deviations`` (k,) from nominal, of which ``by_priors`` numbers follow from the priors."""
+        determined = len(deviations) - by_priors
+        return (float(deviations @ deviations) + _TYPICAL_COUNT * self.typical**2) / (determined + _TYPICAL_COUNT)
+
+
+def prior_spreads(parameters: ParameterSet, free: Collection[str]) -> tuple[PriorSpread, ...]:
+    """The lengths and the angles of a set among the parameters ``free``, whose priors nobody stated."""
+    groups = []
+    for unit, typical in _TYPICAL.items():
+        pairs = enumerate(zip(parameters.names, parameters.units, strict=True))
+        places = [place for place, (name, its_unit) in pairs if name in free and its_unit == unit]
+        if places:
+            groups.append(PriorSpread(np.array(places, dtype=np.intp), typical))
+    return tuple(groups)
+
+
+def prior_sds(parameters: ParameterSet, sigma: Mapping[str, float]) -> Array:
+    """Standard deviations (k,) of the priors of a set's parameters, infinite without one."""
+    return np.array([sigma.get(name, math.inf) for name in parameters.names])
+
+
+def gram_matrix(J: Array) -> Array:
+    """``J^T J`` (k, k) of a Jacobian (3, k, n), summed over components and configurations."""
+    rows = J.swapaxes(0, 1).reshape(J.shape[1], -1)
+    return np.asarray(rows @ rows.T)
+
+
+def _rotations_first(columns: tuple[int, ...], joints: int) -> tuple[int, ...]:
+    """Rotations, then translations, each in the order of the chain: the fastest order for the Jacobian."""
+    names = parameter_names(joints)
+    return tuple(sorted(columns, key=lambda c: (parameter_unit(names[c]) == "m", c)))

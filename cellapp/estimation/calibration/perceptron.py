@@ -1,0 +1,80 @@
+"""A perceptron with one hidden layer and its least-squares normal equations, in closed form.
+
+    h = tanh(W a),  y = V b,  a = (x, 1),  b = (h, 1)
+
+The derivative of output k by ``W[o, i]`` is ``V[k, o] (1 - h_o^2) a_i`` and by ``V[k, j]`` it is ``b_j``. All outputs
+share ``(1 - h_o^2) a_i`` and ``b_j``, therefore one product over the rows gives the normal matrix of all outputs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model.network import Inputs, Layers
+
+
+@dataclass(frozen=True)
+class Perceptron:
+    """Sizes of a perceptron; its parameters p are the rows of W, then those of V."""
+
+    inputs: int
+    hidden: int
+    outputs: int
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Number of parameters in W and in V."""
+        return self.hidden * (self.inputs + 1), self.outputs * (self.hidden + 1)
+
+    def start(self, rng: np.random.Generator) -> Array:
+        """Random parameters with the variance that keeps the scale of the signal through the layers."""
+        scales = np.repeat([(self.inputs + 1) ** -0.5, (self.hidden + 1) ** -0.5], self.sizes)
+        return np.asarray(rng.standard_normal(sum(self.sizes)) * scales)
+
+    def predict(self, p: Array, x: Array) -> Array:
+        """Outputs (n, outputs) for rows ``x`` (n, inputs)."""
+        W, V = self._matrices(p)
+        return np.asarray(_with_one(np.tanh(_with_one(x) @ W.T)) @ V.T)
+
+    def normal_equations(self, p: Array, x: Array, e: Array) -> tuple[Array, Array]:
+        """``J^T J`` (P, P) and ``J^T e`` (P,) for the Jacobian J of the outputs at ``x`` (n, inputs), errors ``e``."""
+        W, V = self._matrices(p)
+        a = _with_one(x)
+        h = np.tanh(a @ W.T)
+        b, slope, n_W = _with_one(h), 1.0 - h**2, W.size
+        shared = np.concatenate([(slope[:, :, None] * a[:, None, :]).reshape(len(x), n_W), b], axis=1)
+        product = shared.T @ shared
+        to_outputs = V[:, :-1]
+        gram = np.zeros((len(p), len(p)))
+        W_by_W = product[:n_W, :n_W].reshape(self.hidden, a.shape[1], self.hidden, a.shape[1])
+        gram[:n_W, :n_W] = (W_by_W * (to_outputs.T @ to_outputs)[:, None, :, None]).reshape(n_W, n_W)
+        W_by_V = np.repeat(to_outputs.T, a.shape[1], axis=0)[:, :, None] * product[:n_W, None, n_W:]
+        gram[:n_W, n_W:] = W_by_V.reshape(n_W, -1)
+        gram[n_W:, :n_W] = gram[:n_W, n_W:].T
+        gram[n_W:, n_W:] = np.kron(np.eye(self.outputs), product[n_W:, n_W:])
+        return gram, np.concatenate([(((e @ to_outputs) * slope).T @ a).ravel(), (e.T @ b).ravel()])
+
+    def layers(self, p: Array) -> Layers:
+        """Weights and offsets of each layer."""
+        return tuple((matrix[:, :-1].copy(), matrix[:, -1].copy()) for matrix in self._matrices(p))
+
+    def decay_groups(self, kind: Inputs) -> Array:
+        """Group (P,) of each parameter with a weight decay of its own: the weights of each joint's inputs, the rest.
+
+        The evidence then removes the joints that a residual does not depend on: automatic relevance determination
+        (MacKay, ASHRAE Transactions 100 (1994) 1053; Neal, Bayesian Learning for Neural Networks, 1996).
+        """
+        joints = self.inputs // (2 if kind == "sincos" else 1)
+        of_row = np.append(1 + np.arange(self.inputs) % joints, 0)  # the offset belongs to no joint
+        return np.concatenate([np.tile(of_row, self.hidden), np.zeros(self.sizes[1], dtype=of_row.dtype)])
+
+    def _matrices(self, p: Array) -> tuple[Array, Array]:
+        n_W = self.sizes[0]
+        return p[:n_W].reshape(self.hidden, -1), p[n_W:].reshape(self.outputs, -1)
+
+
+def _with_one(rows: Array) -> Array:
+    return np.concatenate([rows, np.ones((len(rows), 1))], axis=1)

@@ -1,0 +1,225 @@
+"""Result of ``calibrate``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Literal
+
+from cellapp.ground.results import (
+    STAGES,
+    ErrorSummary,
+    Estimate,
+    Method,
+    Provenance,
+    Record,
+    Result,
+    Stage,
+    StageErrors,
+)
+
+if TYPE_CHECKING:
+    from cellapp.estimation.discovery.records import DiscoverResult  # which imports this module
+
+
+class Scatter(Record):
+    """Root of chi-square per degree of freedom; ``meaning`` says against what."""
+
+    value: float
+    meaning: str
+
+
+class NetworkTrial(Record):
+    """A network shape that was compared on left-out folds of the training split."""
+
+    inputs: Literal["sincos", "angles"]
+    hidden: tuple[int, ...]
+    turning: bool = False
+    left_out_rms_mm: float
+
+
+class NetworkResult(Record):
+    """How the residual network was trained; ``without_rms_mm`` is the left-out error without any network."""
+
+    used: bool
+    inputs: Literal["sincos", "angles"]
+    hidden: tuple[int, ...]
+    turning: bool = False
+    left_out_rms_mm: float
+    without_rms_mm: float
+    tried: tuple[NetworkTrial, ...] = ()
+
+
+_MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)
+"""Mean length of a normal vector in three dimensions, in standard deviations of a coordinate."""
+
+
+class Repeatability(Record):
+    """Position repeatability of repeated stops [mm]: mean distance from the barycentre, and RP of ISO 9283."""
+
+    mean: float
+    rp: float
+    n: int
+
+    @property
+    def coordinate(self) -> float:
+        """Standard deviation of a coordinate [mm], if all three scatter alike."""
+        return self.mean / _MEAN_LENGTH
+
+
+SignaturePart = Literal["geometry", "effects", "curves"]
+"""Parts of what an earlier calibration says of an arm: D-H rows, named effects with few values, smooth functions."""
+
+
+class PartDrift(Record):
+    """How far a part was believed: ``drift`` is the standard deviation, in ``unit``, by which each of its
+    ``parameters`` may have changed since; it maximises the likelihood of the new readings. None where that is larger
+    without the part."""
+
+    parameters: int
+    drift: float | None
+    unit: str
+    used: bool
+
+
+class SignatureChange(Record):
+    """A change of the arm since the earlier calibration that the new readings prove.
+
+    ``value`` and ``standard_error`` are of the change of a single parameter, in ``unit``; ``sigmas`` is their ratio and
+    ``p_value`` its chance, times the number of changes that were tested. ``evidence`` is twice the log Bayes factor
+    for the change, ``moved_mm`` the rms displacement of the SMR by it; ``rivals`` are changes that explain the readings
+    about as well.
+    """
+
+    what: str
+    part: SignaturePart
+    value: float | None = None
+    standard_error: float | None = None
+    unit: str = ""
+    sigmas: float | None = None
+    p_value: float | None = None
+    evidence: float
+    moved_mm: float
+    rivals: tuple[str, ...] = ()
+    sentence: str
+
+
+class ArmPriorResult(Record):
+    """The earlier calibration of the same arm that was taken as prior.
+
+    ``run`` and ``stage`` name it, ``since`` is the day of its run, ``sha256`` the hash of its model and readings,
+    ``readings`` their number. ``effects`` were carried over; ``left_behind`` belong to the earlier installation.
+    """
+
+    run: str
+    arm: str
+    stage: Literal["calibrate", "discover"]
+    since: str
+    sha256: str
+    readings: int
+    controller: str | None = None
+    parts: Mapping[SignaturePart, PartDrift]
+    effects: tuple[str, ...]
+    left_behind: tuple[str, ...] = ()
+    scatter_mm: float
+    tested: int
+    changes: tuple[SignatureChange, ...] = ()
+
+
+class ArmCalibrationResult(Record):
+    """Calibration of one arm.
+
+    ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
+    those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
+    uncertainty, ``tracker_mm`` the rms length of the stated noise. Where an earlier calibration was taken as ``prior``,
+    the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
+    of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
+    ``splits`` counts the others.
+    """
+
+    identified: Mapping[str, Estimate]
+    rank: int
+    parameter_set: str
+    merged: Mapping[str, Mapping[str, float]]
+    iterations: int
+    converged: bool
+    message: str
+    condition: float | None
+    observability: Mapping[str, float | None]
+    scatter: Scatter
+    excess_mm: float | None = None
+    degrees_of_freedom: int
+    splits: Mapping[str, int]
+    tracker_mm: float | None = None
+    repeatability_mm: Repeatability | None = None
+    network: NetworkResult | None = None
+    prior: ArmPriorResult | None = None
+    left_out_configurations: tuple[int, ...] = ()
+    left_out_splits: Mapping[str, int] = {}
+    validate_: Mapping[Stage, StageErrors]
+    omitted_when_none = frozenset({"prior"})
+
+    @property
+    def best_stage(self) -> Stage:
+        """The last stage that was computed."""
+        return next(stage for stage in reversed(STAGES) if stage in self.validate_)
+
+
+class PairEstimate(Estimate):
+    """A parameter of the inter-base transform; ``by_tracker`` is its value from the common tracker frame."""
+
+    by_tracker: float | None = None
+
+
+class PairHeldOut(Record):
+    """Errors of each held-out stop [mm]: cooperative, and absolute by arm."""
+
+    configuration: tuple[int, ...]
+    cooperative_mm: tuple[float, ...]
+    position_mm: Mapping[str, tuple[float, ...]]
+
+
+class PairMethodResult(Record):
+    """Cooperative errors of one method on held-out stops, with the transform that the profile chose and with both."""
+
+    cooperative_mm: ErrorSummary
+    transform: str | None = None
+    by_transform_mm: Mapping[str, ErrorSummary] = {}
+    identified: Mapping[str, PairEstimate] = {}
+    iterations: int | None = None
+    converged: bool | None = None
+    splits: Mapping[str, int] = {}
+    held_out: PairHeldOut | None = None
+
+
+class CalibrateResult(Result):
+    """``calibrate``: every arm, the pair by method, notes."""
+
+    schema_: Literal["cellapp-calibrate"] = "cellapp-calibrate"
+    version: Literal[1] = 1
+    arms: Mapping[str, ArmCalibrationResult]
+    pair: Mapping[Method, PairMethodResult]
+    notes: tuple[str, ...]
+    provenance: Provenance
+
+    def with_effects(self, found: DiscoverResult) -> CalibrateResult:
+        """This result with the stage ``effects`` of a discovery beside the others, for showing them together."""
+        arms = {
+            name: arm
+            if name not in found.arms
+            else arm.model_copy(update={"validate_": {**arm.validate_, **found.arms[name].validate_}})
+            for name, arm in self.arms.items()
+        }
+        return self.model_copy(update={"arms": arms, "pair": {**self.pair, **found.pair}})
+
+    def without_effects(self) -> CalibrateResult:
+        """This result without the stage ``effects``, which older versions wrote into it; with it where it is that of an
+        earlier calibration that was taken as prior."""
+        if any(arm.prior is not None for arm in self.arms.values()):
+            return self
+        arms = {
+            name: arm.model_copy(update={"validate_": {k: v for k, v in arm.validate_.items() if k != "effects"}})
+            for name, arm in self.arms.items()
+        }
+        pair = {method: entry for method, entry in self.pair.items() if method != "effects"}
+        return self.model_copy(update={"arms": arms, "pair": pair})

@@ -1,0 +1,414 @@
+"""Where the tracker stands after it was moved, from a few SMR points of a calibrated cell.
+
+The model predicts each point p_i(T) from the joint positions; T maps the tracker frame of the calibration into the
+present one. With measured points m_i, minimise r^T S^-1 r over T, r_i = m_i - p_i(T). S is the covariance of all
+coordinates together: noise of the tracker and of the arms, and what the model is uncertain by, which the points of one
+arm share. Gauss-Newton: a twist (v, w) of the frame moves a predicted point by v + w x p. The gain of the solution is
+G = (J^T S^-1 J)^-1 J^T S^-1. One draw d, n of the model's error and of the noise at the points gives one draw of the
+station's error, -G (d + n): with it, draws of later predictions keep the correlation of station and model.
+
+One rigid motion of the tracker explains all points of all arms if r^T S^-1 r is as chi-squared with 3 n - 6 degrees of
+freedom allows. Where it is not, one more motion is tried: of one arm's base, or of one arm's SMR on its flange.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.special import chdtrc
+
+from cellapp.ground.errors import InputError
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.statics import base_moment
+from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, rotation_vectors, transform
+from cellapp.robot.model import CellModel
+from cellapp.robot.model.posterior import DRAWS
+from cellapp.robot.model.relocation import relocated
+
+FEWEST_POINTS = 3
+LEAST_PROBABILITY = 1e-3
+"""Probability of a larger chi-squared below which one motion does not explain the points: one false alarm in 1000."""
+_LEAST_WIDTH = 0.05
+"""Distance of the points from their best line over that along it: below it the turn about the line is not known."""
+_LEAST_SPREAD_M = 0.05
+"""Rms distance of the points from their centre: closer ones turn their noise into more than a milliradian."""
+_STEPS = 20
+_SMALL_STEP = 1e-9
+"""Steps [m, rad] below a nanometre end the iteration."""
+_REWEIGHTED = 2
+"""The covariances are computed at the start, and once more at the solution."""
+
+MotionKind = Literal["base", "smr"]
+
+
+@dataclass(frozen=True, eq=False)
+class ArmPoints:
+    """Measured points of one arm.
+
+    Attributes
+    ----------
+    q : array, shape (m, N)
+        Joint positions that the controller reported [rad].
+    measured_M : array, shape (m, 3)
+        SMR positions in the present tracker frame [m].
+    covariance_M : array, shape (m, 3, 3)
+        Covariance of each measurement [m^2].
+    conditions : MeasurementConditions
+        Without the state of the other arm.
+    other : tuple of name and array (m, K), or None
+        The other arm of a cell of two, and its joint positions [rad].
+    """
+
+    q: Array
+    measured_M: Array
+    covariance_M: Array
+    conditions: MeasurementConditions
+    other: tuple[str, Array] | None = None
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+
+Points = Mapping[str, ArmPoints]
+"""Arm -> its points, at least one."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoughStation:
+    """What is known of a station before it is measured: ``T_new_old`` (4, 4), the covariance (6, 6) of its twist."""
+
+    T_new_old: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class StationFit:
+    """A station that was fitted to n points.
+
+    Attributes
+    ----------
+    T_new_old : array, shape (4, 4)
+        Maps coordinates in the tracker frame of the model into the present tracker frame.
+    covariance : array, shape (6, 6)
+        Of its twist: velocity of what is at the present origin [m], then rotation [rad].
+    residuals : mapping
+        Arm -> measured minus predicted points (m, 3) [m].
+    chi_squared : float
+    degrees_of_freedom : int
+    twists : array, shape (S, 6)
+        Draws of the error of ``T_new_old``, one for each draw of the arms' posteriors.
+    motion : array, shape (4, 4), or None
+        Motion of one arm's base in the present tracker frame, where that was fitted too.
+    shift_F : array, shape (3,), or None
+        Motion of one arm's SMR on its flange [m], where that was fitted too.
+    """
+
+    T_new_old: Array
+    covariance: Array
+    residuals: Mapping[str, Array]
+    chi_squared: float
+    degrees_of_freedom: int
+    twists: Array
+    motion: Array | None = None
+    shift_F: Array | None = None
+
+    @property
+    def probability(self) -> float:
+        """Probability of a larger chi-squared if the fit holds; 1 without degrees of freedom."""
+        return float(chdtrc(self.degrees_of_freedom, self.chi_squared)) if self.degrees_of_freedom > 0 else 1.0
+
+    @property
+    def explains(self) -> bool:
+        """Whether the fit explains all points."""
+        return self.probability >= LEAST_PROBABILITY
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square length of the residuals [m]."""
+        return float(np.sqrt(np.mean(np.sum(np.concatenate(list(self.residuals.values())) ** 2, axis=1))))
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """Another motion than the tracker's that was tried.
+
+    ``shift_m`` [m] and ``turn_rad`` [rad] are those of the arm's base, or of its SMR on the flange, which does not
+    turn. ``others_still``: the points of the other arms agree with a tracker that was not moved.
+    """
+
+    kind: MotionKind
+    arm: str
+    fit: StationFit
+    shift_m: float
+    turn_rad: float
+    others_still: bool
+
+
+def predicted_points(model: CellModel, points: Points) -> dict[str, Array]:
+    """Where ``model`` expects the points of each arm, (m, 3) [m] in its tracker frame."""
+    return {name: model.arms[name].predict(own.q, conditions=_conditions(model, own)) for name, own in points.items()}
+
+
+def fit_station(
+    model: CellModel,
+    points: Points,
+    start: Array,
+    *,
+    excess_m: Mapping[str, float],
+    seed: Sequence[int] = (0,),
+    rough: RoughStation | None = None,
+) -> StationFit:
+    """Fit one motion of the tracker to points of one or more arms.
+
+    Parameters
+    ----------
+    model : CellModel
+        In the tracker frame of its calibration.
+    points : mapping
+    start : array, shape (4, 4)
+        A rough ``T_new_old``.
+    excess_m : mapping
+        Arm -> standard deviation of a coordinate [m] by which readings scatter about the model beyond the covariance
+        of the tracker and the model's own uncertainty: the arm's repeatability.
+    seed : sequence of int
+        Of the draws.
+    rough : RoughStation or None
+        Knowledge besides the points, with which fewer than three are enough; the test does not hold then.
+
+    Raises
+    ------
+    InputError
+        Without ``rough``, if the points are too few, or lie together or on one line.
+    """
+    if rough is None:
+        check_layout(points)
+    return _fit(_Problem(model, points, excess_m, tuple(seed), rough, None), _State(start))
+
+
+def possible_causes(
+    model: CellModel, points: Points, start: Array, *, excess_m: Mapping[str, float], still_m: float
+) -> tuple[Cause, ...]:
+    """What besides the tracker may have moved: one arm's base or its SMR, those that explain the points best first.
+
+    Only arms with points enough for a motion of their own are asked. Other arms count as still if the tracker's motion
+    that their points ask for moves them by no more than ``still_m`` [m]. In a cell of two arms, a motion of either base
+    explains the same points as well, each with another motion of the tracker: the one that needs none comes first.
+    """
+    found = []
+    for name, own in points.items():
+        if len(own) < FEWEST_POINTS or _layout_refusal(own.measured_M):
+            continue
+        others = {other: theirs for other, theirs in points.items() if other != name}
+        if others and not _layout_refusal(np.concatenate([theirs.measured_M for theirs in others.values()])):
+            found.append(_cause(_Problem(model, points, excess_m, (0,), None, ("base", name)), start, still_m))
+        if sum(map(len, points.values())) > FEWEST_POINTS:
+            found.append(_cause(_Problem(model, points, excess_m, (0,), None, ("smr", name)), start, still_m))
+    return tuple(sorted(found, key=lambda cause: (not cause.fit.explains, _akaike(cause))))
+
+
+def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
+    """The largest motion of a predicted point by ``T_new_old`` [m]."""
+    expected = np.concatenate(list(predicted_points(model, points).values()))
+    return float(np.linalg.norm(apply(T_new_old, expected) - expected, axis=1).max())
+
+
+def check_layout(points: Points) -> None:
+    """Raise ``InputError`` where the points cannot fix a station."""
+    refusal = _layout_refusal(np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))]))
+    if refusal:
+        raise InputError(refusal)
+
+
+def twist_columns(p_M: Array) -> Array:
+    """Motion of points (n, 3) per unit of each twist component, (n, 3, 6)."""
+    columns = np.zeros((len(p_M), 3, 6))
+    columns[:, :, :3] = np.eye(3)
+    columns[:, :, 3:] = np.cross(np.eye(3), p_M[:, None, :]).transpose(0, 2, 1)
+    return columns
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """``extra`` is the motion that is fitted besides the tracker's, and its arm."""
+
+    model: CellModel
+    points: Points
+    excess_m: Mapping[str, float]
+    seed: tuple[int, ...]
+    rough: RoughStation | None
+    extra: tuple[MotionKind, str] | None
+
+    @property
+    def parameters(self) -> int:
+        return 6 if self.extra is None else (12 if self.extra[0] == "base" else 9)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """``station`` is T_new_old, ``motion`` moves the base of the extra arm, ``shift_F`` its SMR."""
+
+    station: Array
+    motion: Array | None = None
+    shift_F: Array | None = None
+
+    def moved(self, step: Array, kind: MotionKind | None) -> _State:
+        station = _small_motion(step[:6]) @ self.station
+        if kind == "base":
+            motion = np.eye(4) if self.motion is None else self.motion
+            return replace(self, station=station, motion=_small_motion(step[6:]) @ motion)
+        if kind == "smr":
+            return replace(self, station=station, shift_F=step[6:] + (0.0 if self.shift_F is None else self.shift_F))
+        return replace(self, station=station)
+
+
+def _fit(problem: _Problem, state: _State) -> StationFit:
+    kind = None if problem.extra is None else problem.extra[0]
+    for _ in range(_REWEIGHTED):
+        noise, drawn = _uncertainty(problem, state)
+        weight = np.linalg.inv(noise + drawn.T @ drawn / len(drawn))
+        for _ in range(_STEPS):
+            r, J = _linearised(problem, state)
+            normal, right = J.T @ weight @ J, J.T @ weight @ r
+            if problem.rough is not None:
+                known = np.linalg.inv(problem.rough.covariance)
+                normal[:6, :6] += known
+                right[:6] -= known @ _twist(state.station @ invert(problem.rough.T_new_old))
+            step: Array = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+            state = state.moved(step, kind)
+            if np.max(np.abs(step)) < _SMALL_STEP:
+                break
+    r, J = _linearised(problem, state)
+    covariance: Array = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    rng = np.random.default_rng([*problem.seed, 0x10C])
+    drawn_noise = rng.standard_normal((len(drawn), len(r))) @ np.linalg.cholesky(noise).T
+    return StationFit(
+        T_new_old=state.station,
+        covariance=covariance[:6, :6],
+        residuals=_by_arm(problem.points, r),
+        chi_squared=float(r @ weight @ r),
+        degrees_of_freedom=len(r) - problem.parameters,
+        twists=-((drawn + drawn_noise) @ weight @ J @ covariance)[:, :6],
+        motion=state.motion,
+        shift_F=state.shift_F,
+    )
+
+
+def _placed(problem: _Problem, state: _State) -> CellModel:
+    """The model in the present tracker frame, with the extra motion."""
+    model = relocated(problem.model, state.station)
+    if problem.extra is None:
+        return model
+    name = problem.extra[1]
+    arm = model.arms[name]
+    geometry = arm.geometry
+    if state.motion is not None:
+        geometry = geometry.with_T_M_B(state.motion @ geometry.T_M_B())
+    if state.shift_F is not None:
+        geometry = replace(geometry, tool=geometry.tool + state.shift_F)
+    return replace(model, arms={**model.arms, name: replace(arm, geometry=geometry)})
+
+
+def _linearised(problem: _Problem, state: _State) -> tuple[Array, Array]:
+    """Residuals (3 n,) and derivatives (3 n, k) of the predicted coordinates."""
+    model = _placed(problem, state)
+    expected = predicted_points(model, problem.points)
+    rows = []
+    for name, p_M in expected.items():
+        J = np.zeros((len(p_M), 3, problem.parameters))
+        J[:, :, :6] = twist_columns(p_M)
+        if problem.extra == ("base", name):
+            J[:, :, 6:] = J[:, :, :6]
+        elif problem.extra == ("smr", name):
+            J[:, :, 6:] = model.arms[name].flange(problem.points[name].q)[0]
+        rows.append(J.reshape(3 * len(p_M), -1))
+    r = np.concatenate([(problem.points[name].measured_M - p_M).ravel() for name, p_M in expected.items()])
+    return r, np.concatenate(rows)
+
+
+def _uncertainty(problem: _Problem, state: _State) -> tuple[Array, Array]:
+    """Covariance of the noise (3 n, 3 n) [m^2], and draws of the model's error (S, 3 n) [m], at the points."""
+    model = _placed(problem, state)
+    sizes = [3 * len(own) for own in problem.points.values()]
+    noise, drawn, first = np.zeros((sum(sizes), sum(sizes))), np.zeros((DRAWS, sum(sizes))), 0
+    for (name, own), size in zip(problem.points.items(), sizes, strict=True):
+        arm, here = model.arms[name], slice(first, first + size)
+        added = np.full(len(own), problem.excess_m[name] ** 2)
+        if arm.network is not None:
+            added += np.mean(arm.network.spread(own.q) ** 2, axis=1)
+        for k, covariance in enumerate(own.covariance_M + added[:, None, None] * np.eye(3)):
+            rows = slice(first + 3 * k, first + 3 * k + 3)
+            noise[rows, rows] = covariance
+        if arm.posterior is not None:
+            context = arm.context(own.q, conditions=_conditions(model, own))
+            moved = arm.posterior.displacements(arm.geometry, arm.effects, context)
+            drawn[:, here] = moved.reshape(len(moved), -1)
+        first += size
+    return noise, drawn
+
+
+def _conditions(model: CellModel, own: ArmPoints) -> MeasurementConditions:
+    """The conditions with the state of the other arm in the frame of ``model``."""
+    if own.other is None:
+        return own.conditions
+    name, q = own.other
+    other = model.arms[name]
+    moment = base_moment(other.geometry, other.bodies, q, other.up_M)
+    return replace(own.conditions, other_q=q, other_moment_M=moment)
+
+
+def _cause(problem: _Problem, start: Array, still_m: float) -> Cause:
+    assert problem.extra is not None
+    kind, name = problem.extra
+    fit = _fit(problem, _State(start))
+    others = {other: own for other, own in problem.points.items() if other != name}
+    still = bool(others) and displacement_m(problem.model, others, fit.T_new_old) <= still_m
+    if kind == "smr":
+        assert fit.shift_F is not None
+        return Cause(kind, name, fit, float(np.linalg.norm(fit.shift_F)), 0.0, still)
+    assert fit.motion is not None
+    base = (fit.T_new_old @ problem.model.arms[name].geometry.T_M_B())[:3, 3]
+    turn = float(np.linalg.norm(rotation_vectors(fit.motion[None, :3, :3])[0]))
+    return Cause(kind, name, fit, float(np.linalg.norm(apply(fit.motion, base[None])[0] - base)), turn, still)
+
+
+def _akaike(cause: Cause) -> float:
+    """Akaike's criterion: chi-squared and twice the number of parameters, the tracker's six where it was moved.
+
+    Without the latter, rounding would choose between two bases whose motions against each other are the same.
+    """
+    parameters = (6 if cause.kind == "base" else 3) + (0 if cause.others_still else 6)
+    return cause.fit.chi_squared + 2.0 * parameters
+
+
+def _layout_refusal(p_M: Array) -> str:
+    """Why points (n, 3) [m] do not fix a frame; empty if they do."""
+    n = len(p_M)
+    if n < FEWEST_POINTS:
+        return f"{n} points do not fix the tracker's station; at least {FEWEST_POINTS} are needed, better four"
+    along, *across = np.linalg.svd(p_M - p_M.mean(axis=0), compute_uv=False).tolist()
+    if along < _LEAST_SPREAD_M * np.sqrt(n):
+        return f"the points lie within {along / np.sqrt(n) * 1e3:.0f} mm of one place; measure points some 0.5 m apart"
+    if float(np.hypot(*across)) < _LEAST_WIDTH * along:
+        return "the points lie on one line: nothing fixes the turn about it; add a point beside the line"
+    return ""
+
+
+def _by_arm(points: Points, stacked: Array) -> dict[str, Array]:
+    ends = np.cumsum([3 * len(own) for own in points.values()])
+    parts = np.split(stacked, ends[:-1])
+    return {name: part.reshape(-1, 3) for name, part in zip(points, parts, strict=True)}
+
+
+def _small_motion(twist: Array) -> Array:
+    return transform(rotation_from_vector(twist[3:]), twist[:3])
+
+
+def _twist(T: Array) -> Array:
+    """The twist (6,) of a small motion (4, 4)."""
+    return np.concatenate([T[:3, 3], rotation_vectors(T[None, :3, :3])[0]])

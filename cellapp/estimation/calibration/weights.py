@@ -1,0 +1,77 @@
+"""Weights of readings: stated uncertainty, robust estimation, and scatter beyond the stated uncertainty."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import brentq
+
+from cellapp.robot.kinematics.transforms import Array
+
+RobustName = Literal["none", "huber", "tukey"]
+
+_HUBER = 2.5003
+"""Root of the 90 % quantile of chi-square with 3 degrees of freedom: the norm that 90 % of good points stay below."""
+_TUKEY = 6.0
+"""Norm beyond which a point has no weight: about four times the median norm of a good point."""
+MEDIAN_NORM = 1.5382
+"""Median of the norm of three independent standard normal variables."""
+_CHANCE = 3.0
+"""Standard deviations by which chi-square must exceed its degrees of freedom before the scatter counts as excess."""
+
+
+def whitener(sigma: Array) -> Array:
+    """Factors that convert errors of points into units of their standard uncertainty.
+
+    Of standard uncertainties (n,) [m]: (n,) [1/m]. Of covariances (n, 3, 3) [m^2]: lower triangular (3, 3, n) [1/m].
+    """
+    if sigma.ndim == 1:
+        return np.asarray(1.0 / sigma)
+    return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(sigma)).transpose(1, 2, 0))
+
+
+def robust_weights(norm: Array, robust: Literal["huber", "tukey"]) -> Array:
+    """Weights (n,) of whole points from the norms (n,) of their residuals, scaled by the median norm.
+
+    Source: Huber, Robust Statistics (1981); Beaton, Tukey, Technometrics 16 (1974) 147 (biweight).
+    """
+    u = norm / max(float(np.median(norm)) / MEDIAN_NORM, 1e-300)
+    if robust == "huber":
+        return np.asarray(np.minimum(1.0, _HUBER / np.maximum(u, 1e-12)))
+    return np.asarray(np.where(u < _TUKEY, (1.0 - (np.minimum(u, _TUKEY) / _TUKEY) ** 2) ** 2, 0.0))
+
+
+def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: int) -> float:
+    """Variance [m^2] per coordinate that must be added to the stated uncertainty to explain the scatter.
+
+    Root tau^2 of ``sum_i r_i^T (S_i + tau^2 I)^-1 r_i = degrees of freedom``, after DerSimonian, Laird, Control. Clin.
+    Trials 7 (1986) 177. Zero where the scatter is not larger than chance allows.
+
+    Parameters
+    ----------
+    residuals : array, shape (n, 3)
+        [m]
+    sigma : array, shape (n,) [m] or (n, 3, 3) [m^2]
+    degrees_of_freedom : int
+    """
+    if sigma.ndim == 1:
+        variance, squares = sigma[:, None] ** 2, residuals**2
+    else:
+        variance, axes = np.linalg.eigh(sigma)
+        squares = np.einsum("nab,na->nb", axes, residuals) ** 2
+
+    def surplus(tau_squared: float) -> float:
+        return float(np.sum(squares / (variance + tau_squared))) - degrees_of_freedom
+
+    if surplus(0.0) <= _CHANCE * math.sqrt(2.0 * degrees_of_freedom):  # chi-square has variance 2 f
+        return 0.0
+    return float(brentq(surplus, 0.0, float(squares.sum()) / degrees_of_freedom, xtol=1e-18, rtol=1e-6))
+
+
+def with_excess(sigma: Array, tau_squared: float) -> Array:
+    """Stated uncertainty plus an excess variance [m^2] per coordinate, in the shape and unit of ``sigma``."""
+    if sigma.ndim == 1:
+        return np.sqrt(sigma**2 + tau_squared)
+    return np.asarray(sigma + tau_squared * np.eye(3))

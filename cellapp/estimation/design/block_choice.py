@@ -1,0 +1,185 @@
+"""Greedy choice of stops with exchange, in random subsets of the candidates; the order of the chosen ones.
+
+Sources: Fedorov, Theory of Optimal Experiments (1972), chapter 3 (exchange); Mirzasoleiman et al., Lazier than lazy
+greedy, AAAI 2015 (random subsets lose little).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.linear import inverse_psd
+from cellapp.estimation.design.block_design import BlockDesign, Criterion, Rows, information_of
+from cellapp.ground.progress import CancelToken
+from cellapp.robot.kinematics.transforms import Array
+
+_SMALLEST_BATCH = 20
+"""Stops of a batch of the first choice: with fewer the fresh subset costs more than the choice."""
+_FIRST_BATCH = 5
+"""The same at the very beginning: the first stops reduce the variance of base and SMR a thousandfold each, and
+updates lose as many digits."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long a choice may take; the result improves slowly with all of these.
+
+    Attributes
+    ----------
+    subset : int
+        Candidates that are looked at together, drawn anew for every batch.
+    batches : int
+        Batches in which the first choice is made, of at least 20 stops.
+    batch : int
+        Exchanges with the same subset.
+    exchanges : int
+        Exchanges in all, in one or more passes with new weights W before each; in a pass stops of the least
+        information come first.
+    passes : int
+        Passes at most.
+    ordered : int
+        Stops at the beginning that are put in order.
+    """
+
+    subset: int = 1500
+    batches: int = 20
+    batch: int = 40
+    exchanges: int = 1200
+    passes: int = 6
+    ordered: int = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """What is chosen from: whitened ``rows`` (m, 3, p), and the information (p, p) that is there before."""
+
+    rows: Array
+    prior: Array
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def information(self, chosen: Rows) -> Array:
+        """Information (p, p) of a design."""
+        return self.prior + information_of(self.rows[chosen])
+
+    def covariance(self, chosen: Rows) -> Array:
+        """Covariance (p, p) of a design."""
+        return inverse_psd(self.information(chosen))
+
+
+def choose_blocks(
+    candidates: Candidates,
+    count: int,
+    criterion: Criterion,
+    rng: np.random.Generator,
+    effort: Effort = Effort(),
+    cancel: CancelToken | None = None,
+) -> Rows:
+    """Numbers of ``count`` candidates that tell most; all of them where there are no more."""
+    cancel = cancel or CancelToken()
+    if count >= len(candidates):
+        return np.arange(len(candidates))
+    random = candidates.prior + information_of(candidates.rows) * (count / len(candidates))
+    chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, effort, cancel)
+    best = criterion.value(candidates.covariance(chosen))
+    for _ in range(min(effort.passes, -(-effort.exchanges // max(count, 1)))):
+        exchanged = _exchanged(candidates, chosen, criterion, rng, effort, cancel)
+        value = criterion.value(candidates.covariance(exchanged))
+        if value >= best:  # the linear criterion became better, the true one did not
+            break
+        chosen, best = exchanged, value
+    return chosen
+
+
+def most_informative_first(
+    candidates: Candidates, chosen: Rows, criterion: Criterion, effort: Effort = Effort()
+) -> Rows:
+    """The chosen candidates in greedy order from the first one on; behind ``effort.ordered`` of them as they are."""
+    if len(chosen) < 2:
+        return chosen
+    early = candidates.prior + information_of(candidates.rows[chosen]) / 4.0
+    weights = criterion.weights(inverse_psd(early))
+    left = np.ones(len(chosen), dtype=bool)
+    order = list[int]()
+    while len(order) < min(effort.ordered, len(chosen)):
+        rest = np.flatnonzero(left)
+        design = BlockDesign(candidates.information(chosen[order]), weights)
+        design.track(candidates.rows[chosen[rest]])
+        for _ in range(min(_batch(effort.batch, len(order)), effort.ordered - len(order), len(rest))):
+            best = rest[int(np.argmax(np.where(left[rest], design.gains(), -np.inf)))]
+            left[best] = False
+            order.append(int(best))
+            design.add(candidates.rows[chosen[best]])
+    return chosen[np.concatenate([order, np.flatnonzero(left)]).astype(np.intp)]
+
+
+def _batch(asked: int, chosen: int) -> int:
+    """Stops until gains are computed afresh: fewer at the beginning, where each of them changes most of all gains."""
+    return min(asked, max(_FIRST_BATCH, chosen))
+
+
+def _greedy(
+    candidates: Candidates, count: int, W: Array, rng: np.random.Generator, effort: Effort, cancel: CancelToken
+) -> Rows:
+    """Stop after stop the largest gain among a subset."""
+    free = np.ones(len(candidates), dtype=bool)
+    size = max(_SMALLEST_BATCH, -(-count // effort.batches))
+    chosen, information = list[int](), candidates.prior
+    while len(chosen) < count:
+        cancel.check()
+        subset = _drawn(free, max(effort.subset, 2 * size), rng)
+        design = BlockDesign(information, W)
+        design.track(candidates.rows[subset])
+        before = len(chosen)
+        for _ in range(min(_batch(size, before), count - before)):
+            best = int(np.argmax(np.where(free[subset], design.gains(), -np.inf)))
+            free[subset[best]] = False
+            chosen.append(int(subset[best]))
+            design.add(candidates.rows[chosen[-1]])
+        information = information + information_of(candidates.rows[chosen[before:]])
+    return np.flatnonzero(~free)
+
+
+def _exchanged(
+    candidates: Candidates,
+    chosen: Rows,
+    criterion: Criterion,
+    rng: np.random.Generator,
+    effort: Effort,
+    cancel: CancelToken,
+) -> Rows:
+    """Each chosen stop, the one of the least information first, against the best of a subset, or itself."""
+    information = candidates.information(chosen)
+    W = criterion.weights(inverse_psd(information))
+    design = BlockDesign(information, W)
+    design.track(candidates.rows[chosen])
+    queue = chosen[np.argsort(design.losses(), kind="stable")][: effort.exchanges]
+    free = np.ones(len(candidates), dtype=bool)
+    free[chosen] = False
+    for first in range(0, len(queue), effort.batch):
+        cancel.check()
+        leaving = queue[first : first + effort.batch]
+        looked_at = np.concatenate([leaving, _drawn(free, effort.subset, rng)])
+        design = BlockDesign(information, W)
+        design.track(candidates.rows[looked_at])
+        before = free.copy()
+        for stop in leaving:
+            if free[stop]:
+                continue
+            design.remove(candidates.rows[stop])
+            free[stop] = True
+            best = looked_at[int(np.argmax(np.where(free[looked_at], design.gains(), -np.inf)))]
+            design.add(candidates.rows[best])
+            free[best] = False
+        come, gone = (candidates.rows[before & ~free], candidates.rows[free & ~before])
+        information = information + information_of(come) - information_of(gone)
+    return np.flatnonzero(~free)
+
+
+def _drawn(free: NDArray[np.bool_], size: int, rng: np.random.Generator) -> Rows:
+    """Up to ``size`` of the free candidates."""
+    return np.asarray(rng.permutation(np.flatnonzero(free))[:size])

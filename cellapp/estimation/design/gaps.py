@@ -1,0 +1,137 @@
+"""Phase coverage: no part of a joint's range without a stop that is longer than a limit, at the least loss.
+
+An error with many periods a turn shows only where stops fall on all of its phases. What the information matrix does
+not know of such an error, gaps do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.design.block_choice import Candidates
+from cellapp.estimation.design.block_design import BlockDesign, Criterion, Rows
+from cellapp.ground.progress import CancelToken
+from cellapp.robot.kinematics.transforms import Array
+
+GAP_OF_EVEN_STOPS = 4.0
+"""Largest gap in units of that of evenly spread stops, where none is asked for. With stops at random it is about the
+natural logarithm of their number: 4.6 of 100, 6 of 400."""
+_EMPTY_SHARE = 0.02
+"""A part of the range without any candidate that is longer than this share of it cannot be reached."""
+_EMPTY_SPACINGS = 10.0
+"""Of few candidates: one that is longer than so many mean distances between them, which is no chance."""
+_IMMOVABLE = 1e-12
+"""Replaces a limit of zero, of a joint that does not move [rad]."""
+_MOST_LOOKED_AT = 100
+"""Candidates for one gap that are compared: more of them differ little."""
+
+
+def largest_gaps(q: Array) -> Array:
+    """Largest part of each joint's travelled range without a stop (N,), for configurations ``q`` (n, N) [rad]."""
+    return np.asarray(np.diff(np.sort(q, axis=0), axis=0).max(axis=0, initial=0.0))
+
+
+def without_turns(q: Array, candidates: Array) -> Array:
+    """``q`` (n, N) [rad] less the whole turns by which it is away from the middle of the ``candidates`` (m, N).
+
+    A plan may reach a candidate with joints turned once more: the phase of an error with a period of one turn or less
+    is the same.
+    """
+    middle = 0.5 * (candidates.min(axis=0) + candidates.max(axis=0))
+    turn = 2.0 * np.pi
+    return np.asarray(q - turn * np.round((q - middle) / turn))
+
+
+def gap_limits(q: Array, count: int, asked: float | None) -> Array:
+    """Limit of each joint's gaps (N,) [rad]: ``asked``, or what ``count`` stops allow in the range of ``q`` (m, N)."""
+    if asked is not None:
+        return np.full(q.shape[1], asked)
+    steps = np.diff(np.sort(q, axis=0), axis=0)
+    empty = max(_EMPTY_SHARE, _EMPTY_SPACINGS / len(q)) * steps.sum(axis=0)
+    reached = np.where(steps <= empty, steps, 0.0).sum(axis=0)
+    return np.asarray(GAP_OF_EVEN_STOPS * reached / max(count, 1))
+
+
+def close_gaps(
+    candidates: Candidates,
+    q: Array,
+    chosen: Rows,
+    criterion: Criterion,
+    limits: Array,
+    kept: Array,
+    rng: np.random.Generator,
+    cancel: CancelToken,
+) -> Rows:
+    """Exchange stops until no gap is left that a candidate can close.
+
+    Parameters
+    ----------
+    candidates : Candidates
+    q : array, shape (m, N)
+        Their joint positions [rad].
+    chosen : array, shape (n,)
+    criterion : Criterion
+        Of the candidates that close a gap the one of the largest gain comes, and of the stops that are not needed for
+        any gap the one of the least loss goes.
+    limits : array, shape (N,)
+        [rad]
+    kept : array, shape (k, N)
+        Further stops of the plan [rad].
+    """
+    design = BlockDesign(candidates.information(chosen), criterion.weights(candidates.covariance(chosen)))
+    design.track(candidates.rows[chosen])
+    staying, added = np.ones(len(chosen), dtype=bool), list[int]()
+    hopeless = set[tuple[int, float]]()
+    for _ in range(len(chosen)):
+        cancel.check()
+        stops = np.concatenate([q[chosen[staying]], q[added], kept])
+        inside = _closing(q, stops, limits, hopeless)
+        if inside is None:
+            break
+        inside = rng.permutation(np.setdiff1d(inside, chosen[staying]))[:_MOST_LOOKED_AT]
+        best = int(inside[np.argmax(design.gains_of(candidates.rows[inside]))])
+        free = staying & _dispensable(np.concatenate([stops, q[[best]]]), limits, staying)
+        if not free.any():
+            break
+        leaving = int(np.argmin(np.where(free, design.losses(), np.inf)))
+        design.add(candidates.rows[best])
+        design.remove(candidates.rows[chosen[leaving]])
+        staying[leaving] = False
+        added.append(best)
+    return np.concatenate([chosen[staying], np.array(added, dtype=np.intp)])
+
+
+def _closing(q: Array, stops: Array, limits: Array, hopeless: set[tuple[int, float]]) -> Rows | None:
+    """Candidates that close the longest gap, or a good part of it; None where no gap can be closed.
+
+    ``hopeless`` gaps (joint, beginning) have no candidate; those found are added.
+    """
+    ends = np.sort(np.concatenate([stops, q.min(axis=0)[None], q.max(axis=0)[None]]), axis=0)
+    ratio = np.diff(ends, axis=0) / np.maximum(limits, _IMMOVABLE)
+    for place in np.argsort(-ratio, axis=None):
+        row, joint = np.unravel_index(place, ratio.shape)
+        if ratio[row, joint] <= 1.0:
+            return None
+        low, high, limit = ends[row, joint], ends[row + 1, joint], limits[joint]
+        if (int(joint), float(low)) in hopeless:
+            continue
+        margin = limit / 2.0 if high - low >= 2.0 * limit else high - low - limit
+        inside = np.flatnonzero((q[:, joint] >= low + margin) & (q[:, joint] <= high - margin))
+        if len(inside):
+            return inside
+        hopeless.add((int(joint), float(low)))
+    return None
+
+
+def _dispensable(stops: Array, limits: Array, staying: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mask of the first stops (those ``staying``) whose loss opens no gap beyond the limits in any joint."""
+    order = np.argsort(stops, axis=0)
+    ordered = np.take_along_axis(stops, order, axis=0)
+    without = np.zeros_like(ordered, dtype=bool)
+    without[1:-1] = ordered[2:] - ordered[:-2] <= limits[None]
+    spare = np.empty_like(without)
+    np.put_along_axis(spare, order, without, axis=0)
+    found = np.zeros(len(staying), dtype=bool)
+    found[staying] = np.logical_and.reduce(spare, axis=1)[: int(staying.sum())]
+    return found

@@ -1,0 +1,206 @@
+"""Smooth terms fitted to all readings, where only some of them were searched.
+
+The Gram matrix of all columns is gathered over chunks of readings, so that memory does not grow with their number. From
+it follow hyperparameters of the structured process (more readings show more components), then all values and their
+covariance: a Gauss-Newton step from the fit to the searched readings, and a second one from there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.estimation.calibration.linear import inverse_psd, solve_psd
+from cellapp.estimation.discovery.arm_data import ArmData, whitening
+from cellapp.estimation.discovery.joint_fit import (
+    JointFit,
+    LinearModel,
+    fit_terms,
+    mean_variance,
+    refit,
+    uncertainty_with_scatter,
+)
+from cellapp.estimation.discovery.process.components import Component, components
+from cellapp.estimation.discovery.process.evidence import Hyperparameters, ProcessData
+from cellapp.estimation.discovery.process.structured import StructuredProcess, needed_components, process_terms
+from cellapp.estimation.discovery.search.state import Review, SearchResult
+from cellapp.estimation.discovery.terms import ModelTerm, ModelTerms, smoothness_of
+from cellapp.robot.effects import EffectColumn
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.posterior import PosteriorDraws
+
+_CHUNK = 1024
+"""Readings at once: 2000 columns of them take 50 MB."""
+_EVALUATIONS = 25
+"""Evaluations of the evidence, from the values that the searched readings gave."""
+_STEPS = 2
+"""Gauss-Newton steps: the second corrects some per cent of the first."""
+_SMALLEST = 1e-300
+"""Guards divisions by a norm of zero."""
+_DRAW_SEED = 0xA117
+"""Beside the profile's seed: these draws are then independent of all other draws."""
+
+
+@dataclass(frozen=True, eq=False)
+class _NormalMatrix:
+    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual and what the values at hand predict."""
+
+    gram: Array
+    moment: Array
+    square: float
+
+    def covariance(self, precision: Array) -> Array:
+        """Inverse of X^T X and the prior precisions (p,)."""
+        A, scale = self._scaled(precision)
+        return inverse_psd(A) * (scale[:, None] * scale)
+
+    def solution(self, precision: Array) -> Array:
+        """Values (p,) of all parameters under the priors."""
+        A, scale = self._scaled(precision)
+        return solve_psd(A, self.moment * scale) * scale
+
+    def _scaled(self, precision: Array) -> tuple[Array, Array]:
+        """X^T X and the prior precisions (p,) with each parameter scaled by its column, and these scales (p,)."""
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.gram), _SMALLEST))
+        return self.gram * (scale[:, None] * scale) + np.diag(precision * scale**2), scale
+
+    def behind(self, flat: int, precision: Array, coordinates: int) -> ProcessData:
+        """The columns from ``flat`` on behind the first ones, whose prior precisions (flat,) are given."""
+        first = _NormalMatrix(self.gram[:flat, :flat], self.moment[:flat], self.square)
+        inverse = first.covariance(precision)
+        cross, moment = self.gram[:flat, flat:], self.moment[:flat]
+        determined = flat - float(np.sum(precision * np.diag(inverse)))
+        return ProcessData(
+            gram=self.gram[flat:, flat:] - cross.T @ inverse @ cross,
+            moment=self.moment[flat:] - cross.T @ (inverse @ moment),
+            square=self.square - float(moment @ inverse @ moment),
+            coordinates=coordinates - determined,
+        )
+
+
+def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[SearchResult, ArmModel]:
+    """The outcome of a search with smooth terms that all readings need, and the model fitted to all of them.
+
+    ``data`` are all readings; ``needed`` is the gain of the score from which a component stays. The outcome keeps the
+    readings that were searched, for pictures and reviews.
+    """
+    smooth = smoothness_of(found.fit.terms)
+    assert smooth is not None
+    named = tuple(term for term in found.fit.terms if term.smooth is None)
+    weighed = replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter_m)).at(found.fit.model)
+    process = _process(found, weighed, named, needed)
+    scatter_m = smooth.scatter_m * math.sqrt(process.values.noise)
+    terms = (*named, *process_terms(process, scatter_m))
+    weighed = replace(weighed, sigma=uncertainty_with_scatter(data, scatter_m))
+    some = replace(found.data, sigma=uncertainty_with_scatter(found.data, scatter_m))
+    here, fit = refit(some.at(found.fit.model), terms)
+    chance = min(review.p_value for review in found.reviews)
+    of_named = [review for review in found.reviews if review.term.smooth is None]
+    smooth_terms = [(term, term.smooth) for term in terms if term.smooth is not None]
+    of_smooth = [Review(term, smooth.evidence, chance, ()) for term, smooth in smooth_terms]
+    return replace(found, data=here, fit=fit, reviews=(*of_named, *of_smooth)), _fitted(weighed, fit)
+
+
+def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: float) -> StructuredProcess:
+    """The structured process of all readings beside the named terms."""
+    base = fit_terms(found.data.at(found.fit.model), named)
+    had = {term.slug: term for term in found.fit.terms if term.smooth is not None}
+    chosen = [one if one.slug in had else one.coarse() for one in components(found.data, base)]
+    flat = base.layout.total
+    gram = _gathered(data, base, chosen).behind(flat, base.precision, 3 * len(data))
+    start = Hyperparameters(
+        tuple(_amplitudes(one, had.get(one.slug)) for one in chosen),
+        tuple(_length(one, had.get(one.slug)) for one in chosen),
+        1.0,
+    )
+    process = StructuredProcess(tuple(chosen), start, gram, -math.inf)
+    return needed_components(process.refitted(_EVALUATIONS).without_idle(), needed)
+
+
+def _amplitudes(component: Component, term: ModelTerm | None) -> Array:
+    """Where the search for amplitudes begins: those of the searched readings, else small ones."""
+    known = {} if term is None else term.law.constants
+    return np.array([known.get(key, 0.1 * component.start) for key in component.amplitude_keys])
+
+
+def _length(component: Component, term: ModelTerm | None) -> float:
+    if component.lengths is None:
+        return 1.0
+    known = {} if term is None else term.law.constants
+    return next((known[key] for key in component.length_keys if key in known), component.lengths.start)
+
+
+def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
+    """Columns of components at some readings."""
+    found: list[EffectColumn] = []
+    for one in chosen:
+        law = one.law(np.ones(len(one.amplitude_keys)), 1.0 if one.lengths is None else one.lengths.start)
+        found += data.columns(one.slug, law, [column.name for column in one.columns])
+    return found
+
+
+def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -> _NormalMatrix:
+    """Normal matrix of a fit's geometry and terms and of further components over all readings, linearised there."""
+    count = sum(len(one.columns) for one in further)
+    total = fit.layout.total + count
+    gram, moment, square = np.zeros((total, total)), np.zeros(total), 0.0
+    geometric = np.array(fit.identification.estimated.columns, dtype=np.intp)
+    deviation = fit.model.geometry.vector()[geometric] - data.model.nominal.vector()[geometric]
+    values = np.concatenate([deviation, fit.identification.effect_values, np.zeros(count)])
+    for chunk in _chunks(data):
+        white = whitening(chunk.sigma)
+        columns = [*chunk.term_columns(fit.terms), *_columns(chunk, further)]
+        rows = LinearModel.of(
+            fit.model.geometry, chunk.readings.q, white, fit.identification.estimated.columns, columns
+        ).rows
+        left = chunk.readings.p_M - fit.model.predict(chunk.readings.q, conditions=chunk.conditions)
+        target = np.einsum("acn,nc->an", white, left).ravel() + values @ rows
+        gram += rows @ rows.T
+        moment += rows @ target
+        square += float(target @ target)
+    return _NormalMatrix(gram, moment, square)
+
+
+def _chunks(data: ArmData) -> Iterator[ArmData]:
+    """The readings in parts."""
+    for first in range(0, len(data), _CHUNK):
+        rows = np.arange(first, min(first + _CHUNK, len(data)), dtype=np.intp)
+        yield replace(
+            data,
+            readings=data.readings.take(rows),
+            conditions=data.conditions.take(rows),
+            stated=None if data.stated is None else data.stated[rows],
+            sigma=data.sigma[rows],
+            true_q=None if data.true_q is None else data.true_q[rows],
+            cache={},
+        )
+
+
+def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
+    """The model with values and uncertainty from all readings."""
+    model, flat = fit.model, fit.layout.geometric
+    columns = list(fit.identification.estimated.columns)
+    normal = _NormalMatrix(np.zeros((0, 0)), np.zeros(0), 0.0)
+    for _ in range(_STEPS):
+        normal = _gathered(data, fit)
+        values = normal.solution(fit.precision)
+        vector = model.geometry.vector()
+        vector[columns] = data.model.nominal.vector()[columns] + values[:flat]
+        effects = tuple(
+            replace(term, values=values[fit.layout.parameters(number)]) for number, term in enumerate(model.effects)
+        )
+        model = replace(model, geometry=model.geometry.with_vector(vector), effects=effects)
+        fit = replace(fit, model=model, identification=replace(fit.identification, effect_values=values[flat:]))
+        data = data.at(model)
+    draws = PosteriorDraws.of_covariance(
+        columns=tuple(columns),
+        sizes=[term.size for term in fit.terms],
+        covariance=normal.covariance(fit.precision),
+        noise_m=math.sqrt(mean_variance(data.sigma)),
+        seed=(data.profile.seed, _DRAW_SEED),
+    )
+    return replace(model, posterior=draws)

@@ -1,0 +1,152 @@
+"""Readings of one arm for discovery, with measurement conditions, columns of effects, and weights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from cellapp.estimation.calibration.arm_identification import identify_with_excess
+from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.calibration.weights import whitener
+from cellapp.estimation.discovery.terms import ModelTerms
+from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
+from cellapp.robot.effects.modulation import with_modulations
+from cellapp.robot.effects.smooth import with_prior
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import prior_sigmas
+
+TOLERANCE = 1e-6
+"""Step [m at arm's length] at which a fit ends: a twentieth of what a tracker resolves."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmData:
+    """Readings of one arm, their measurement conditions, and the weights in use.
+
+    The parameter set is fixed once: if each joint refit selected it again, an effect could make redundant directions
+    appear identifiable.
+
+    Attributes
+    ----------
+    profile, model, readings, known
+        ``model`` has geometry only; ``conditions`` are those of the readings.
+    stated : array, shape (n,) [m] or (n, 3, 3) [m^2], or None
+        Uncertainty that the readings state.
+    sigma : array, shape (n,) [m] or (n, 3, 3) [m^2]
+        The one that weighs them: stated or estimated, with the scatter beyond it.
+    parameter_set : ParameterSet
+        Geometric parameters that are fitted.
+    prior_sigma : mapping
+        Standard deviations of the priors of these [m, rad], about nominal.
+    start : mapping
+        Values of an earlier fit by effect and column, from which the next fit begins.
+    true_q : array, shape (n, N), or None
+        Joint positions with the offsets of known effects [rad]; None is the controller's positions.
+    cache : dict
+        Columns that were computed before, by effect, law and names; None for all names.
+    """
+
+    profile: Profile
+    model: ArmModel
+    readings: Readings
+    conditions: MeasurementConditions
+    stated: Array | None
+    sigma: Array
+    parameter_set: ParameterSet
+    prior_sigma: Mapping[str, float]
+    start: Mapping[tuple[str, str], float] = field(default_factory=dict)
+    true_q: Array | None = None
+    cache: dict[tuple[str, str, tuple[str, ...] | None], list[EffectColumn]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        profile: Profile,
+        model: ArmModel,
+        readings: Readings,
+        conditions: MeasurementConditions,
+        prior_sigma: Mapping[str, float] | None = None,
+    ) -> ArmData:
+        """Take the weights from the stated uncertainty, and select the geometric parameters.
+
+        ``prior_sigma`` [m, rad] replaces the profile's, about ``robot.model.nominal``.
+        """
+        geometry_only = replace(model, effects=(), network=None)
+        stated = stated_uncertainty(readings)
+        settings = profile.calibration
+        found, _ = identify_with_excess(
+            model.nominal,
+            readings.q,
+            readings.p_M,
+            sigma=stated,
+            parameter_set=settings.parameter_set,
+            prior_sigma=prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma,
+            tolerance=TOLERANCE,
+        )
+        sigma = np.full(len(readings), found.scale) if stated is None else stated
+        geometry_only = replace(geometry_only, geometry=found.geometry)
+        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, found.prior_sigma)
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    @cached_property
+    def context(self) -> EffectContext:
+        """Quantities that effects depend on, at the geometry of ``model``."""
+        return replace(self.model.context(self.readings.q, conditions=self.conditions), q_actual=self.true_q)
+
+    def at(self, model: ArmModel) -> ArmData:
+        """The same readings, with effects evaluated at the geometry and the true joint positions of ``model``."""
+        true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
+        kept = {key: columns for key, columns in self.cache.items() if _depends_on_angles_only(key[0], columns)}
+        here = replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache=kept)
+        return here.beginning_at(model)
+
+    def beginning_at(self, model: ArmModel) -> ArmData:
+        """The same readings and columns; the next fit begins from the effects' values in ``model``."""
+        values = {
+            (term.slug, name): value
+            for term in model.effects
+            for name, value in zip(term.names, term.values.tolist(), strict=True)
+        }
+        return replace(self, start=values)
+
+    def columns(self, slug: str, law: Law, names: Sequence[str] | None = None) -> list[EffectColumn]:
+        """Columns of a law, all or those of ``names`` in that order."""
+        described = f"{law.name} {sorted(law.constants.items())}"
+        key = (slug, described, None if names is None else tuple(names))
+        if key not in self.cache:
+            if names is None:
+                self.cache[key] = EFFECTS[slug].columns(self.context, law)
+            else:
+                whole = self.cache.get((slug, described, None))
+                some = whole or EFFECTS[slug].columns(self.context, law, frozenset(names))
+                by_name = {column.name: column for column in some}
+                self.cache[key] = [by_name[name] for name in names]
+        return self.cache[key]
+
+    def term_columns(self, terms: ModelTerms) -> tuple[EffectColumn, ...]:
+        """Columns of some terms, one term after the other: of the law, then of its free part."""
+        found: list[EffectColumn] = []
+        for term in terms:
+            columns = with_modulations(self.columns(term.slug, term.law, term.names), term.modulations, self.context)
+            found += columns[: len(term.names)]
+            found += map(with_prior, columns[len(term.names) :], term.modulation_sd)
+        return tuple(found)
+
+
+def _depends_on_angles_only(slug: str, columns: Sequence[EffectColumn]) -> bool:
+    """Whether columns are the same at every geometry: offsets of joints that follow measured joint angles."""
+    return EFFECTS[slug].variables == {DriverVariable.JOINT_ANGLE} and all(one.joint is not None for one in columns)
+
+
+def whitening(sigma: Array) -> Array:
+    """Matrices (3, 3, n) [1/m] that turn errors of n points into units of their standard uncertainty."""
+    white = whitener(sigma)
+    return np.asarray(np.eye(3)[:, :, None] * white) if white.ndim == 1 else white

@@ -1,0 +1,130 @@
+"""Candidate laws: an effect's law on the data at hand, with the whitened SMR displacement of each of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.robot.effects import EffectColumn, Law
+from cellapp.robot.kinematics.transforms import Array
+
+BOUND_ERRORS = 4.0
+"""Standard errors by which a value may exceed its physical bound: chance does so in one of 30 000 cases. The estimate
+of a joint that an effect hardly loads is often negative."""
+
+Block = tuple[int, ...]
+"""Places of the columns of one block, which enter a model together."""
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateLaw:
+    """A law of an effect: its columns, and their whitened displacements ``rows`` (m, d)."""
+
+    slug: str
+    law: Law
+    columns: tuple[EffectColumn, ...]
+    rows: Array
+
+    @cached_property
+    def blocks(self) -> list[Block]:
+        """Columns of each block."""
+        found: dict[str, list[int]] = {}
+        for place, column in enumerate(self.columns):
+            found.setdefault(column.block, []).append(place)
+        return [tuple(places) for places in found.values()]
+
+    def refines(self, block: Sequence[int]) -> bool:
+        """Whether a block only refines others and is no effect alone."""
+        return self.columns[block[0]].refines
+
+    def keep(self, places: Sequence[int]) -> CandidateLaw:
+        """The law with some of its columns only."""
+        chosen = list(places)
+        return CandidateLaw(self.slug, self.law, tuple(self.columns[k] for k in chosen), self.rows[chosen])
+
+
+@dataclass(frozen=True)
+class LawScore:
+    """How well a law explains a residual.
+
+    Attributes
+    ----------
+    candidate : CandidateLaw
+    value : float
+        Gain of the BIC less the price of choosing the law.
+    chosen : tuple of int
+        Places of the columns that are needed.
+    explained_share : float
+        R^2.
+    """
+
+    candidate: CandidateLaw
+    value: float
+    chosen: tuple[int, ...]
+    explained_share: float
+
+    @property
+    def slug(self) -> str:
+        """The effect."""
+        return self.candidate.slug
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Effect and law."""
+        return self.candidate.slug, self.candidate.law.name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns that are needed."""
+        return tuple(self.candidate.columns[place].name for place in self.chosen)
+
+    @property
+    def rows(self) -> Array:
+        """Whitened displacements of these columns."""
+        return self.candidate.rows[list(self.chosen)]
+
+
+def best_law_of_each_effect(scores: Sequence[LawScore]) -> list[LawScore]:
+    """The first score of each effect; ``scores`` are sorted, best first."""
+    best: dict[str, LawScore] = {}
+    for score in scores:
+        best.setdefault(score.slug, score)
+    return list(best.values())
+
+
+def blocks_beyond_bounds(columns: Sequence[EffectColumn], values: Array, errors: Array) -> set[str]:
+    """Blocks with a value (m,) outside its column's physical bounds by more than its standard error (m,) allows."""
+    return {
+        column.block
+        for column, value, error in zip(columns, values.tolist(), errors.tolist(), strict=True)
+        if not column.lower - BOUND_ERRORS * error <= value <= column.upper + BOUND_ERRORS * error
+    }
+
+
+def whitened_displacements(columns: Sequence[EffectColumn], by_joint: Array, white: Array) -> Array:
+    """Whitened SMR displacements (m, 3 n) per unit of each column's parameter.
+
+    Parameters
+    ----------
+    columns : sequence of EffectColumn, length m
+    by_joint : array, shape (3, N, n)
+        Derivatives of the SMR position by the joints, WHITENED [1/rad].
+    white : array, shape (3, 3, n)
+        Whitening of each point [1/m].
+    """
+    n = white.shape[2]
+    rows = np.empty((len(columns), 3, n))
+    of_joints = [place for place, column in enumerate(columns) if column.joint is not None]
+    of_smr = [place for place, column in enumerate(columns) if column.joint is None]
+    if of_joints:
+        joints: NDArray[np.intp] = np.array([columns[place].joint for place in of_joints], dtype=np.intp)
+        offsets = np.array([columns[place].offset for place in of_joints])
+        rows[of_joints] = by_joint[:, joints].swapaxes(0, 1) * offsets[:, None]
+    if of_smr:
+        shifts = np.array([columns[place].shift_M for place in of_smr])
+        rows[of_smr] = np.einsum("acn,mnc->man", white, shifts)
+    return rows.reshape(len(columns), 3 * n)

@@ -1,0 +1,155 @@
+"""Description of a data-driven term: channel, variables, its curve, and a short formula where one fits as well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.candidates import CandidateLaw
+from cellapp.estimation.discovery.formulas import formulas
+from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.movement import rms_length
+from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.robot.effects import Channel, EffectColumn, LawForm
+from cellapp.robot.effects.contradiction import is_contradiction
+from cellapp.robot.effects.data_driven import DataChannel, Variable, data_driven_form
+from cellapp.robot.effects.field import FIELD_LENGTH
+from cellapp.robot.effects.unknown import channel_directions
+from cellapp.robot.kinematics.transforms import Array
+
+_POINTS = 60
+"""Points of a curve in the description."""
+_AS_GOOD = 0.95
+"""Share of what the curve explains that a formula of fewer parameters must explain to describe it."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """Description of a data-driven term.
+
+    Attributes
+    ----------
+    channel : str
+        What the effect moves.
+    variables : tuple of str
+        What it depends on.
+    size_um : float
+        Rms displacement of the SMR, without the part that the other parameters can explain [um].
+    formula : str
+        Short formula; empty where none explains the effect as well as the curve.
+    gain : float, optional
+        Score of the formula less that of the curve.
+    curve : tuple of (float, float)
+        Variable and value of the term in SI units; empty where there are two variables.
+    sentence : str
+    """
+
+    channel: str
+    variables: tuple[str, ...]
+    size_um: float
+    formula: str
+    gain: float | None
+    curve: tuple[tuple[float, float], ...]
+    sentence: str
+
+
+def describe(data: ArmData, fit: JointFit, number: int) -> Description:
+    """Describe a data-driven term of a fit, or a law with impossible values."""
+    if is_contradiction(fit.terms[number].law):
+        return _contradiction(fit, number)
+    form = data_driven_form(fit.terms[number].law)
+    channel, variables = form.channel, form.drivers
+    names = tuple(variable.name for variable in variables)
+    values = [variable.values(data.context) for variable in variables]
+    size_um = _visible_rms(fit, number) * 1e6
+    if form.is_field:
+        length = fit.terms[number].law.constants[FIELD_LENGTH.name]
+        sentence = (
+            f"{channel.name} depends on the position, a field over the workspace that changes within some"
+            f" {length:.1g} m; {size_um:.0f} um rms at the SMR"
+        )
+        return Description(channel.name, names, size_um, "", None, (), sentence)
+    formula, gain = _formula(data, fit, number, channel, variables, values)
+    shape = f", about {formula}" if formula else ""
+    sentence = f"{channel.name} depends on {' and '.join(names)}{shape}; {size_um:.0f} um rms at the SMR"
+    one_curve = len(variables) == 1 and fit.term_columns(number)[0].joint is not None
+    curve = _curve(fit, number, values[0]) if one_curve else ()
+    return Description(channel.name, names, size_um, formula, gain, curve, sentence)
+
+
+def _contradiction(fit: JointFit, number: int) -> Description:
+    """A law of the library with impossible values: the sentence of its term, and its size."""
+    term, size_um = fit.terms[number], _visible_rms(fit, number) * 1e6
+    places = dict.fromkeys(column.where for column in fit.term_columns(number))
+    names = sorted(variable.value for variable in term.law.form.variables)
+    sentence = f"{term.note}; {size_um:.0f} um rms at the SMR"
+    return Description(", ".join(places), tuple(names), size_um, "", None, (), sentence)
+
+
+def _visible_rms(fit: JointFit, number: int) -> float:
+    """Rms displacement [m] by a term, without the part that the other parameters of the model can explain.
+
+    That part is arbitrary: a shift of the base pose cancels a constant in a slow drift.
+    """
+    visible = fit.residual_without(number).projector.project(fit.signal(number))
+    return rms_length(fit, visible)
+
+
+def _curve(fit: JointFit, number: int, x: Array) -> tuple[tuple[float, float], ...]:
+    """Points of a joint offset [rad] over its variable."""
+    offset = np.zeros(len(x))
+    for column, value in zip(fit.term_columns(number), fit.term_values(number).tolist(), strict=True):
+        if column.offset is not None:
+            offset += value * column.offset
+    order = np.argsort(x, kind="stable")
+    chosen = order[np.linspace(0, len(order) - 1, min(_POINTS, len(order))).astype(np.intp)]
+    return tuple((float(x[i]), float(offset[i])) for i in chosen)
+
+
+def _formula(
+    data: ArmData,
+    fit: JointFit,
+    number: int,
+    channel: DataChannel,
+    variables: Sequence[Variable],
+    values: Sequence[Array],
+) -> tuple[str, float | None]:
+    """The best short formula and its gain over the curve; no text where it does not describe the term as well.
+
+    It does where its score is higher, as it has fewer parameters, or where it explains nearly as much.
+    """
+    if any(not np.isfinite(one).all() for one in values):
+        return "", None
+    basis = fit.term_columns(number)[0]
+    directions = [] if basis.joint is not None else channel_directions(data.context, channel)
+    found = formulas(variables, values)
+    candidates = []
+    for formula in found:
+        columns = _columns(formula.text, formula.values, basis, directions)
+        law = LawForm(formula.text, formula.text).law(tried=len(found))
+        candidates.append(CandidateLaw(UNKNOWN, law, columns, fit.displacements(columns)))
+    if not candidates:
+        return "", None
+    residual = fit.residual_without(number)
+    best = LawScan.of(candidates, residual.projector).ranked(residual)[0]
+    rows = fit.term_rows(number)
+    gain = best.value - residual.bic_gain(rows)
+    if gain < 0.0 and best.explained_share < _AS_GOOD * residual.explained_share(rows):
+        return "", gain
+    return best.candidate.law.name, gain
+
+
+def _columns(text: str, values: Array, basis: EffectColumn, directions: Sequence[Array]) -> tuple[EffectColumn, ...]:
+    """Columns of a formula in the channel of ``basis``, all in one block; of a shift one for each direction."""
+    common = ("", text, -np.inf, np.inf, basis.channel, basis.index)
+    if basis.channel is Channel.JOINT:
+        return tuple(EffectColumn(f"{text}#{k}", *common, offset=values[:, k]) for k in range(values.shape[1]))
+    return tuple(
+        EffectColumn(f"{text}#{k}#{d}", *common, shift_M=values[:, k, None] * direction)
+        for k in range(values.shape[1])
+        for d, direction in enumerate(directions)
+    )

@@ -1,0 +1,414 @@
+"""Discovery for a calibrated cell: search every arm, judge on held-out readings, extend the model by what was found."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.calibrate import rms_length_mm
+from cellapp.estimation.calibration.gross_errors import (
+    ROUNDS,
+    gross_errors,
+    gross_errors_of_geometry,
+    left_out_words,
+    without,
+)
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
+from cellapp.estimation.calibration.network_training import training_steps
+from cellapp.estimation.calibration.pair_calibration import calibrate_pair
+from cellapp.estimation.discovery.all_readings import fit_to_all
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.describe import describe
+from cellapp.estimation.discovery.detectability import detectability
+from cellapp.estimation.discovery.held_out import HeldOut
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, with_posterior
+from cellapp.estimation.discovery.movement import term_movements
+from cellapp.estimation.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
+from cellapp.estimation.discovery.pictures.cycles import dominant_cycles
+from cellapp.estimation.discovery.pictures.term_pictures import pictures
+from cellapp.estimation.discovery.posterior import Posteriors, posteriors_of, remaining_scan
+from cellapp.estimation.discovery.records import CycleBand, Noise
+from cellapp.estimation.discovery.remaining_network import needs_network, with_network
+from cellapp.estimation.discovery.search.comparison import scatter
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult
+from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
+from cellapp.estimation.discovery.structure import structure_left
+from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
+from cellapp.estimation.discovery.verdict import sampling_allowance, verdict
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
+from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.model import ArmModel, CellModel
+
+_MOST_SEARCHED = 400
+"""Largest number of readings to search: the cost grows with it, and some hundred readings show effects of the size of
+the noise. The accepted terms are then fitted to all readings."""
+_SUBSET_SEED = 0x5EA
+"""Beside the profile's seed: the draw of these readings is then independent of all other draws."""
+
+
+@dataclass(frozen=True)
+class _PairArm:
+    """An arm for the calibration of the pair after discovery."""
+
+    model: ArmModel
+    tracker_frame_network: None = None
+
+
+class ArmSearch(Protocol):
+    """Searches one calibrated arm, as ``discover_arm`` does."""
+
+    def __call__(
+        self,
+        profile: Profile,
+        name: str,
+        model: ArmModel,
+        readings: Readings,
+        cancel: CancelToken | None = None,
+        *,
+        conditions: MeasurementConditions,
+        report: Report = ignore_report,
+    ) -> Discovery: ...
+
+
+def discover_cell(
+    profile: Profile,
+    model: CellModel,
+    readings: Mapping[str, Readings],
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    search_arm: ArmSearch | None = None,
+) -> CellDiscovery:
+    """Search the readings of every arm of a calibrated cell for missing effects, and add them to the model.
+
+    ``search_arm`` replaces ``discover_arm``.
+
+    Raises
+    ------
+    Cancelled
+        On request.
+    """
+    arms = _discover_arms(profile, model, readings, listener, cancel or CancelToken(), search_arm or discover_arm)
+    pair = None
+    if any(discovery.accepted for discovery in arms.values()):
+        good = {name: without(readings[name], found.left_out) for name, found in arms.items()}
+        pair, _ = calibrate_pair(profile, good, {name: _PairArm(found.model) for name, found in arms.items()})
+    T_R_L = model.T_R_L if pair is None else pair.T_R_L
+    model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
+    total = _total_steps(profile, len(arms))
+    listener(Progress("discover", total, total, "done"))
+    return CellDiscovery(arms, model, pair)
+
+
+def _total_steps(profile: Profile, arms: int) -> int:
+    """Steps that discovery reports: search of every arm, training where it may be needed, and the pair."""
+    training = training_steps() if _may_train(profile) else 0
+    return (SEARCH_STEPS + training) * arms + 1
+
+
+def _may_train(profile: Profile) -> bool:
+    return profile.network.kind == "mlp" and profile.discovery.network != "never"
+
+
+def _discover_arms(
+    profile: Profile,
+    model: CellModel,
+    readings: Mapping[str, Readings],
+    listener: Listener,
+    cancel: CancelToken,
+    search_arm: ArmSearch,
+) -> dict[str, Discovery]:
+    conditions = conditions_of_arms(model.arms, readings)
+    found: dict[str, Discovery] = {}
+    total = _total_steps(profile, len(model.arms))
+    searched = SharedProgress(listener, "discover", 0, total)
+    for name, arm in model.arms.items():
+        report = searched.part(f"arm {name}")
+        report(0, "search")
+        cancel.check()
+        found[name] = search_arm(profile, name, arm, readings[name], cancel, conditions=conditions[name], report=report)
+        report(SEARCH_STEPS, found[name].verdict)
+    if not _may_train(profile):
+        return found
+    trained = SharedProgress(listener, "discover", SEARCH_STEPS * len(model.arms), total)
+    with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
+        tasks = {}
+        for name, discovery in found.items():
+            report = trained.part(f"arm {name}")
+            if not needs_network(profile, discovery):
+                report(training_steps(), "no network is needed")
+                continue
+            report(0, "residual network beside the effects")
+            good = ~np.isin(readings[name].configuration, discovery.left_out)
+            its, its_conditions = readings[name].take(good), conditions[name].take(good)
+            tasks[name] = pool.submit(
+                with_network, profile, model.arms[name], discovery, its, its_conditions, cancel, report
+            )
+        return {**found, **{name: task.result() for name, task in tasks.items()}}
+
+
+def discover_arm(
+    profile: Profile,
+    name: str,
+    model: ArmModel,
+    readings: Readings,
+    cancel: CancelToken | None = None,
+    *,
+    conditions: MeasurementConditions | None = None,
+    report: Report = ignore_report,
+    prior_sigma: Mapping[str, float] | None = None,
+) -> Discovery:
+    """Search the identify and train splits for effects, and evaluate the models on the validate split.
+
+    Readings of any split that are gross errors for the geometry are left out, as ``calibrate`` leaves them out.
+
+    ``conditions`` are those of ``readings``; the default is derived from the readings of this arm alone.
+    ``report`` takes the steps done, of ``SEARCH_STEPS``. ``prior_sigma`` are standard deviations [m, rad] of geometric
+    parameters about ``robot.model.nominal``; those of the profile if not given.
+    """
+    started = time.perf_counter()
+    cancel = cancel or CancelToken()
+    conditions = conditions or measurement_conditions(readings)
+    wrong = gross_errors_of_geometry(model.geometry, model.nominal, readings.q, readings.p_M)
+    held_out = HeldOut.of(readings.take(~wrong), conditions.take(~wrong))
+    result = _without_harm(
+        _search_and_refit(profile, model, readings, conditions, wrong, cancel, report, prior_sigma), held_out
+    )
+    return _evaluated(name, model, result, held_out, started)
+
+
+def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut, started: float) -> Discovery:
+    """The discovery that a search found, with its evidence and the errors at held-out readings.
+
+    ``model`` is the calibrated arm; ``started`` is when the search began, by ``time.perf_counter`` [s].
+    """
+    searched, found, fitted_model = result.judged, result.found, result.model
+    before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
+    floor_mm = held_out.noise_floor_mm()
+    scan = remaining_scan(searched)
+    probable = posteriors_of(searched, scan)
+    accepted = _accepted_effects(found, fitted_model, held_out, after.rms, probable)
+    left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
+    word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
+    if result.harmful:
+        word = "unknown effect"  # something is there: the search fitted it, though not by what it is
+    final = _final_model(model, fitted_model, accepted)
+    invisible, not_found = detectability(found, scan if found is searched else remaining_scan(found))
+    return Discovery(
+        accepted=accepted,
+        noise_floor_mm=floor_mm,
+        before=before,
+        after=after,
+        seconds=time.perf_counter() - started,
+        steps=_gap_steps(found, held_out, before.rms, after.rms, result.fitted),
+        threshold=found.threshold,
+        omnibus_p=math.nan if left is None else left.p_value,
+        scatter=math.nan if left is None else left.ratio,
+        invisible=invisible,
+        not_found=not_found,
+        verdict=word,
+        sentence=f"arm {name}: {_with_what_was_left_out(sentence, result)}",
+        model=final,
+        stage=held_out.evaluate(final),
+        pictures=pictures(found.data, found.fit),
+        scatter_m=0.0 if (smooth := smoothness_of(found.fit.terms)) is None else smooth.scatter_m,
+        uncertainty_mm=held_out.predicted_uncertainty_mm(final),
+        noise_mm=_noise(found.data),
+        candidates=probable.effects,
+        structure=structure,
+        left_out=result.left_out,
+    )
+
+
+def _final_model(calibrated: ArmModel, fitted: ArmModel, accepted: Sequence[AcceptedEffect]) -> ArmModel:
+    """The fitted model with the descriptions of data-driven terms; as it was calibrated where nothing was found."""
+    if not accepted:
+        return replace(calibrated, posterior=fitted.posterior)
+    return replace(fitted, effects=tuple(effect.term for effect in accepted))
+
+
+def _noise(data: ArmData) -> Noise:
+    """Rms length of the noise: as stated, else as the final fit estimated it, with all of the scatter."""
+    if data.stated is None:
+        return Noise(rms=rms_length_mm(data.sigma), source="estimated")
+    return Noise(rms=rms_length_mm(data.stated), source="stated")
+
+
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """The outcome of a search, and the model fitted to all readings.
+
+    ``judged`` holds the searched readings; ``found`` those of the final fit. ``fitted`` is the number of all readings
+    if not all were searched, ``left_out`` are the configurations of gross errors, ``harmful`` the effects that were
+    found but predict held-out readings worse than geometry alone.
+    """
+
+    judged: SearchResult
+    found: SearchResult
+    model: ArmModel
+    fitted: int | None
+    left_out: tuple[int, ...] = ()
+    harmful: tuple[str, ...] = ()
+
+
+def _search_and_refit(
+    profile: Profile,
+    model: ArmModel,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    gross: NDArray[np.bool_],
+    cancel: CancelToken,
+    report: Report,
+    prior_sigma: Mapping[str, float] | None,
+) -> _Searched:
+    """Search at most ``_MOST_SEARCHED`` readings to learn from, without gross errors, then fit to all of them.
+
+    ``gross`` (n,) are those of the geometry; others show beside the effects that are found.
+    """
+    rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+    rows = rows[~gross[rows]]
+    gross = gross.copy()
+    for _ in range(ROUNDS):
+        result = _search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
+        computed = result.model.predict(readings.q[rows], conditions=conditions.take(rows))
+        wrong = gross_errors(readings.p_M[rows] - computed)
+        if not wrong.any():
+            break
+        gross[rows[wrong]] = True
+        rows = rows[~wrong]
+    return replace(result, left_out=tuple(readings.configuration[gross].tolist()))
+
+
+def _search_rows(
+    profile: Profile,
+    model: ArmModel,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    cancel: CancelToken,
+    report: Report,
+    prior_sigma: Mapping[str, float] | None,
+) -> _Searched:
+    """Search some of the readings, and fit to all of them."""
+    rows = np.arange(len(readings), dtype=np.intp)
+    some = rows
+    if len(rows) > _MOST_SEARCHED:
+        generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
+        some = np.sort(generator.permutation(rows)[:_MOST_SEARCHED])
+    slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
+    searched = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
+    found = search(searched, slugs, cancel, report)
+    if len(some) == len(rows) or not found.fit.terms:
+        return _Searched(found, found, with_posterior(found.data, found.fit), None)
+    everything = ArmData.of(profile, model, readings, conditions, prior_sigma)
+    if smoothness_of(found.fit.terms) is None:
+        to_all = refit_to_all(found, everything)
+        return _Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))
+    to_all, fitted_model = fit_to_all(found, everything, max(found.threshold, SCORE_MARGIN))
+    return _Searched(to_all, to_all, fitted_model, len(rows))
+
+
+def _without_harm(result: _Searched, held_out: HeldOut) -> _Searched:
+    """The result, without its terms where they predict held-out readings worse than geometry alone does.
+
+    Few readings can be fitted by effects that are not there. The rise must be more than sampling explains.
+    """
+    found = result.found
+    if not found.fit.terms or not len(held_out):
+        return result
+    allowed = sampling_allowance(len(held_out))
+    if held_out.rms_mm(result.model) <= allowed * held_out.rms_mm(found.geometry_only.model):
+        return result
+    bare = found.without_terms()
+    return replace(
+        result,
+        judged=bare,
+        found=bare,
+        model=with_posterior(bare.data, bare.fit),
+        harmful=tuple(dict.fromkeys(term.slug for term in found.fit.terms)),
+    )
+
+
+def _with_what_was_left_out(sentence: str, result: _Searched) -> str:
+    """The sentence of the verdict, with effects that did harm, and with the readings that were left out."""
+    if result.harmful:
+        sentence = (
+            f"{sentence}; {_titles(result.harmful)} made held-out errors larger and was left out: measure more stops"
+        )
+    return f"{sentence}; {left_out_words(result.left_out)}" if result.left_out else sentence
+
+
+def _titles(slugs: Sequence[str]) -> str:
+    """Titles of effects, joined by commas."""
+    return ", ".join(EFFECTS[slug].title if slug != UNKNOWN else "a data-driven term" for slug in slugs)
+
+
+def _gap_steps(
+    found: SearchResult, held_out: HeldOut, before_mm: float, after_mm: float, fitted: int | None
+) -> tuple[GapStep, ...]:
+    """The held-out error after each step of the search, and after the review."""
+    steps = [GapStep("geometry alone", "", before_mm)]
+    steps += [
+        GapStep(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None
+    ]
+    if found.dropped:
+        steps.append(GapStep(f"dropped in review: {_titles(found.dropped)}", "", after_mm))
+    if fitted is not None:
+        steps.append(GapStep(f"fitted to all {fitted} readings", "", after_mm))
+    return tuple(steps)
+
+
+def _accepted_effects(
+    found: SearchResult, model: ArmModel, held_out: HeldOut, after_mm: float, probable: Posteriors
+) -> tuple[AcceptedEffect, ...]:
+    """The reviewed terms of the final model, in order, with the held-out error without each."""
+    fit = found.fit
+    accepted = []
+    for number, review in enumerate(found.reviews):
+        term, columns = model.effects[number], fit.term_columns(number)
+        description = describe(found.data, fit, number) if term.slug == UNKNOWN else None
+        if description is not None:
+            term = replace(term, note=description.sentence)
+        accepted.append(
+            AcceptedEffect(
+                term=term,
+                joints=tuple(sorted({column.joint + 1 for column in columns if column.joint is not None})),
+                acts_on=tuple(dict.fromkeys(column.where for column in columns)),
+                score=review.score,
+                p_value=review.p_value,
+                heldout_before_mm=held_out.rms_mm(fit_terms(found.data, without_term(fit.terms, number)).model),
+                heldout_after_mm=after_mm,
+                rivals=review.rivals,
+                correlated=_most_correlated(fit, number),
+                cycles=_cycles(fit, number, term) if term.slug == TRANSMISSION_ERROR else None,
+                description=description,
+                posterior=probable.terms[number],
+                movements=term_movements(fit, number),
+            )
+        )
+    return tuple(accepted)
+
+
+def _cycles(fit: JointFit, number: int, term: EffectTerm) -> dict[str, CycleBand]:
+    """Dominant cycles a turn of a periodic term, by the values of the final model."""
+    here = fit.layout.parameters(number)
+    return dominant_cycles(fit.term_columns(number), term.values, fit.identification.covariance[here, here])
+
+
+def _most_correlated(fit: JointFit, number: int) -> tuple[str, float] | None:
+    """Geometric parameter most correlated with a term's values, and the correlation; None for smooth terms."""
+    if fit.terms[number].smooth is not None:
+        return None
+    covariance, size = fit.identification.covariance, fit.layout.geometric
+    here = fit.layout.parameters(number)
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlation = covariance[:size, here] / sd[:size, None] / sd[here]
+    row, column = np.unravel_index(int(np.argmax(np.abs(correlation))), correlation.shape)
+    return fit.identification.names[int(row)], float(correlation[row, column])

@@ -1,0 +1,64 @@
+"""Held-out readings (the validate split), on which the error of a model is evaluated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.estimation.calibration.calibrate import rms_length_mm
+from cellapp.estimation.calibration.evaluation import evaluate, position_errors
+from cellapp.estimation.discovery.records import HeldOutPosition, PredictedUncertainty
+from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.ground.results import StageErrors
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.model import ArmModel
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Held-out readings of one arm and their measurement conditions."""
+
+    readings: Readings
+    conditions: MeasurementConditions
+
+    @classmethod
+    def of(cls, readings: Readings, conditions: MeasurementConditions) -> HeldOut:
+        """The validate split."""
+        rows = readings.in_split("validate")
+        return cls(readings.take(rows), conditions.take(rows))
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    def rms_mm(self, model: ArmModel) -> float:
+        """Rms position error of a model."""
+        return self.position_mm(model).rms
+
+    def position_mm(self, model: ArmModel) -> HeldOutPosition:
+        """Statistics of the position error of a model."""
+        computed = model.predict(self.readings.q, conditions=self.conditions)
+        errors = position_errors(self.readings.p_M, computed) * 1e3
+        return HeldOutPosition(
+            mean=float(errors.mean()),
+            rms=float(np.sqrt(np.mean(errors**2))),
+            median=float(np.median(errors)),
+            max=float(errors.max()),
+        )
+
+    def evaluate(self, model: ArmModel) -> StageErrors:
+        """Position and distance errors of a model."""
+        return evaluate(self.readings.p_M, model.predict(self.readings.q, conditions=self.conditions))
+
+    def noise_floor_mm(self) -> float:
+        """Rms length of the stated noise; NaN where the readings state none."""
+        sigma = stated_uncertainty(self.readings)
+        return math.nan if sigma is None else rms_length_mm(sigma)
+
+    def predicted_uncertainty_mm(self, model: ArmModel) -> PredictedUncertainty | None:
+        """Median and largest uncertainty that a model predicts of itself here; None where it predicts none."""
+        predicted = model.uncertainty(self.readings.q, self.conditions)
+        if not predicted.any():
+            return None
+        return PredictedUncertainty(median=float(np.median(predicted)) * 1e3, largest=float(predicted.max()) * 1e3)

@@ -1,0 +1,32 @@
+"""How far an effect moves the SMR by what it acts on: the order in which people read its parameters and pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.records import PlaceMovement
+from cellapp.robot.kinematics.transforms import Array
+
+
+def term_movements(fit: JointFit, number: int) -> tuple[PlaceMovement, ...]:
+    """Rms displacement of the SMR at the readings by each joint or frame that a term acts on, the largest first.
+
+    Parameters are those of the term's law; its free part moves the SMR too, but has no names.
+    """
+    columns, named = fit.term_columns(number), len(fit.terms[number].names)
+    signals = fit.term_values(number)[:, None] * fit.term_rows(number)
+    found = []
+    for where in dict.fromkeys(column.where for column in columns):
+        here = [k for k, column in enumerate(columns) if column.where == where]
+        names = tuple(columns[k].name for k in here if k < named)
+        found.append(
+            PlaceMovement(where=where, parameters=names, moves_mm=1e3 * rms_length(fit, signals[here].sum(axis=0)))
+        )
+    return tuple(sorted(found, key=lambda place: -place.moves_mm))
+
+
+def rms_length(fit: JointFit, whitened: Array) -> float:
+    """Rms length [m] of whitened displacements (3 n,) at the readings of a fit."""
+    moved = np.linalg.solve(fit.white.transpose(2, 0, 1), whitened.reshape(3, -1).T[:, :, None])[..., 0]
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))

@@ -1,0 +1,249 @@
+"""What measurements at planned stops can show, before anything is measured: standard errors, effects, smallest sizes.
+
+The arms are taken at their nominal geometry, and the readings as the plan expects them: the order and the steps of the
+plan, expected times, the uncertainty that the profile states for the tracker. The question whether an effect would be
+seen is then put as a search puts it: by the score of its laws beside the geometry, against a threshold from simulated
+noise (see ``search.scan``). Sizes are exact where the noise is the tracker's alone; any scatter of the arms adds to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.cell.planning.records import PlannedAccuracy, PlannedEffect
+from cellapp.estimation.calibration.identification import TooFewReadings
+from cellapp.estimation.calibration.linear import inverse_psd
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.parameters import (
+    EXPECTED_SCATTER_M,
+    determined_set,
+    estimated_parameters,
+    gram_matrix,
+    prior_sds,
+    typical_spreads,
+)
+from cellapp.estimation.calibration.weights import with_excess
+from cellapp.estimation.discovery.arm_data import ArmData, whitening
+from cellapp.estimation.discovery.detectability import detectability
+from cellapp.estimation.discovery.joint_fit import fit_terms
+from cellapp.estimation.discovery.records import AbsentEffect
+from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.search.significance import score_threshold, simulate_null_maxima
+from cellapp.estimation.discovery.search.state import SearchResult
+from cellapp.estimation.discovery.search.stepwise import LEAST_FREEDOM
+from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.schema import Tracker
+from cellapp.ground.results import Estimate
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
+from cellapp.robot.kinematics.chain import JointAngles, jacobian, smr_positions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, prior_sigmas, up_in_tracker
+
+_OFF_AXIS = np.array([0.05, 0.03, 0.05])
+"""Stands for an unknown SMR offset [m]: on the last axis fewer parameters could be identified."""
+_SEED = 0xF0CA
+"""Beside the profile's seed: the simulated noise is then independent of all other draws."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedReadings:
+    """What is expected of the readings of a plan.
+
+    Attributes
+    ----------
+    time_s, dwell_s : arrays, shape (n,)
+        Times from the first motion, and at rest before each measurement [s].
+    step : mapping, optional
+        Arm -> last motion of each joint with its sign (n, N) [rad]; None: straight from stop to stop, from home.
+    """
+
+    time_s: Array
+    dwell_s: Array
+    step: Mapping[str, Array] | None = None
+
+
+def expected_readings(
+    profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings
+) -> tuple[dict[str, ArmModel], dict[str, Readings]]:
+    """Nominal models of all arms, and the readings that a plan (arm -> q (n, N) [rad]) expects of them.
+
+    Their noise is drawn, so that fits weigh residuals as they will; no result depends on the draw beyond rounding.
+
+    Raises
+    ------
+    InputError
+        If the profile lacks the pose of an arm's base, of the tracker, or a home position.
+    """
+    models = {name: nominal_model(profile, name) for name in plan}
+    rng = np.random.default_rng([profile.seed, _SEED])
+    readings = {}
+    for name, q in plan.items():
+        arm, p_M = profile.arms[name], smr_positions(models[name].geometry, q)
+        covariance = tracker_covariance(profile.tracker, p_M)
+        noise = np.einsum("nab,nb->na", np.linalg.cholesky(covariance), rng.standard_normal(p_M.shape))
+        straight = np.diff(q, axis=0, prepend=np.array(arm.home)[None])
+        step = straight if expected.step is None else expected.step[name]
+        readings[name] = Readings(
+            configuration=np.arange(len(q)),
+            time_s=expected.time_s,
+            q=q,
+            approach=np.sign(step).astype(np.int8),
+            p_M=p_M + noise,
+            payload_kg=np.full(len(q), arm.payload.mass),
+            step=step,
+            dwell_s=expected.dwell_s,
+            covariance_M=covariance,
+        )
+    return models, readings
+
+
+def nominal_model(profile: Profile, name: str) -> ArmModel:
+    """The published arm, with its base where the profile says, in the tracker frame.
+
+    Raises
+    ------
+    InputError
+        If the profile lacks the pose of the arm's base, of the tracker, or a home position.
+    """
+    arm, tracker = profile.arms[name], profile.tracker
+    if arm.base is None or tracker.pose is None or arm.home is None:
+        raise InputError(
+            f"profile {profile.name}: arms.{name}.base, .home and tracker.pose are needed to foresee a plan"
+        )
+    nominal = nominal_arm(arm).with_T_M_B(np.linalg.inv(pose_matrix(tracker.pose)) @ pose_matrix(arm.base))
+    if arm.smr.offset == "unknown":
+        nominal = replace(nominal, tool=_OFF_AXIS)
+    return ArmModel(nominal, nominal, bodies_of(arm), up_in_tracker(profile), smr_normal=np.array(arm.smr.normal))
+
+
+def tracker_covariance(tracker: Tracker, p_M: Array) -> Array:
+    """Covariance (n, 3, 3) [m^2] of points ``p_M`` (n, 3) [m]: half of each maximum permissible error is a sigma."""
+    distance = np.linalg.norm(p_M, axis=1)
+    beam = p_M / distance[:, None]
+    across, along = (
+        0.5 * (error.constant + error.proportional * distance) for error in (tracker.transverse, tracker.range)
+    )
+    dyads = beam[:, :, None] * beam[:, None, :]
+    return np.asarray(across[:, None, None] ** 2 * (np.eye(3) - dyads) + along[:, None, None] ** 2 * dyads)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmDesign:
+    """Expected readings of one arm as data of a search, with priors of typical arms instead of estimated ones."""
+
+    name: str
+    data: ArmData
+
+    @classmethod
+    def of(
+        cls, profile: Profile, name: str, model: ArmModel, readings: Readings, conditions: MeasurementConditions
+    ) -> ArmDesign:
+        """From what ``expected_readings`` and ``conditions_of_arms`` return."""
+        stated = prior_sigmas(model.nominal, profile.calibration.priors)
+        wanted = profile.calibration.parameter_set
+        try:
+            estimated, _ = estimated_parameters(wanted, model.nominal, stated)
+        except ValueError as error:
+            raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
+        # without typical spreads, parameters of "full" that the stops cannot tell apart would have no error at all
+        priors = {**typical_spreads(model.nominal.joints), **stated}
+        covariance = readings.covariance_M
+        assert covariance is not None
+        return cls(name, ArmData(profile, model, readings, conditions, covariance, covariance, estimated, priors))
+
+    def with_scatter(self, scatter_m: float) -> ArmDesign:
+        """The same with a scatter of every coordinate [m] beside the tracker's noise."""
+        assert self.data.stated is not None
+        return replace(self, data=replace(self.data, sigma=with_excess(self.data.stated, scatter_m**2)))
+
+
+def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmDesign]:
+    """Designs of all arms of a plan. Raises as ``expected_readings``, or if a parameter set is not for its arm."""
+    models, readings = expected_readings(profile, plan, expected)
+    conditions = conditions_of_arms(models, readings)
+    return {name: ArmDesign.of(profile, name, models[name], readings[name], conditions[name]) for name in plan}
+
+
+def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
+    """Standard errors of predicted SMR positions at the stops, and of the parameters that the readings determine.
+
+    ``scatter_m`` [m] is a scatter of every coordinate beside the tracker's noise.
+    """
+    data = design.with_scatter(scatter_m).data
+    parameters, priors = data.parameter_set, prior_sds(data.parameter_set, data.prior_sigma)
+    _, J = jacobian(data.model.geometry, JointAngles.of(data.readings.q), parameters.columns)
+    white = whitening(data.sigma)
+    information = gram_matrix(np.einsum("acn,ckn->akn", white, J))
+    unit = np.where(np.isfinite(priors), priors, 1.0)  # numbers of comparable size
+    precision = (information + np.diag(priors**-2.0)) * unit * unit[:, None]
+    covariance = inverse_psd(precision) * unit * unit[:, None]
+    variance = np.einsum("ckn,kl,cln->n", J, covariance, J)
+    return PlannedAccuracy(
+        scatter_mm=1e3 * scatter_m,
+        standard_error_mm=1e3 * math.sqrt(float(np.mean(variance))),
+        largest_mm=1e3 * math.sqrt(float(np.max(variance))),
+        parameters=_parameters(data, information, covariance, priors),
+    )
+
+
+def _parameters(data: ArmData, information: Array, covariance: Array, priors: Array) -> dict[str, Estimate]:
+    """Nominal values and standard errors of the parameters that the readings determine, as the table will have them."""
+    estimated = data.parameter_set
+    chosen = determined_set(estimated, information, priors) if estimated.name == "auto" else estimated
+    to_table, _ = chosen.from_estimated(estimated)
+    errors = np.sqrt(np.maximum(np.diag(to_table @ covariance @ to_table.T), 0.0))
+    values = data.model.nominal.vector()[list(chosen.columns)]
+    return {
+        name: Estimate(value=value, standard_error=error, unit=unit)
+        for name, unit, value, error in zip(chosen.names, chosen.units, values.tolist(), errors.tolist(), strict=True)
+    }
+
+
+def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
+    """For each effect of the library whether the stops can show it, and from which sizes on.
+
+    Raises
+    ------
+    InputError
+        If the stops are too few to look for any effect beside the geometry.
+    """
+    scattered = {one.effect: one.smallest_seen_rms_mm for _, one in _absent(design.with_scatter(EXPECTED_SCATTER_M))}
+    return tuple(
+        PlannedEffect(
+            effect=one.effect,
+            visible=visible,
+            reason="" if visible else one.reason,
+            visible_share=one.visible_share,
+            smallest_seen=one.smallest_seen or {},
+            smallest_seen_rms_mm=one.smallest_seen_rms_mm,
+            with_scatter_rms_mm=scattered.get(one.effect),
+        )
+        for visible, one in _absent(design)
+    )
+
+
+def _absent(design: ArmDesign) -> list[tuple[bool, AbsentEffect]]:
+    """Whether each effect could be seen, and its smallest sizes, in the order of the library."""
+    data, settings = design.data, design.data.profile.discovery
+    too_few = f"arm '{design.name}': {len(data)} stops are too few to look for effects beside the geometry; plan more"
+    try:
+        fit = fit_terms(data, ())
+    except TooFewReadings:
+        raise InputError(too_few) from None
+    if len(fit.residual) - fit.projector.effective_parameters < LEAST_FREEDOM:
+        raise InputError(too_few)
+    scan = LawScan.of(fit.candidates(data, [slug for slug in EFFECTS if slug != UNKNOWN]), fit.projector)
+    null_maxima = simulate_null_maxima(scan, fit.projector, settings.null_simulations, (data.profile.seed, _SEED))
+    threshold = score_threshold(null_maxima, settings.false_alarm)
+    nothing_found = SearchResult(data, fit, fit, scan, (), (), (), threshold)
+    invisible, visible = detectability(nothing_found, scan)
+    found = {one.effect: (True, one) for one in visible} | {one.effect: (False, one) for one in invisible}
+    return [found[slug] for slug in EFFECTS if slug in found]

@@ -1,0 +1,211 @@
+"""Posterior probabilities of effects, from the final set of effects and the sets next to it.
+
+The sets are the final one S, S without one effect, S with a rival in an effect's place, and S with one further effect.
+A score is a gain of the Bayesian information criterion, twice the log of a Bayes factor, so that beside S
+
+    ln weight = 0                            S,
+                -(score - threshold) / 2     S without an effect that has ``score`` beside all others,
+                -penalty / 2                 S with a rival in its place,
+                (score - threshold) / 2      S with a further effect.
+
+The threshold is the prior: with log prior odds of -threshold / 2 for each effect, a score at the threshold leaves it
+open whether the effect is there. The threshold is the score that noise exceeds with the wanted chance of a false alarm,
+over all that was tried: one who wants fewer false alarms holds that effects are rarer. Sets that differ from S by more
+have far smaller weights unless two differences are likely each; they are left out.
+
+    p(e) = sum of the weights of sets that hold e / sum of all weights.
+
+Laws are nearly right, not right, which is more than noise can tell apart. A rival that scores less by D leaves a share
+m^2 of the sum of squares that the effect explains. This is either noise that happened, at a penalty of D, or an error
+of the rival's law, at a penalty of m^2 / t^2 if the errors of laws that look so are N(0, t^2) of their size:
+
+    penalty = 1 / (1 / D + t^2 / m^2).
+
+What other laws in S leave over may likewise look like an effect, so that its score is that behind their free parts, and
+what it leads the threshold by is limited in the same way where a larger effect depends on the same variables.
+Rivals that tie share the probability. (Bayes factors: Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over
+models: Hoeting et al., Stat. Sci. 14 (1999) 382.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.estimation.design.information import NuisanceProjector
+from cellapp.estimation.discovery.candidates import best_law_of_each_effect
+from cellapp.estimation.discovery.cross_validation import cross_validated_gain
+from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.search.bounds import possible_score
+from cellapp.estimation.discovery.search.free_part import (
+    CAUTIOUS_SHARE,
+    FreePart,
+    behind_free_parts,
+    possible_free_parts,
+)
+from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, Review, SearchResult, SearchState
+from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.robot.effects import EFFECTS, DriverVariable
+
+_LIKE_A_RIVAL = CAUTIOUS_SHARE / 10.0
+"""Error of a law, as a share of its effect, that looks like what one given rival explains better. Laws hold to some
+10 %, but an error has many directions (a hundred of equal variance), and the rival's is one of them."""
+_LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
+"""Error of a law that may look like another effect of the same variables, with whatever values that has."""
+
+
+@dataclass(frozen=True)
+class Posteriors:
+    """Probability that each term's effect is there, in their order, and that of every effect that was tested."""
+
+    terms: tuple[float, ...]
+    effects: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class _Set:
+    """A set of effects: the log of its weight, which effect of the final set it lacks, and which it has beside them."""
+
+    log_weight: float
+    lacks: str | None = None
+    has: str | None = None
+
+
+def posteriors_of(found: SearchResult, scan: LawScan) -> Posteriors:
+    """Probabilities after a search; ``scan`` is ``remaining_scan(found)``."""
+    further = further_scores(found, scan)
+    return posteriors(cautious_reviews(found), further, found.threshold, len(found.fit.residual))
+
+
+def posteriors(
+    reviews: Sequence[Review], further: Mapping[str, float], threshold: float, coordinates: int
+) -> Posteriors:
+    """Probabilities from the scores of a final set's terms, of their rivals, and of ``further`` effects beside it.
+
+    The scores come from ``coordinates`` measured coordinates. Several terms of one effect count as one, whose score is
+    the sum of theirs; each data-driven term is an effect of its own.
+    """
+    keys = [_key(review, number) for number, review in enumerate(reviews)]
+    sets = [_Set(0.0), *(_Set((score - threshold) / 2.0, has=slug) for slug, score in further.items())]
+    for key in dict.fromkeys(keys):
+        own = [review for review, of in zip(reviews, keys, strict=True) if of == key]
+        score = sum(review.score for review in own)
+        sets.append(_Set(-(score - threshold) / 2.0, lacks=key))
+        if len(own) == 1:
+            rivals = own[0].alternatives.items()
+            sets += [_Set(-_penalty(own[0].score, rival, coordinates) / 2.0, key, slug) for slug, rival in rivals]
+    log_weights = np.array([one.log_weight for one in sets])
+    weights = np.exp(log_weights - log_weights.max())
+    weights /= weights.sum()
+    lacking, having = dict.fromkeys(keys, 0.0), dict.fromkeys((one.has for one in sets if one.has is not None), 0.0)
+    for one, weight in zip(sets, weights.tolist(), strict=True):
+        if one.lacks is not None:
+            lacking[one.lacks] += weight
+        if one.has is not None:
+            having[one.has] += weight
+    terms = tuple(max(1.0 - lacking[key], 0.0) for key in keys)
+    named = {review.term.slug: p for review, p in zip(reviews, terms, strict=True) if review.term.slug != UNKNOWN}
+    return Posteriors(terms, {**having, **named})
+
+
+def _penalty(score: float, rival: float, coordinates: int) -> float:
+    """Penalty of a rival in an effect's place, from their scores there; negative where the rival scores more."""
+    if rival > score:
+        return -_penalty(rival, score, coordinates)
+    if math.isinf(rival):
+        return math.inf
+    explained = -math.expm1(-max(score, 0.0) / coordinates)
+    left = math.exp(-rival / coordinates) - math.exp(-score / coordinates)
+    if left <= 0.0:
+        return 0.0
+    return 1.0 / (1.0 / (score - rival) + _LIKE_A_RIVAL**2 * explained / left)
+
+
+def _key(review: Review, number: int) -> str:
+    slug = review.term.slug
+    return f"{slug} {number}" if slug == UNKNOWN else slug
+
+
+def cautious_reviews(found: SearchResult) -> tuple[Review, ...]:
+    """The reviews with scores behind the free parts of all other laws, which may be slightly off.
+
+    Rivals lose as much as the effect whose place they take.
+    """
+    fit, cautious = found.fit, []
+    parts = [possible_free_parts(found.data, fit, number) for number in range(len(fit.terms))]
+    for number, review in enumerate(found.reviews):
+        others = [part for other, own in enumerate(parts) if other != number for part in own]
+        if review.term.smooth is None and others:
+            lost = max(_lost_beside(fit, number, others), 0.0)
+            alternatives = {slug: score - lost for slug, score in review.alternatives.items()}
+            review = replace(review, score=review.score - lost, alternatives=alternatives)
+        share = _share_of_a_larger(fit, number)
+        if review.score > found.threshold and share < math.inf:
+            allowed = 1.0 / (1.0 / (review.score - found.threshold) + _LIKE_ANOTHER**2 / share)
+            review = replace(review, score=found.threshold + allowed)
+        cautious.append(review)
+    return tuple(cautious)
+
+
+def _share_of_a_larger(fit: JointFit, number: int) -> float:
+    """Least share of a term's sum of squares in that of a larger one with common variables; infinite without one.
+
+    Such a term may be what the law of the larger one leaves over. That both depend on the configuration says nothing.
+    """
+    own, removed = fit.terms[number], fit.removed_square(number)
+    if not own.is_library_effect:
+        return math.inf
+    least = math.inf
+    for other, term in enumerate(fit.terms):
+        if other == number or not term.is_library_effect:
+            continue
+        common = (EFFECTS[own.slug].variables & EFFECTS[term.slug].variables) - {DriverVariable.JOINT_ANGLE}
+        larger = fit.removed_square(other)
+        if common and larger > removed:
+            least = min(least, removed / larger)
+    return least
+
+
+def _lost_beside(fit: JointFit, number: int, free_parts: Sequence[FreePart]) -> float:
+    """Score that a term loses beside free parts of the other laws."""
+    kept, rows = fit.layout.all_but(number), fit.law_rows(number)
+    share = CAUTIOUS_SHARE / math.sqrt(len(free_parts))
+    nuisance = np.concatenate([fit.rows[kept], *(part.rows for part in free_parts)])
+    precision = np.concatenate([fit.precision[kept], *(1.0 / (share * part.sd) ** 2 for part in free_parts)])
+    by_law = fit.term_values(number)[: len(rows)] @ rows
+    behind = ProjectedResidual(NuisanceProjector.of(nuisance, precision), fit.target + by_law)
+    return fit.residual_without(number).bic_gain(rows) - behind.bic_gain(rows)
+
+
+def remaining_scan(found: SearchResult) -> LawScan:
+    """Scan of all effects of the library that the final model does not have."""
+    if not found.fit.terms:
+        return found.scan
+    return LawScan.of(found.fit.candidates(found.data, found.absent), found.fit.projector)
+
+
+def further_scores(found: SearchResult, scan: LawScan) -> dict[str, float]:
+    """Score beside the final model of every effect that the data can show and that is not in it.
+
+    An effect that the search refused counts with the least of what is for it: its score with possible values, behind
+    the free parts of the laws in the model, on left-out readings, and the threshold, as it is then no more probable
+    than not.
+    """
+    fit, residual = found.fit, found.fit.projected_residual
+    best = best_law_of_each_effect(scan.ranked(residual))
+    scores = {score.slug: score.value for score in best}
+    likely = [score for score in best if score.value > found.threshold - SCORE_MARGIN]
+    behind = behind_free_parts(SearchState(found.data, fit)) if likely else None
+    for score in likely:
+        value = min(possible_score(residual, score), found.threshold)
+        if behind is not None:
+            value = min(value, behind.bic_gain(score.rows))
+        if value > found.threshold - SCORE_MARGIN:
+            value = min(value, cross_validated_gain(found.data, fit, score.rows))
+        scores[score.slug] = value
+    return scores

@@ -1,0 +1,201 @@
+"""Fit of the structured process to what a model leaves: hyperparameters by evidence, components that it needs, terms.
+
+1. All components that the data allow start together, with their slower waves; amplitudes, length scales and the noise
+   maximise the evidence, and amplitudes that do nothing are dropped.
+2. The readings are weighed by the stated uncertainty and the scatter that this finds; the rest is fitted, all waves.
+3. Components that the evidence does not need are removed, the least needed first, and the others fitted again.
+4. The rest become smooth terms of the model, which is then fitted jointly with the geometry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, mean_variance, uncertainty_with_scatter
+from cellapp.estimation.discovery.process.components import Component, components
+from cellapp.estimation.discovery.process.evidence import (
+    NEGLIGIBLE_COLUMN,
+    Hyperparameters,
+    ProcessData,
+    first_guess,
+    log_evidence,
+    losses,
+    most_evident,
+)
+from cellapp.estimation.discovery.terms import ModelTerm, ModelTerms, Smoothness
+
+LEAST_READINGS = 40
+"""Readings from which a process is tried: 120 coordinates for some 20 hyperparameters beside 30 of geometry."""
+_FIRST_EVALUATIONS = 40
+"""Evaluations of the evidence on the first weights; it settles to a part in a thousand after some 30."""
+_NEXT_EVALUATIONS = 12
+"""Evaluations after a change of weights or components, from the values found before."""
+_LEAST_SIGNAL = 0.03
+"""An amplitude whose signal is below this share of the noise (rms) is removed at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class StructuredProcess:
+    """Components with their hyperparameters, behind a model's parameters.
+
+    Attributes
+    ----------
+    components : tuple of Component
+    values : Hyperparameters
+    gram : ProcessData
+        Of their columns.
+    log_evidence : float
+    """
+
+    components: tuple[Component, ...]
+    values: Hyperparameters
+    gram: ProcessData
+    log_evidence: float
+
+    @classmethod
+    def fitted(
+        cls, fit: JointFit, chosen: Sequence[Component], start: Hyperparameters | None, evaluations: int
+    ) -> StructuredProcess:
+        """Find hyperparameters from ``start``, without amplitudes that move the SMR by far less than the noise."""
+        gram = gathered(fit, chosen)
+        begin = first_guess(chosen, gram) if start is None else start
+        values, log_evidence = most_evident(chosen, gram, begin, evaluations)
+        return cls(tuple(chosen), values, gram, log_evidence).without_idle()
+
+    def without_idle(self) -> StructuredProcess:
+        """The process without amplitudes whose signal is negligible beside the noise."""
+        kept_components, amplitudes, lengths, places, first = [], [], [], [], 0
+        power = np.diag(self.gram.gram) * self.values.variances(self.components) / self.gram.coordinates
+        for number, one in enumerate(self.components):
+            here = power[first : first + len(one.columns)]
+            signal = np.bincount(one.groups, here, minlength=len(one.amplitude_keys)) / self.values.noise
+            kept = np.flatnonzero(signal > _LEAST_SIGNAL**2)
+            if len(kept):
+                kept_components.append(one.of_amplitudes(kept.tolist()))
+                amplitudes.append(self.values.amplitudes[number][kept])
+                lengths.append(self.values.lengths[number])
+                places.append(first + np.flatnonzero(np.isin(one.groups, kept)))
+            first += len(one.columns)
+        taken = np.concatenate(places).astype(np.intp) if places else np.zeros(0, dtype=np.intp)
+        values = Hyperparameters(tuple(amplitudes), tuple(lengths), self.values.noise)
+        return StructuredProcess(tuple(kept_components), values, self.gram.take(taken), self.log_evidence)
+
+    def without(self, component: int) -> StructuredProcess:
+        """The process without one component, at the hyperparameters of the others."""
+        first = sum(len(one.columns) for one in self.components[:component])
+        count = len(self.components[component].columns)
+        taken = np.delete(np.arange(len(self.gram.moment)), np.s_[first : first + count])
+        rest = self.components[:component] + self.components[component + 1 :]
+        values, gram = self.values.without(component), self.gram.take(taken)
+        return StructuredProcess(rest, values, gram, log_evidence(gram, values.variances(rest), values.noise))
+
+    def refitted(self, evaluations: int) -> StructuredProcess:
+        """The process with hyperparameters fitted again from where they are."""
+        values, log_evidence = most_evident(self.components, self.gram, self.values, evaluations)
+        return replace(self, values=values, log_evidence=log_evidence)
+
+    def price(self, component: int) -> float:
+        """Price of the hyperparameters of a component, by the Bayesian information criterion."""
+        return self.components[component].hyperparameters * math.log(self.gram.coordinates)
+
+    def gains(self) -> list[float]:
+        """Gain of the score by each component: twice the log evidence less its price, at the same hyperparameters."""
+        ends = np.cumsum([len(one.columns) for one in self.components])
+        lost = losses(self.gram, self.values.variances(self.components), self.values.noise, ends.tolist())
+        return [2.0 * loss - self.price(number) for number, loss in enumerate(lost.tolist())]
+
+
+def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
+    """The Gram matrix of the components' columns behind all parameters of a fit."""
+    rows = np.concatenate([one.rows for one in chosen])
+    explained = rows @ fit.projector.basis
+    behind = fit.projected_residual
+    return ProcessData(
+        gram=rows @ rows.T - explained @ explained.T,
+        moment=rows @ behind.projected,
+        square=behind.square,
+        coordinates=len(fit.residual) - fit.projector.effective_parameters,
+    )
+
+
+def fit_process(data: ArmData, fit: JointFit, needed: float) -> tuple[StructuredProcess, float] | None:
+    """The process that the residuals of a fit need, and the scatter beyond the stated uncertainty [m]; None for none.
+
+    ``needed`` is the gain of the score from which a component stays.
+    """
+    if len(data) < LEAST_READINGS:
+        return None
+    candidates = components(data, fit)
+    if not candidates:
+        return None
+    screened = StructuredProcess.fitted(fit, [one.coarse() for one in candidates], None, _FIRST_EVALUATIONS)
+    if not screened.components:
+        return None
+    scatter_m = _scatter(data, screened.values.noise)
+    weighed = replace(data, sigma=uncertainty_with_scatter(data, scatter_m))
+    fit = fit_terms(weighed, fit.terms)
+    chosen = [replace(one, rows=fit.displacements(one.columns)) for one in _whole(candidates, screened.components)]
+    process = StructuredProcess.fitted(fit, chosen, replace(screened.values, noise=1.0), _NEXT_EVALUATIONS)
+    scatter_m = _scatter(weighed, process.values.noise)
+    process = needed_components(process, needed)
+    return (process, scatter_m) if process.components else None
+
+
+def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> list[Component]:
+    """The candidates with the amplitudes that a screening left, and all their waves."""
+    found = []
+    for one in screened:
+        whole = next(other for other in candidates if (other.slug, other.form) == (one.slug, one.form))
+        found.append(whole.of_amplitudes([whole.amplitude_keys.index(key) for key in one.amplitude_keys]))
+    return found
+
+
+def needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
+    """The process without the components that the evidence does not need, the least needed removed first.
+
+    The evidence without a component only grows when the others are fitted again: that is done where it may decide.
+    """
+    settled = True
+    while process.components:
+        gains = process.gains()
+        weakest = int(np.argmin(gains))
+        if gains[weakest] <= needed:
+            process, settled = process.without(weakest), False
+            continue
+        if not settled:
+            process, settled = process.refitted(_NEXT_EVALUATIONS), True
+            continue
+        if gains[weakest] > 2.0 * needed or len(process.components) == 1:
+            break
+        rest = process.without(weakest).refitted(_NEXT_EVALUATIONS)
+        if 2.0 * (process.log_evidence - rest.log_evidence) - process.price(weakest) > needed:
+            break
+        process = rest
+    return process
+
+
+def process_terms(process: StructuredProcess, scatter_m: float) -> ModelTerms:
+    """The components as smooth terms of a model, with the columns whose prior matters."""
+    terms, first = [], 0
+    variances = process.values.variances(process.components)
+    power = np.diag(process.gram.gram) * variances / process.values.noise
+    gains = process.gains()
+    for number, one in enumerate(process.components):
+        here = power[first : first + len(one.columns)]
+        first += len(one.columns)
+        names = tuple(one.columns[k].name for k in np.flatnonzero(here > NEGLIGIBLE_COLUMN))
+        law = one.law(process.values.amplitudes[number], process.values.lengths[number])
+        terms.append(ModelTerm(one.slug, law, names, Smoothness(gains[number], one.hyperparameters, scatter_m)))
+    return tuple(terms)
+
+
+def _scatter(data: ArmData, noise: float) -> float:
+    """Standard deviation of a coordinate [m] beyond the stated uncertainty, from the noise over that of the weights."""
+    total = noise * mean_variance(data.sigma)
+    stated = 0.0 if data.stated is None else mean_variance(data.stated)
+    return math.sqrt(max(total - stated, 0.0))

@@ -1,0 +1,61 @@
+"""Share of a residual that columns explain in the complement of a model's parameters: R^2 and gain of the BIC.
+
+With M as in ``estimation.design.information``, residual y (d,) and columns B (m, d),
+
+    explained = (B M y)^T (B M B^T)^-1 (B M y),     R^2 = explained / y^T M y,
+    BIC gain  = -N ln(1 - R^2) - k ln N,            N = d coordinates, k parameters (Schwarz, Ann. Stat. 6 (1978) 461).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cellapp.estimation.design.information import NuisanceProjector, visible_root
+from cellapp.robot.kinematics.transforms import Array
+
+MOST_SHARE = 1.0 - 1e-12
+"""Cap on R^2: an exact fit of noise-free data has a finite score."""
+
+
+def bic_gain(share: float, coordinates: int, parameters: int) -> float:
+    """Gain of the Bayesian information criterion by ``parameters`` that explain ``share`` of the square."""
+    return -coordinates * math.log1p(-min(share, MOST_SHARE)) - parameters * math.log(coordinates)
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedResidual:
+    """A whitened residual (d,) behind the nuisance parameters of a model."""
+
+    projector: NuisanceProjector
+    residual: Array
+
+    def __len__(self) -> int:
+        return len(self.residual)
+
+    @cached_property
+    def projected(self) -> Array:
+        """M y, (d,)."""
+        return self.projector.project(self.residual)
+
+    @cached_property
+    def square(self) -> float:
+        """y^T M y."""
+        return float(self.residual @ self.projected)
+
+    def explained(self, rows: Array) -> float:
+        """Part of ``square`` that rows (m, d) explain."""
+        gram = rows @ self.projector.project(rows).T
+        root, _ = visible_root(gram, np.linalg.norm(rows, axis=1))
+        return float(np.sum((root.T @ (rows @ self.projected)) ** 2))
+
+    def explained_share(self, rows: Array) -> float:
+        """R^2 of rows (m, d), at most ``MOST_SHARE``."""
+        return min(self.explained(rows) / self.square, MOST_SHARE)
+
+    def bic_gain(self, rows: Array) -> float:
+        """Gain of the BIC by rows (m, d), all of them counted as parameters."""
+        return bic_gain(self.explained_share(rows), len(self), len(rows))

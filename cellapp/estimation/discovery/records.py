@@ -1,0 +1,345 @@
+"""Result of ``discover``, with proposed stops."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from pydantic import Field
+
+from cellapp.estimation.calibration.records import PairMethodResult
+from cellapp.ground.results import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
+
+SizeSource = Literal["sourced", "computed", "estimate", "none"]
+StructureKind = Literal["joints", "order", "time", "approach", "position", "tracker"]
+
+
+class BeforeAfter(Record):
+    """A number before and after."""
+
+    before: float
+    after: float
+
+
+class GapStep(Record):
+    """Held-out rms error after one step of the search."""
+
+    what: str
+    effect: str
+    heldout_mm: float
+
+
+class LawRecord(Record):
+    """The law by which an effect acts, with its constants."""
+
+    name: str
+    constants: Mapping[str, float]
+
+
+class Place(Record):
+    """Where an effect acts: joints (from 1) or frames; channel and variables of a data-driven term."""
+
+    joints: tuple[int, ...]
+    acts_on: tuple[str, ...]
+    channel: str | None = None
+    variables: tuple[str, ...] | None = None
+    omitted_when_none = frozenset({"channel", "variables"})
+
+
+class Evidence(Record):
+    """Score, p-value corrected for the whole search, held-out rms error without and with the effect."""
+
+    statistic: float
+    corrected_p: float
+    heldout_mm: BeforeAfter
+
+
+class RunnerUp(Record):
+    """Another effect that explains nearly as much; ``told_apart`` says whether these data rule it out."""
+
+    effect: str
+    statistic: float
+    told_apart: bool
+
+
+class Correlation(Record):
+    """The geometric parameter that an effect is most correlated with."""
+
+    parameter: str
+    correlation: float
+
+
+class PlaceMovement(Record):
+    """Rms displacement of the SMR [mm] at the readings by one joint or frame ``where``, and the parameters of it."""
+
+    where: str
+    parameters: tuple[str, ...]
+    moves_mm: float
+
+
+class CycleBand(Record):
+    """Middle 80 % of the power of a periodic error in cycles a turn, its strongest line, and its rms."""
+
+    first: int = Field(validation_alias="from", serialization_alias="from")
+    last: int = Field(validation_alias="to", serialization_alias="to")
+    peak: int
+    rms_urad: float
+    rms_standard_error_urad: float | None = None
+    omitted_when_none = frozenset({"rms_standard_error_urad"})
+
+
+class TermDescription(Record):
+    """A data-driven term in words and, where one fits as well, as a formula (empty where none does).
+
+    ``curve`` are points (variable, value of the term) in SI units, for terms of one variable.
+    """
+
+    channel: str
+    variables: tuple[str, ...]
+    size_um: float
+    formula: str
+    gain_over_curve: float | None
+    curve: tuple[tuple[float, float], ...] = ()
+    sentence: str
+
+
+class EffectMeaning(Record):
+    """What an effect means for whoever runs the cell.
+
+    ``cause`` is where it comes from, ``size`` how large it usually is and ``size_source`` how well that is known
+    (``sourced``: published, ``computed``: from published data, ``estimate``, ``none``: there is no size). ``check`` is
+    what to check or mend on the machine, ``settle`` which further stops or observations would settle whether it is
+    there.
+    """
+
+    cause: str
+    size: str
+    size_source: SizeSource
+    check: tuple[str, ...]
+    settle: tuple[str, ...]
+
+
+class AcceptedEffect(Record):
+    """An effect that discovery added to the model, with its evidence.
+
+    ``posterior`` is the probability that it is there; None where it was not computed. ``parameters`` are those of its
+    law. ``law_misfit`` is the rms displacement of the SMR by its smooth free part over that by its law, None where it
+    has no free part. ``movements`` are the joints or frames it acts on, that which moves the SMR most first.
+    """
+
+    effect: str
+    title: str
+    law: LawRecord
+    where: Place
+    parameters: Mapping[str, Estimate]
+    evidence: Evidence
+    answer_set: tuple[str, ...]
+    runners_up: tuple[RunnerUp, ...]
+    correlated_with: Correlation | None
+    posterior: float | None = None
+    law_misfit: float | None = None
+    meaning: EffectMeaning | None = None
+    cycles: Mapping[str, CycleBand] | None = None
+    movements: tuple[PlaceMovement, ...] | None = None
+    description: TermDescription | None = None
+    omitted_when_none = frozenset({"cycles", "movements", "description"})
+
+    @property
+    def indistinguishable(self) -> tuple[str, ...]:
+        """Effects that would explain these data as well."""
+        return tuple(slug for slug in self.answer_set if slug != self.effect)
+
+    @property
+    def ruled_out(self) -> tuple[str, ...]:
+        """Effects nearly as good that these data rule out."""
+        return tuple(rival.effect for rival in self.runners_up if rival.told_apart)
+
+
+class SmallestSize(Record):
+    """The smallest value of a parameter that the search would have found."""
+
+    value: float
+    unit: str
+
+
+class AbsentEffect(Record):
+    """An effect that was not found or that these data cannot show; sizes from which it would have been found."""
+
+    effect: str
+    reason: str
+    visible_share: float | None = None
+    smallest_seen: Mapping[str, SmallestSize] | None = None
+    smallest_seen_rms_mm: float | None = None
+    omitted_when_none = frozenset({"visible_share"})
+
+
+class CurveRecord(Record):
+    """A curve at equal steps of x, with its standard deviation."""
+
+    x: tuple[float, ...]
+    value: tuple[float, ...]
+    band: tuple[float, ...]
+
+
+class Picture(Record):
+    """Measured and computed values of one effect in one place that it acts on, sorted by x.
+
+    ``x`` is what the effect depends on; what is periodic in the joint angle is folded into one turn or one cycle, and
+    has a ``curve``. ``measured`` are the readings less everything else in the model, ``computed`` is the effect itself,
+    both in the unit of ``y_label``; ``band`` is the standard deviation of ``computed``, geometry included.
+    """
+
+    title: str
+    effect: str
+    x_label: str
+    y_label: str
+    x: tuple[float, ...]
+    measured: tuple[float, ...]
+    computed: tuple[float, ...]
+    band: tuple[float, ...] = ()
+    curve: CurveRecord | None = None
+
+
+class PredictedUncertainty(Record):
+    """Predicted standard deviation of a coordinate over held-out configurations [mm]."""
+
+    median: float
+    largest: float
+
+
+class HeldOutPosition(Record):
+    """Held-out position error [mm]."""
+
+    mean: float
+    rms: float
+    median: float
+    max: float
+
+
+class HeldOutBeforeAfter(Record):
+    """Held-out position error with the geometry alone and with what was found [mm]."""
+
+    before: HeldOutPosition
+    after: HeldOutPosition
+
+
+class Noise(Record):
+    """Noise of a measured position: rms of its length [mm], as the readings state it or as discovery estimated it."""
+
+    rms: float
+    source: Literal["stated", "estimated"]
+
+
+class StructureTest(Record):
+    """p-value of the residual against one kind of structure: small where what is left still follows it."""
+
+    against: StructureKind
+    p_value: float
+
+
+class RemainingStructure(Record):
+    """Tests of the residual of the final model for structure, and their outcome in one sentence."""
+
+    tests: tuple[StructureTest, ...]
+    sentence: str
+
+
+class Contradiction(Record):
+    """What looks like a named effect with an impossible sign or size; it counts as unknown.
+
+    ``joints`` count from 1; ``size_um`` is the rms displacement of the SMR.
+    """
+
+    effect: str
+    joints: tuple[int, ...]
+    size_um: float
+    sentence: str
+
+
+class ArmDiscoveryResult(Record):
+    """Discovery in the data of one arm; ``heldout_mm`` are rms errors on stops that the search did not see.
+
+    ``validate`` has the held-out errors of the model with what was found; it is empty where nothing was.
+    ``network_mm`` is the rms correction of a residual network trained before and after the effects were added.
+    ``scatter`` is the root of chi-square per degree of freedom of what is left, ``omnibus_p`` its p-value.
+    ``candidates`` has the posterior probability of every effect that was tested, by its slug.
+    ``left_out_configurations`` are those of readings with gross errors, on which nothing here rests.
+    """
+
+    noise_floor_mm: float | None
+    noise_mm: Noise | None = None
+    heldout_mm: BeforeAfter
+    heldout_position_mm: HeldOutBeforeAfter | None = None
+    seconds: float | None = None
+    steps: tuple[GapStep, ...]
+    threshold: float
+    omnibus_p: float | None
+    scatter: float | None
+    accepted: tuple[AcceptedEffect, ...]
+    candidates: Mapping[str, float] = {}
+    contradictions: tuple[Contradiction, ...] = ()
+    structure: RemainingStructure | None = None
+    invisible: tuple[AbsentEffect, ...]
+    not_found: tuple[AbsentEffect, ...]
+    network_mm: BeforeAfter | None = None
+    uncertainty_mm: PredictedUncertainty | None = None
+    pictures: tuple[Picture, ...] = ()
+    validate_: Mapping[Stage, StageErrors] = {}
+    left_out_configurations: tuple[int, ...] = ()
+    verdict: Verdict
+    sentence: str
+
+
+class Discrimination(Record):
+    """Non-centrality of the test between two models: now, with the proposed stops, with equally many random ones."""
+
+    now: float
+    proposed: float
+    random: float
+
+
+class ProposalQuestion(Record):
+    """One question that proposed stops answer; ``against`` None asks whether the effect exists at all."""
+
+    effect: str
+    against: str | None
+    needed: float
+    discrimination: Discrimination
+    gain_over_random: float
+
+
+class ProposedStop(Record):
+    """One proposed stop of one arm: joint positions, start of the last step [rad], dwell before the measurement [s]."""
+
+    configuration: int
+    arm: str
+    q: tuple[float, ...]
+    via: tuple[float, ...] | None
+    dwell_s: float | None
+
+
+class Proposal(Record):
+    """Further stops that answer what discovery left open, and their predicted discrimination."""
+
+    count: int
+    written: bool
+    first_configuration: int | None
+    arms: Mapping[str, tuple[ProposalQuestion, ...]]
+    stops: tuple[ProposedStop, ...]
+    notes: tuple[str, ...]
+    advice: tuple[str, ...]
+
+
+class DiscoverResult(Result):
+    """``discover``: every arm; ``pair`` are the cooperative errors with the effects that were found.
+
+    ``notes`` says which effects of plug-ins could not be searched for, and why; None if there are none.
+    """
+
+    schema_: Literal["cellapp-discover"] = "cellapp-discover"
+    version: Literal[1] = 1
+    arms: Mapping[str, ArmDiscoveryResult]
+    pair: Mapping[Method, PairMethodResult] = {}
+    proposal: Proposal | None = None
+    notes: tuple[str, ...] | None = None
+    omitted_when_none = frozenset({"proposal", "notes"})

@@ -1,0 +1,94 @@
+"""Residual network after discovery: size of its remaining correction, and a model of what has no name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.estimation.calibration.network_training import train_network
+from cellapp.estimation.discovery.held_out import HeldOut
+from cellapp.estimation.discovery.outcome import Discovery, GapStep
+from cellapp.estimation.discovery.records import BeforeAfter
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Report, ignore_report
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel, ResidualNetwork
+
+_READINGS_A_FOLD = 2
+"""Readings that each fold of a network's training needs: one reading has no scatter."""
+
+
+def needs_network(profile: Profile, discovery: Discovery) -> bool:
+    """Whether the profile asks for a network beside the effects of this outcome."""
+    if profile.network.kind != "mlp":
+        return False
+    asked = profile.discovery.network
+    return asked == "always" or (asked == "unknown" and discovery.verdict == "unknown effect")
+
+
+def with_network(
+    profile: Profile,
+    calibrated: ArmModel,
+    discovery: Discovery,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    cancel: CancelToken,
+    report: Report = ignore_report,
+) -> Discovery:
+    """The outcome with the corrections of a network before and after the accepted effects.
+
+    The network joins the model only where an effect stays unknown and it predicts the left-out folds of its training
+    readings better than none. The held-out readings judge the result, they do not choose it.
+    """
+    held_out = HeldOut.of(readings, conditions)
+    network = discovery.model.network
+    if discovery.accepted:
+        rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+        network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), cancel, report)
+    q = held_out.readings.q
+    corrections = BeforeAfter(before=_correction_mm(calibrated.network, q), after=_correction_mm(network, q))
+    discovery = replace(discovery, network_mm=corrections)
+    if not discovery.accepted or discovery.verdict != "unknown effect" or network is None:
+        return discovery
+    model = replace(discovery.model, network=network)
+    after = held_out.position_mm(model)
+    return replace(
+        discovery,
+        model=model,
+        after=after,
+        steps=(*discovery.steps, GapStep("a network for the rest", "", after.rms)),
+        stage=held_out.evaluate(model),
+    )
+
+
+def _train(
+    profile: Profile,
+    model: ArmModel,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    cancel: CancelToken,
+    report: Report,
+) -> ResidualNetwork | None:
+    """A network for the residuals of ``model``; None where it does not predict left-out readings better than none."""
+    if len(readings) < _READINGS_A_FOLD * profile.network.folds:
+        return None
+    residual_M = readings.p_M - model.predict(readings.q, conditions=conditions)
+    return train_network(
+        readings.q,
+        residual_M @ model.geometry.T_M_B()[:3, :3],
+        seed=profile.seed,
+        folds=profile.network.folds,
+        iterations=profile.network.iterations,
+        cancel=cancel,
+        report=report,
+    ).network
+
+
+def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:
+    """Rms length of a network's corrections."""
+    if network is None:
+        return 0.0
+    return float(np.sqrt(np.mean(np.sum(network.correct(q) ** 2, axis=1)))) * 1e3

@@ -1,0 +1,149 @@
+"""Which blocks (joints, lines) of one law a residual needs: forward selection, and backward elimination from all.
+
+Forward selection adds the best block while the score grows by more than ``NEXT_BLOCK``. Where an effect is spread
+evenly over many joints no single block may gain enough, so that backward elimination is tried from all blocks as well
+(Draper, Smith, Applied Regression Analysis, 3rd ed., chapter 15).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.estimation.design.information import SMALLEST, VISIBLE, visible_root
+from cellapp.estimation.discovery.candidates import Block, CandidateLaw
+from cellapp.estimation.discovery.projected_residual import ProjectedResidual, bic_gain
+from cellapp.robot.kinematics.transforms import Array
+
+NEXT_BLOCK = 10.0
+"""Gain of the score from which another block joins: very strong evidence (Kass, Raftery, J. Am. Stat. Ass. 90 (1995)
+773), as what a law leaves over at one joint often looks a little like another joint's share."""
+_MOST_TOGETHER = 24
+"""Columns from which backward elimination starts at most: six joints with up to four columns each. Beyond, as with
+hundreds of lines, all at once would fit noise."""
+_MOST_TRIED = 40
+"""Blocks that forward selection tries in full at each step; of more, the most promising by their own columns."""
+_PSEUDO_INVERSE = 1e-10
+"""Relative cut of singular values where only a ranking depends on it; far above rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class BlockSelection:
+    """The visible blocks of a candidate law and a residual to be explained.
+
+    ``projected`` are the law's rows behind the model's parameters (m, d), ``norms`` (m,) those of its rows before,
+    ``moments`` (m,) = B M y.
+    """
+
+    candidate: CandidateLaw
+    projected: Array
+    norms: Array
+    moments: Array
+    residual: ProjectedResidual
+    blocks: tuple[Block, ...]
+
+    @classmethod
+    def of(
+        cls,
+        candidate: CandidateLaw,
+        projected: Array,
+        visible_share: Array,
+        residual: ProjectedResidual,
+        *,
+        with_refinements: bool,
+    ) -> BlockSelection | None:
+        """The visible blocks; None where none is visible but such as only refine others."""
+        wanted = [block for block in candidate.blocks if with_refinements or not candidate.refines(block)]
+        trimmed = (tuple(place for place in block if visible_share[place] > VISIBLE) for block in wanted)
+        blocks = tuple(block for block in trimmed if block)
+        if all(candidate.refines(block) for block in blocks):
+            return None
+        norms = np.maximum(np.linalg.norm(candidate.rows, axis=1), SMALLEST)
+        return cls(candidate, projected, norms, candidate.rows @ residual.projected, residual, blocks)
+
+    def select(self, price: float) -> tuple[Block, float]:
+        """The chosen columns and their score; ``price`` is that of the law, paid again for each further line."""
+        line_price = price if len(self.candidate.blocks) > _MOST_TRIED else 0.0
+        chosen, best = self._forward(line_price)
+        if len(self.blocks) > 1 and sum(map(len, self.blocks)) <= _MOST_TOGETHER:
+            together, value = self._backward()
+            if value > best + NEXT_BLOCK:
+                return together, value
+        return chosen, best
+
+    def score(self, columns: Sequence[int]) -> tuple[float, float]:
+        """BIC gain of some columns, without the price of choosing the law, and R^2."""
+        return self._scores([tuple(columns)])[0]
+
+    def _scores(self, sets: Sequence[Block]) -> list[tuple[float, float]]:
+        """``score`` of several sets of columns; those of equal size are computed together."""
+        found = [(0.0, 0.0)] * len(sets)
+        sizes = np.array([len(one) for one in sets])
+        for size in np.unique(sizes).tolist():
+            numbers = np.flatnonzero(sizes == size).tolist()
+            places = np.array([sets[number] for number in numbers], dtype=np.intp)
+            gram = self.candidate.rows[places] @ self.projected[places].swapaxes(1, 2)
+            root, ranks = visible_root(gram, self.norms[places])
+            along = np.einsum("bkr,bk->br", root, self.moments[places])
+            shares = np.sum(along**2, axis=1) / self.residual.square
+            for number, share, rank in zip(numbers, shares.tolist(), ranks.tolist(), strict=True):
+                found[number] = (bic_gain(share, len(self.residual), rank), share)
+        return found
+
+    def _best(self, sets: Sequence[Block]) -> tuple[float, int]:
+        """The best score among sets of columns, and its number."""
+        values = [value for value, _ in self._scores(sets)]
+        number = max(range(len(sets)), key=lambda k: (values[k], sets[k]))
+        return values[number], number
+
+    def _forward(self, line_price: float) -> tuple[Block, float]:
+        """Add the best block while the score grows; one that only refines others cannot be the first."""
+        main = [block for block in self.blocks if not self.candidate.refines(block)]
+        main = self._promising(main, ())
+        best, number = self._best(main)
+        chosen = main[number]
+        left = [block for block in self.blocks if block != chosen]
+        while left and best > 0.0:
+            left = self._promising(left, chosen)
+            top, number = self._best([(*chosen, *block) for block in left])
+            block = left[number]
+            if top - line_price <= best + NEXT_BLOCK:
+                break
+            best, chosen = top - line_price, (*chosen, *block)
+            left = [other for other in left if other != block]
+        return chosen, best
+
+    def _backward(self) -> tuple[Block, float]:
+        """From all blocks, drop the least needed while that costs less than ``NEXT_BLOCK``."""
+        together: Block = tuple(place for block in self.blocks for place in block)
+        value = self.score(together)[0]
+        while len(together) > 1:
+            fewer = []
+            for block in self.blocks:
+                rest = tuple(place for place in together if place not in block)
+                if len(rest) < len(together) and any(not self.candidate.refines((place,)) for place in rest):
+                    fewer.append(rest)
+            if not fewer:
+                break
+            top, number = self._best(fewer)
+            if top <= value - NEXT_BLOCK:
+                break
+            together, value = fewer[number], top
+        return together, value
+
+    def _promising(self, blocks: list[Block], chosen: Block) -> list[Block]:
+        """At most ``_MOST_TRIED`` blocks, those that explain most beside the chosen columns, each column on its own."""
+        if len(blocks) <= _MOST_TRIED:
+            return blocks
+        moments, information = self.moments, np.einsum("md,md->m", self.candidate.rows, self.projected)
+        if chosen:
+            kept = list(chosen)
+            cross = self.candidate.rows @ self.projected[kept].T
+            inverse = np.linalg.pinv(cross[kept], rcond=_PSEUDO_INVERSE, hermitian=True)
+            moments = moments - cross @ (inverse @ self.moments[kept])
+            information = information - np.einsum("mk,kl,ml->m", cross, inverse, cross)
+        floor = 1e-12 * max(float(information.max()), SMALLEST)
+        gain = moments**2 / np.maximum(information, floor)
+        return sorted(blocks, key=lambda block: -float(gain[list(block)].sum()))[:_MOST_TRIED]

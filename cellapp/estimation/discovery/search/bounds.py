@@ -1,0 +1,81 @@
+"""Laws without the blocks whose values are physically impossible, by a linear estimate or by a joint fit.
+
+A negative stiffness at one joint is an alias of something else there. It says nothing against the effect at other
+joints.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.estimation.calibration.identification import TooFewReadings
+from cellapp.estimation.design.information import visible_root
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.candidates import LawScore, blocks_beyond_bounds
+from cellapp.estimation.discovery.joint_fit import fit_terms
+from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.terms import ModelTerm, ModelTerms
+
+
+def within_bounds(data: ArmData, others: ModelTerms, residual: ProjectedResidual, score: LawScore) -> LawScore | None:
+    """The score without the blocks whose values, fitted beside ``others``, are impossible; None where none is left."""
+
+    def impossible(current: LawScore) -> set[str]:
+        term = ModelTerm(current.slug, current.candidate.law, current.names)
+        return fit_terms(data, (*others, term)).blocks_beyond_bounds(len(others))
+
+    with_refinements = any(score.candidate.refines((place,)) for place in score.chosen)
+    try:
+        return _without_blocks(residual, score, impossible, with_refinements=with_refinements)
+    except TooFewReadings:  # the readings do not determine all its columns
+        return None
+
+
+def possible_score(residual: ProjectedResidual, score: LawScore) -> float:
+    """The score without the blocks that need impossible values; minus infinity where no other block is left.
+
+    The values are estimated linearly. A joint fit (``within_bounds``) says the same more exactly at a hundred times the
+    cost, which is too much for every rival of every effect.
+    """
+    possible = _without_blocks(
+        residual, score, lambda current: _impossible_blocks(residual, current), with_refinements=False
+    )
+    return -math.inf if possible is None else possible.value
+
+
+def _without_blocks(
+    residual: ProjectedResidual,
+    score: LawScore,
+    impossible: Callable[[LawScore], set[str]],
+    *,
+    with_refinements: bool,
+) -> LawScore | None:
+    """The score of a law's other blocks, selected anew until ``impossible`` names none; None where none is left."""
+    candidate, current = score.candidate, score
+    left = list(range(len(candidate.columns)))
+    while banned := impossible(current):
+        left = [place for place in left if candidate.columns[place].block not in banned]
+        if not left:
+            return None
+        scan = LawScan.of([candidate.keep(left)], residual.projector)
+        again = scan.score(0, residual, with_refinements=with_refinements)
+        if again is None:
+            return None
+        chosen = tuple(left[place] for place in again.chosen)
+        current = replace(again, candidate=candidate, chosen=chosen)
+    return current
+
+
+def _impossible_blocks(residual: ProjectedResidual, score: LawScore) -> set[str]:
+    """Blocks with a linearly estimated value outside its bounds by more than chance allows."""
+    columns = [score.candidate.columns[place] for place in score.chosen]
+    if all(math.isinf(column.lower) and math.isinf(column.upper) for column in columns):
+        return set()
+    root, _ = visible_root(score.rows @ residual.projector.project(score.rows).T, np.linalg.norm(score.rows, axis=1))
+    values = root @ (root.T @ (score.rows @ residual.projected))
+    return blocks_beyond_bounds(columns, values, np.linalg.norm(root, axis=1))

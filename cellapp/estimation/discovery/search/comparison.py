@@ -1,0 +1,60 @@
+"""Comparison of fitted models: remaining scatter against the noise floor, and the Bayesian information criterion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc
+
+from cellapp.estimation.discovery.arm_data import ArmData, whitening
+from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.search.scan import choice_price
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchState
+from cellapp.estimation.discovery.terms import UNKNOWN
+
+FLOOR_CHANCE = 0.001
+"""Chance of the remaining scatter above which it counts as noise; the search goes on below."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Scatter of residuals against the stated uncertainty.
+
+    ``ratio`` is the root of chi-square per degree of freedom, ``p_value`` the chance of one at least as large.
+    """
+
+    ratio: float
+    p_value: float
+
+
+def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
+    """Scatter that a model leaves; None where the readings state no uncertainty."""
+    if data.stated is None:
+        return None
+    total = float(np.sum(np.einsum("acn,nc->an", whitening(data.stated), fit.identification.residuals) ** 2))
+    freedom = max(3.0 * len(data) - fit.projector.effective_parameters, 1.0)
+    return Scatter(math.sqrt(total / freedom), float(chdtrc(freedom, total)))
+
+
+def floor_reached(state: SearchState) -> bool:
+    """Whether the remaining scatter may be the stated noise; False where none is stated."""
+    found = scatter(state.data, state.fit)
+    return found is not None and found.p_value > FLOOR_CHANCE
+
+
+def best_state(states: Sequence[SearchState]) -> SearchState:
+    """The state with the least criterion."""
+    return min(states, key=lambda state: criterion(state.fit))
+
+
+def criterion(fit: JointFit) -> float:
+    """Bayesian information criterion of a model, and the prices of choosing laws and fitting their hyperparameters."""
+    price = 0.0
+    for term in fit.terms:
+        price += choice_price(term.law) + SCORE_MARGIN * (2.0 if term.slug == UNKNOWN else 1.0)
+        if term.smooth is not None:
+            price += term.smooth.hyperparameters * math.log(len(fit.residual))
+    return fit.information_criterion + price

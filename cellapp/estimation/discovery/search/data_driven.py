@@ -1,0 +1,226 @@
+"""Data-driven terms for what no effect of the library explains: one channel as a function of one or two variables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.estimation.design.information import SMALLEST, VISIBLE
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.candidates import LawScore
+from cellapp.estimation.discovery.cross_validation import cross_validated_gain
+from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.search.channel_scan import ChannelScan, Families
+from cellapp.estimation.discovery.search.comparison import best_state, criterion, floor_reached, scatter
+from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
+from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
+from cellapp.estimation.discovery.search.tuning import apply_step
+from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
+from cellapp.robot.effects import EFFECTS
+from cellapp.robot.effects.contradiction import is_contradiction
+from cellapp.robot.effects.data_driven import DataChannel, channels, data_driven_form
+from cellapp.robot.effects.smooth import AMPLITUDE
+from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
+
+_MOST_TERMS = 3
+"""Data-driven terms at most: a shift has three directions."""
+_COORDINATES_EACH = 4
+"""Measured coordinates that each parameter of a model with a data-driven term needs; with fewer it could fit noise."""
+_LEAST_SHARE = 0.1
+"""Least share of the remaining sum of squares beyond the noise that a term must explain: 5 % of the rms error. A check
+on a hundred held-out stops does not show less: its rms is itself uncertain by 4 %, 1 / sqrt(2 x 300 coordinates)."""
+_PROMISE = 0.67
+"""Score of a term, in the scan, over the gain of a fitted model from which it may be better: the scan weighs all
+coordinates alike while the effect is still in the residual, and its scores are up to 30 % too low."""
+_SELECTED = 5
+"""Laws of the best scores whose columns are made: selection drops columns that do not show, which changes a score by a
+little."""
+
+
+def with_data_driven_terms(problem: SearchProblem, state: SearchState) -> SearchState | None:
+    """The state with data-driven terms; None where none holds."""
+    driven = _with_term(problem, state)
+    for _ in range(_MOST_TERMS - 1):
+        if driven is None or floor_reached(driven):
+            break
+        further = _with_term(problem, driven)
+        if further is None:
+            break
+        driven = further
+    return driven
+
+
+def in_place_of_names(problem: SearchProblem, start: SearchState, best: SearchState) -> SearchState | None:
+    """Data-driven terms on the geometry alone, where one of them promises about as much as ``best``; else None.
+
+    Several names, or a free function, can imitate one law that the library lacks. ``start`` is the geometry alone.
+    A law of the channel and the variable of a named effect that has a free function of its own replaces nothing.
+    """
+    if not best.fit.terms:
+        return None
+    gain = criterion(start.fit) - criterion(best.fit)
+    scores = _best_scores(problem, start)
+    if not scores or max(score.value for score in scores) <= _PROMISE * gain:
+        return None
+    if any(_has_free_form(best, number, scores[0]) for number in range(len(best.fit.terms))):
+        return None
+    return with_data_driven_terms(problem, start)
+
+
+def _has_free_form(state: SearchState, number: int, score: LawScore) -> bool:
+    """Whether a named term moves what a data-driven law moves, by the same variable, and has a free function of it.
+
+    Such a law is the effect in a shape that its other laws do not have: a drift to and fro is a drift.
+    """
+    term, form = state.fit.terms[number], data_driven_form(score.candidate.law)
+    if not term.is_library_effect or not any(AMPLITUDE in one.constants for one in EFFECTS[term.slug].forms):
+        return False
+    joint = form.channel.joint
+    moves = {(column.channel, column.index) for column in state.fit.term_columns(number)}
+    own = all(one.joint in (None, joint) for one in form.drivers)
+    return own and moves == {(form.channel.channel, joint)} and EFFECTS[term.slug].variables == form.variables
+
+
+def _with_term(problem: SearchProblem, state: SearchState) -> SearchState | None:
+    """The state with the data-driven term that explains most of the residual; None where none holds."""
+    data, fit = state.data, state.fit
+    score = next((one for one in _best_scores(problem, state) if _holds(problem, state, one)), None)
+    if score is None:
+        return None
+    law = score.candidate.law
+    choices: list[ModelTerms] = [(*fit.terms, ModelTerm(UNKNOWN, law, score.names))]
+    # The term describes its channel as any function of its variables: named effects that described a part may go.
+    where = score.candidate.columns[0].where
+    others = tuple(term for term in fit.terms if not _acts_only_on(data, term, where))
+    if len(others) < len(fit.terms):
+        names = tuple(column.name for column in data.columns(UNKNOWN, law))
+        choices.append((*others, ModelTerm(UNKNOWN, law, names)))
+    steps = [problem.step(UNKNOWN, "a data-driven term added", score.value, terms) for terms in choices]
+    return best_state([apply_step(problem, state, step) for step in steps])
+
+
+def _holds(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
+    """Whether a term earns a visible share of what is left, on left-out readings too, although named laws may be off.
+
+    What a slightly wrong law leaves over often looks like a law of other variables.
+    """
+    return (
+        _share_beyond_noise(state, score) > _LEAST_SHARE
+        and cross_validated_gain(state.data, state.fit, score.rows) > 0.0
+        and explains_beside_free_parts(problem, state, score)
+    )
+
+
+def _share_beyond_noise(state: SearchState, score: LawScore) -> float:
+    """Share of the remaining sum of squares beyond the noise that a term explains beyond chance.
+
+    Where no uncertainty is stated, the noise is not known: the share is that of all that is left.
+    """
+    left = scatter(state.data, state.fit)
+    beyond_noise = 1.0 if left is None else 1.0 - min(left.ratio**-2, 1.0)
+    beyond_chance = score.explained_share - len(score.chosen) / len(state.fit.residual)
+    return beyond_chance / beyond_noise if beyond_noise > 0.0 else 0.0
+
+
+def _best_scores(problem: SearchProblem, state: SearchState) -> list[LawScore]:
+    """The best law of two variables and of one that pass the threshold, the preferred one first."""
+    context = state.data.context
+    scan, every = ChannelScan.of(state.data, state.fit), channels(context.joints)
+    one = _best_law(state, _Tried.of(state, scan, curve_families(context), every))
+    of_angles = pair_families(context, own_angles(context))
+    tried = _Tried.of(state, scan, of_angles, every)
+    if one is not None:
+        known = {family.drivers for family in of_angles}
+        others = [family for family in pair_families(context) if family.drivers not in known]
+        channel = data_driven_form(one.candidate.law).channel
+        tried = tried.with_others(_Tried.of(state, scan, others, (channel,)))
+    two = _best_law(state, tried)
+    found = [score for score in (two, one) if score is not None and score.value > problem.threshold]
+    if len(found) == 2 and found[0].value <= found[1].value + SCORE_MARGIN:
+        return found[1:]
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """Laws of families in channels, in decreasing order of their scores, and how many were tried."""
+
+    best: tuple[tuple[float, FunctionFamily, DataChannel], ...]
+    count: int
+
+    @classmethod
+    def of(
+        cls, state: SearchState, scan: ChannelScan, families: Sequence[FunctionFamily], chosen: Sequence[DataChannel]
+    ) -> _Tried:
+        """Score the laws that the readings can determine, of subjects that no term has."""
+        data, fit = state.data, state.fit
+        taken = {
+            data_driven_form(term.law).subject
+            for term in fit.terms
+            if term.slug == UNKNOWN and not is_contradiction(term.law)
+        }
+        evaluated = Families.of(data, families)
+        possible = np.array(
+            [[(channel.subject, family.drivers) not in taken for family in families] for channel in chosen], dtype=bool
+        ).reshape(len(chosen), len(families))
+        fitted = int(np.count_nonzero(fit.precision == 0.0)) + fit.layout.geometric
+        columns = np.array([max(len(channel.parts), 1) for channel in chosen])[:, None] * evaluated.sizes
+        few = _COORDINATES_EACH * (columns + fitted) <= 3 * len(data)
+        values = np.where(possible & few, scan.scores(evaluated, chosen), -np.inf)
+        order = np.argsort(-values, axis=None, kind="stable")[:_SELECTED]
+        places = [divmod(int(place), len(families)) for place in order if np.isfinite(values.flat[place])]
+        best = tuple((float(values[row, k]), families[k], chosen[row]) for row, k in places)
+        return cls(best, int(np.count_nonzero(possible)))
+
+    def with_others(self, others: _Tried) -> _Tried:
+        """Both together."""
+        best = sorted((*self.best, *others.best), key=lambda one: -one[0])
+        return _Tried(tuple(best[:_SELECTED]), self.count + others.count)
+
+
+def _best_law(state: SearchState, tried: _Tried) -> LawScore | None:
+    """The best of many data-driven laws, less the price of choosing among them; columns that do not show are left."""
+    data, fit = state.data, state.fit
+    candidates = [fit.candidate(data, UNKNOWN, family.law(channel)) for _, family, channel in tried.best]
+    ranked = LawScan.of(candidates, fit.projector).ranked(fit.projected_residual)
+    if not ranked:
+        return None
+    best = _with_needed_functions(ranked[0], fit)
+    return replace(best, value=best.value - 2.0 * math.log(max(tried.count, 1)))
+
+
+def _with_needed_functions(score: LawScore, fit: JointFit) -> LawScore:
+    """The law with the functions that the criterion needs, if it is better so; choosing r of k costs 2 ln C(k, r).
+
+    Without column j of the rest the explained square falls by w_j^2 / (G^-1)_jj, w the solution and G the information.
+    """
+    residual, rows, price = fit.projected_residual, score.rows, math.log(len(fit.residual))
+    gram, moments = rows @ fit.projector.project(rows).T, rows @ residual.projected
+    kept = np.arange(len(rows))
+    left = residual.square * (1.0 - score.explained_share)
+    while len(kept) > 1:
+        inverse = np.linalg.pinv(gram[np.ix_(kept, kept)], rcond=VISIBLE**2, hermitian=True)
+        losses = (inverse @ moments[kept]) ** 2 / np.maximum(np.diag(inverse), SMALLEST)
+        least = int(np.argmin(losses))
+        if len(residual) * math.log1p(float(losses[least]) / left) > price:
+            break
+        left += float(losses[least])
+        kept = np.delete(kept, least)
+    choices = math.comb(len(rows), len(kept))
+    value = residual.bic_gain(rows[kept]) - 2.0 * math.log(choices)
+    if value <= score.value:
+        return score
+    candidate = replace(score.candidate, law=replace(score.candidate.law, tried=choices))
+    chosen = tuple(score.chosen[k] for k in kept)
+    return LawScore(candidate, value, chosen, residual.explained_share(rows[kept]))
+
+
+def _acts_only_on(data: ArmData, term: ModelTerm, where: str) -> bool:
+    """Whether a named term acts on one place alone."""
+    if not term.is_library_effect:
+        return False
+    return {column.where for column in data.columns(term.slug, term.law, term.names)} == {where}

@@ -1,0 +1,259 @@
+"""Free parts of the laws in a model: what a nearly right law leaves over stays with its effect.
+
+A law that is nearly right leaves a remainder that often looks like a second effect. Each library effect may therefore
+have a free part (``robot.effects.modulation``), small by prior: with fitted values v of a block's columns,
+
+    coefficient of the function f_k of a driver ~ N(0, (share |v| w_k)^2),   w_k proportional to k^-2,
+
+scaled so that the modulation g has an rms of ``share``. Standard deviations that fall with k^-2 are the prior of a
+function with a finite mean square of its second derivative (the spline prior: Wahba, Spline Models for Observational
+Data, 1990), so that a law is preferred to be off smoothly. ``share`` maximises the evidence (marginal likelihood) of
+the residual in the complement of the other parameters. With M the projector there, Z the rows of the free part scaled
+by their standard deviations, noise variance s and f degrees of freedom,
+
+    2 ln evidence = -f ln s - ln det(I + Z M Z^T / s) - (y^T M y - y^T M Z^T (s I + Z M Z^T)^-1 Z M y) / s.
+
+For the scan for second names free parts count as nuisance parameters at a cautious share, kept or not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.estimation.design.information import NuisanceProjector
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.candidates import LawScore
+from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
+from cellapp.estimation.discovery.terms import ModelTerm, with_term
+from cellapp.robot.effects import EffectColumn
+from cellapp.robot.effects.modulation import HALF_CYCLES, HARMONICS, OWN_HALF_CYCLES, Modulation, closes, modulations
+from cellapp.robot.kinematics.transforms import Array
+
+SHARES = (0.03, 0.1, 0.3)
+"""Shares of a law that its free part may have: a factor of 3 apart, as the evidence has a broad maximum. A law that is
+off by more than the largest is another effect's business."""
+CAUTIOUS_SHARE = 0.1
+"""Share at which every law counts as uncertain while second names are looked for: laws hold to some 10 %."""
+LEAST_EVIDENCE = SCORE_MARGIN / 2.0
+"""Gain of 2 ln evidence from which a free part is kept: positive to strong evidence, less than a name needs."""
+_MOST_COLUMNS = 160
+"""Columns of one term's free part: with more, as with many lines, only the lower orders are taken."""
+_NOISE_SHARES = np.geomspace(0.02, 1.0, 40)
+"""Shares of the residual's variance that may be noise, 10 % apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreePart:
+    """Columns that a term's free part may have, with one driver.
+
+    ``rows`` (m, 3 n) are their whitened displacements, ``sd`` (m,) the standard deviations of their prior for a share
+    of one.
+    """
+
+    modulations: tuple[Modulation, ...]
+    rows: Array
+    sd: Array
+
+
+def possible_free_parts(data: ArmData, fit: JointFit, number: int) -> list[FreePart]:
+    """The free part of a term with each driver that its effect declares; none for terms without a law."""
+    term = fit.terms[number]
+    effect = term.effect
+    if effect is None:
+        return []
+    size = len(term.names)
+    columns = [column for column in fit.term_columns(number)[:size] if not column.refines]
+    sizes = _sizes(fit, number)
+    columns = [column for column in columns if sizes[column.name] > 0.0]
+    found = []
+    for driver in effect.free_drivers:
+        ones = _lowest_orders(modulations(driver, columns, data.context))
+        if ones:
+            found.append(_free_part(data, fit, columns, ones, sizes))
+    return found
+
+
+def _sizes(fit: JointFit, number: int) -> dict[str, float]:
+    """Size of each column of a term: the rms value over its block's columns of the same unit, in that unit.
+
+    The variance of the estimate is subtracted: what is not determined has no remainder either.
+    """
+    columns = fit.term_columns(number)
+    errors = fit.identification.standard_errors[fit.layout.parameters(number)].tolist()
+    squares: dict[tuple[str, str], list[float]] = {}
+    for column, value, error in zip(columns, fit.term_values(number).tolist(), errors, strict=True):
+        squares.setdefault((column.block, column.unit), []).append(max(value**2 - error**2, 0.0))
+    return {column.name: math.sqrt(float(np.mean(squares[column.block, column.unit]))) for column in columns}
+
+
+def _lowest_orders(ones: tuple[Modulation, ...]) -> tuple[Modulation, ...]:
+    """The modulations up to the highest order with which there are not too many; at least those of the first."""
+    for most in range(max((one.order for one in ones), default=0), 1, -1):
+        kept = tuple(one for one in ones if one.order <= most)
+        if len(kept) <= _MOST_COLUMNS:
+            return kept
+    return tuple(one for one in ones if one.order == 1)[:_MOST_COLUMNS]
+
+
+def _free_part(
+    data: ArmData,
+    fit: JointFit,
+    columns: Sequence[EffectColumn],
+    ones: tuple[Modulation, ...],
+    sizes: dict[str, float],
+) -> FreePart:
+    by_name = {column.name: column for column in columns}
+    rows = fit.displacements([one.column(by_name[one.base], data.context) for one in ones])
+    variables = {one.base: len({other.driver for other in ones if other.base == one.base}) for one in ones}
+    weights = np.array([_weight(one) / math.sqrt(variables[one.base]) for one in ones])
+    return FreePart(ones, rows, weights * np.array([sizes[one.base] for one in ones]))
+
+
+def _weight(one: Modulation) -> float:
+    """Standard deviation of a coefficient for g of unit rms: k^-2, as a cosine over its range has a square of 1/2."""
+    harmonics = closes(one.driver)
+    most = HARMONICS if harmonics else (OWN_HALF_CYCLES if one.driver is None else HALF_CYCLES)
+    orders = np.arange(1, most + 1)
+    square = float(np.sum(orders.astype(np.float64) ** -4)) * (1.0 if harmonics else 0.5)
+    return float(one.order**-2 / math.sqrt(square))
+
+
+# -- evidence --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class FreePartEvidence:
+    """Twice the log evidence of scaled columns in the complement of a model's parameters.
+
+    ``gram`` (m, m) is Z M Z^T, ``moments`` (m,) Z M y, both for prior standard deviations of one; ``square`` y^T M y.
+    """
+
+    gram: Array
+    moments: Array
+    square: float
+    freedom: float
+
+    def gain(self, sd: Array) -> float:
+        """Gain over a model without these columns, each with its best noise."""
+        used = sd > 0.0
+        scale = sd[used]
+        values, vectors = np.linalg.eigh(self.gram[np.ix_(used, used)] * scale[:, None] * scale)
+        values = np.maximum(values, 0.0)
+        along = (vectors.T @ (scale * self.moments[used])) ** 2
+        noise = self.square / self.freedom * _NOISE_SHARES[:, None]
+        explained = np.sum(along / (noise + values), axis=1)
+        determinant = np.sum(np.log1p(values / noise), axis=1)
+        noise = noise[:, 0]
+        evidence = -self.freedom * np.log(noise) - determinant - (self.square - explained) / noise
+        without = -self.freedom * (math.log(self.square / self.freedom) + 1.0)
+        return float(evidence.max()) - without
+
+
+def with_free_parts(problem: SearchProblem, state: SearchState) -> SearchState | None:
+    """The state with the free part of each effect's law where its evidence gains; None where none does.
+
+    Free parts that the laws already have are found anew.
+    """
+    terms = tuple(replace(term, modulations=(), modulation_sd=()) for term in state.fit.terms)
+    had = any(term.modulations for term in state.fit.terms)
+    if all(term.effect is None for term in terms):
+        return None
+    base = problem.state(terms, state) if had else state
+    found = _free_terms(base)
+    if not any(term.modulations for term in found):
+        return base if had else None
+    return problem.state(found, state)
+
+
+def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:
+    """The terms with the free parts that gain, those of the largest effects first."""
+    fit, terms = state.fit, state.fit.terms
+    nuisance, precision = fit.rows, fit.precision
+    order = sorted(range(len(terms)), key=lambda number: -float(np.sum(fit.signal(number) ** 2)))
+    for number in order:
+        parts = possible_free_parts(state.data, fit, number)
+        chosen = _best_shares(fit, nuisance, precision, parts)
+        if not chosen:
+            continue
+        sd = np.concatenate([share * part.sd for part, share in chosen])
+        nuisance = np.concatenate([nuisance, *(part.rows for part, _ in chosen)])
+        precision = np.concatenate([precision, 1.0 / sd**2])
+        term = replace(
+            terms[number],
+            modulations=tuple(one for part, _ in chosen for one in part.modulations),
+            modulation_sd=tuple(sd.tolist()),
+        )
+        terms = with_term(terms, number, term)
+    return terms
+
+
+def _best_shares(
+    fit: JointFit, nuisance: Array, precision: Array, parts: Sequence[FreePart]
+) -> list[tuple[FreePart, float]]:
+    """Drivers of a free part and the share of each: the best one joins while the evidence gains enough."""
+    if not parts:
+        return []
+    evidence = _evidence_of(fit, nuisance, precision, np.concatenate([part.rows for part in parts]))
+    if evidence.freedom < 1.0 or evidence.square <= 0.0:  # the parameters already take all that the readings hold
+        return []
+    chosen: dict[int, float] = {}
+    best = 0.0
+    while len(chosen) < len(parts):
+        trials = []
+        for place in range(len(parts)):
+            for share in SHARES:
+                shares = {**chosen, place: share}
+                if place in chosen or math.hypot(*shares.values()) > SHARES[-1] * (1.0 + 1e-9):
+                    continue
+                trials.append((evidence.gain(_scaled(parts, shares)), place, share))
+        if not trials or max(trials)[0] <= best + LEAST_EVIDENCE:
+            break
+        best, place, share = max(trials)
+        chosen[place] = share
+    return [(parts[place], share) for place, share in sorted(chosen.items())]
+
+
+def _scaled(parts: Sequence[FreePart], shares: dict[int, float]) -> Array:
+    """Standard deviations of all columns of some parts, zero for parts that are left out."""
+    return np.concatenate([shares.get(place, 0.0) * part.sd for place, part in enumerate(parts)])
+
+
+def _evidence_of(fit: JointFit, nuisance: Array, precision: Array, rows: Array) -> FreePartEvidence:
+    projector = NuisanceProjector.of(nuisance, precision)
+    residual = projector.project(fit.target)
+    return FreePartEvidence(
+        gram=rows @ projector.project(rows).T,
+        moments=rows @ residual,
+        square=float(fit.target @ residual),
+        freedom=len(residual) - projector.effective_parameters,
+    )
+
+
+# -- names beside laws that may be off -------------------------------------------------------------------------------
+
+
+def behind_free_parts(state: SearchState) -> ProjectedResidual | None:
+    """The residual behind the model and the free parts of all its laws at the cautious share; None without any."""
+    fit = state.fit
+    rows, precision = [], []
+    for number in range(len(fit.terms)):
+        parts = possible_free_parts(state.data, fit, number)
+        share = CAUTIOUS_SHARE / math.sqrt(max(len(parts), 1))
+        rows += [part.rows for part in parts]
+        precision += [1.0 / (share * part.sd) ** 2 for part in parts]
+    if not rows:
+        return None
+    projector = NuisanceProjector.of(np.concatenate([fit.rows, *rows]), np.concatenate([fit.precision, *precision]))
+    return ProjectedResidual(projector, fit.target)
+
+
+def explains_beside_free_parts(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
+    """Whether a new law passes the threshold although the laws in the model may be slightly off."""
+    behind = behind_free_parts(state)
+    return behind is None or behind.bic_gain(score.rows) > problem.threshold

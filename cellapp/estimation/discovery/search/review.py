@@ -1,0 +1,106 @@
+"""Review of a model: drop terms that other terms make superfluous, and find rivals of the remaining ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.estimation.design.information import NuisanceProjector
+from cellapp.estimation.discovery.candidates import LawScore, best_law_of_each_effect
+from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.search.bounds import possible_score
+from cellapp.estimation.discovery.search.comparison import floor_reached
+from cellapp.estimation.discovery.search.scan import LawScan, choice_price
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, Review, Rival, SearchProblem, SearchState
+from cellapp.estimation.discovery.terms import UNKNOWN, without_term
+from cellapp.robot.effects import EFFECTS, DriverVariable
+from cellapp.robot.effects.periodic import LINES
+
+_SAME_CAUSE = 0.05
+"""A term that depends on the variables of another one and removes less than this share of that one's sum of squares is
+taken as the rest of an imperfect law (22 % in rms) and not as a second cause."""
+
+
+def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
+    """The state without superfluous terms, dropped one by one, the weakest first."""
+    dropped = list(state.dropped)
+    while True:
+        problem.cancel.check()
+        problem.say(f"review of {len(state.fit.terms)} effects")
+        out = _weakest(problem, state)
+        if out is None:
+            out = _rest_of_a_law(state)
+        if out is None:
+            return replace(state, dropped=tuple(dropped))
+        dropped.append(state.fit.terms[out].slug)
+        state = problem.state(without_term(state.fit.terms, out), state)
+
+
+def _weakest(problem: SearchProblem, state: SearchState) -> int | None:
+    """The term with the least score, if that does not pass the threshold; smooth terms have a test of their own."""
+    scores = {
+        number: term_score(state.fit, number) for number, term in enumerate(state.fit.terms) if term.smooth is None
+    }
+    weak = [number for number, score in scores.items() if score <= problem.threshold]
+    return min(weak, key=lambda number: scores[number]) if weak else None
+
+
+def _rest_of_a_law(state: SearchState) -> int | None:
+    """A small term that shares variables with a far larger one, where the noise floor is not reached."""
+    fit = state.fit
+    if floor_reached(state):
+        return None
+    removed = [fit.removed_square(number) for number in range(len(fit.terms))]
+    for number, term in enumerate(fit.terms):
+        for other, larger in enumerate(fit.terms):
+            if UNKNOWN in (term.slug, larger.slug) or number == other:
+                continue
+            # all effects depend on the configuration: that alone is no common cause
+            shared = (EFFECTS[term.slug].variables & EFFECTS[larger.slug].variables) - {DriverVariable.JOINT_ANGLE}
+            if shared and removed[number] < _SAME_CAUSE * removed[other]:
+                return number
+    return None
+
+
+def term_score(fit: JointFit, number: int) -> float:
+    """Score of a term with its law's columns as they are, beside all other terms."""
+    term, residual = fit.terms[number], fit.residual_without(number)
+    choices = len({column.block for column in fit.term_columns(number)}) if term.law.form == LINES else 1
+    return residual.bic_gain(fit.law_rows(number)) - choice_price(term.law) * choices
+
+
+def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
+    """Score of a term beside all others, and the effects of the library that could take its place."""
+    fit = state.fit
+    term = fit.terms[number]
+    if term.smooth is not None:
+        return Review(term, term.smooth.evidence, problem.p_value(term.smooth.evidence), ())
+    score = term_score(fit, number)
+    if term.slug == UNKNOWN:
+        return Review(term, score, problem.p_value(score), ())
+    residual = fit.residual_without(number)
+    others = [slug for slug in problem.slugs if slug not in state.slugs]
+    scan = LawScan.of(fit.candidates(state.data, others), residual.projector)
+    best = best_law_of_each_effect(scan.ranked(residual))
+    rivals = [
+        Rival(rival.slug, rival.value, _explains_beside(problem, fit, number, rival))
+        for rival in best
+        if rival.value > max(score - SCORE_MARGIN, 0.0)
+    ]
+    alternatives = {rival.slug: rival.value for rival in best}
+    alternatives |= {
+        rival.slug: possible_score(residual, rival) for rival in best if rival.value > score - 2.0 * SCORE_MARGIN
+    }
+    return Review(term, score, problem.p_value(score), tuple(rivals), alternatives)
+
+
+def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, rival: LawScore) -> bool:
+    """Whether a term still passes the threshold in a model that contains the rival."""
+    kept = fit.layout.all_but(number)
+    rows = np.concatenate([fit.rows[kept], rival.rows])
+    precision = np.concatenate([fit.precision[kept], np.zeros(len(rival.chosen))])
+    residual = ProjectedResidual(NuisanceProjector.of(rows, precision), fit.residual_without(number).residual)
+    score = residual.bic_gain(fit.law_rows(number))
+    return score > problem.threshold

@@ -1,0 +1,160 @@
+"""Scan of all candidate laws: the score of each for the residual in the complement of the model's parameters.
+
+A law is a group of columns in blocks. Its score is
+
+    score = -N ln(1 - R^2) - k ln N - 2 ln T,   N = 3 n coordinates, k visible columns, T laws of its kind tried:
+
+the gain of the Bayesian information criterion (see ``estimation.discovery.projected_residual``) less the price of
+choosing among T onsets or time constants (a uniform prior over them, on the scale of twice the log likelihood).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_norms, visible_root
+from cellapp.estimation.discovery.candidates import Block, CandidateLaw, LawScore
+from cellapp.estimation.discovery.projected_residual import MOST_SHARE, ProjectedResidual
+from cellapp.estimation.discovery.search.block_selection import BlockSelection
+from cellapp.robot.effects import Law
+from cellapp.robot.kinematics.transforms import Array
+
+_MOST_LAWS = 10
+"""Laws of one effect whose blocks are selected in full, the best by their best single block: selection costs a hundred
+times as much, and among dozens of onsets neighbours differ little."""
+NO_DISPLACEMENT = 1e-9
+"""Whitened norm below which a column does not move the SMR: far below the standard uncertainty, which is 1."""
+_GRAMS_AT_ONCE = 256
+"""Blocks whose Gram matrices are computed together: bounds the memory for copies of their rows."""
+
+
+def choice_price(law: Law) -> float:
+    """Price of choosing a law among T tried ones, subtracted from its score: 2 ln T."""
+    return 2.0 * math.log(max(law.tried, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class _BlockGroup:
+    """Blocks of one size k: candidate (b,), places in it (b, k), root (b, k, k) of their information, its rank (b,)."""
+
+    candidate: NDArray[np.intp]
+    places: NDArray[np.intp]
+    root: Array
+    rank: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class LawScan:
+    """Candidate laws in the complement of a model's parameters.
+
+    Attributes
+    ----------
+    candidates : tuple of CandidateLaw
+    rows, projected : arrays, shape (total m, d)
+        B and B M of all columns of all candidates.
+    first : array, shape (candidates,)
+        First row of each candidate.
+    visible_share : array, shape (total m,)
+        Share of each column's norm that the model's parameters cannot explain.
+    groups : tuple of _BlockGroup
+        Blocks of equal size together, without those that only refine others.
+    """
+
+    candidates: tuple[CandidateLaw, ...]
+    rows: Array
+    projected: Array
+    first: NDArray[np.intp]
+    visible_share: Array
+    groups: tuple[_BlockGroup, ...]
+
+    @classmethod
+    def of(cls, candidates: Sequence[CandidateLaw], projector: NuisanceProjector) -> LawScan:
+        """Project all columns of the candidates."""
+        first = np.concatenate([[0], np.cumsum([len(one.columns) for one in candidates])]).astype(np.intp)
+        rows = np.concatenate([one.rows for one in candidates]) if candidates else np.zeros((0, len(projector.basis)))
+        projected = projector.project(rows)
+        norms = np.maximum(np.linalg.norm(rows, axis=1), SMALLEST)
+        by_size: dict[int, list[tuple[int, Block]]] = {}
+        for number, one in enumerate(candidates):
+            for block in one.blocks:
+                if not one.refines(block):
+                    by_size.setdefault(len(block), []).append((number, block))
+        groups = []
+        for entries in by_size.values():
+            owner = np.array([number for number, _ in entries], dtype=np.intp)
+            places = np.array([block for _, block in entries], dtype=np.intp)
+            groups.append(_block_group(rows, projected, norms, first, owner, places))
+        share = visible_norms(rows, projected) / norms
+        return cls(tuple(candidates), rows, projected, first[:-1], share, tuple(groups))
+
+    def place(self, number: int) -> slice:
+        """Where the columns of a candidate are in ``rows``, ``projected`` and ``visible_share``."""
+        begin = int(self.first[number])
+        return slice(begin, begin + len(self.candidates[number].columns))
+
+    def best_block_scores(self, projected: Array, squares: Array) -> Array:
+        """Score (candidates, s) with the best single block of each, for residuals M y (d, s), y^T M y (s,)."""
+        best = np.full((len(self.candidates), projected.shape[1]), -np.inf)
+        moments = self.rows @ projected
+        N = len(projected)
+        price = np.array([choice_price(one.law) for one in self.candidates])
+        for group in self.groups:
+            rows = self.first[group.candidate][:, None] + group.places
+            u = np.swapaxes(group.root, 1, 2) @ moments[rows]
+            share = np.minimum(np.einsum("bks,bks->bs", u, u) / squares, MOST_SHARE)
+            value = -N * np.log1p(-share) - (group.rank * math.log(N) + price[group.candidate])[:, None]
+            value[group.rank == 0] = -np.inf
+            np.maximum.at(best, group.candidate, value)
+        return best
+
+    def ranked(self, residual: ProjectedResidual, *, with_refinements: bool = False) -> list[LawScore]:
+        """Scores of the candidates, best first.
+
+        Blocks that only refine others join ``with_refinements`` alone: a name is given for an effect's main blocks. Of
+        each effect only the laws with the best single blocks are selected in full.
+        """
+        ahead = self.best_block_scores(residual.projected[:, None], np.array([residual.square]))[:, 0]
+        by_slug: dict[str, list[int]] = {}
+        for number in np.argsort(-ahead, kind="stable").tolist():
+            if np.isfinite(ahead[number]):
+                by_slug.setdefault(self.candidates[number].slug, []).append(number)
+        numbers = [number for of_effect in by_slug.values() for number in of_effect[:_MOST_LAWS]]
+        found = [self.score(number, residual, with_refinements=with_refinements) for number in numbers]
+        return sorted((one for one in found if one is not None), key=lambda score: -score.value)
+
+    def score(self, number: int, residual: ProjectedResidual, *, with_refinements: bool = True) -> LawScore | None:
+        """Score of one candidate with the blocks that it needs; None where nothing of it is visible."""
+        one, place = self.candidates[number], self.place(number)
+        selection = BlockSelection.of(
+            one, self.projected[place], self.visible_share[place], residual, with_refinements=with_refinements
+        )
+        if selection is None:
+            return None
+        price = choice_price(one.law)
+        chosen, value = selection.select(price)
+        return LawScore(one, value - price, tuple(sorted(chosen)), selection.score(chosen)[1])
+
+
+def _block_group(
+    rows: Array,
+    projected: Array,
+    norms: Array,
+    first: NDArray[np.intp],
+    owner: NDArray[np.intp],
+    places: NDArray[np.intp],
+) -> _BlockGroup:
+    """Blocks ``places`` (b, k) of candidates ``owner`` (b,) with the roots of their information."""
+    chosen = first[owner][:, None] + places
+    size = places.shape[1]
+    gram = np.empty((len(chosen), size, size))
+    for begin in range(0, len(chosen), _GRAMS_AT_ONCE):
+        some = chosen[begin : begin + _GRAMS_AT_ONCE]
+        gram[begin : begin + _GRAMS_AT_ONCE] = rows[some] @ projected[some].swapaxes(1, 2)
+    root, rank = visible_root(gram, norms[chosen])
+    moves = norms[chosen].max(axis=1) > NO_DISPLACEMENT
+    return _BlockGroup(owner, places, root * moves[:, None, None], np.where(moves, rank, 0))

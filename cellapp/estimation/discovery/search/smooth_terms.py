@@ -1,0 +1,31 @@
+"""Smooth free functions beside, or in place of, the effects that a search found: the structured process as a step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cellapp.estimation.discovery.joint_fit import refit
+from cellapp.estimation.discovery.process.structured import fit_process, process_terms
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
+from cellapp.estimation.discovery.terms import has_smooth_terms
+from cellapp.robot.effects import EFFECTS
+
+
+def with_smooth_terms(problem: SearchProblem, state: SearchState) -> SearchState | None:
+    """The state with the smooth terms that its residuals need; None where they need none or it has some."""
+    if has_smooth_terms(state.fit.terms):
+        return None
+    problem.say("free functions of joints, loads and time")
+    found = fit_process(state.data, state.fit, max(problem.threshold, SCORE_MARGIN))
+    if found is None:
+        return None
+    terms = (*state.fit.terms, *process_terms(*found))
+    data, fit = refit(state.data.at(state.fit.model), terms)
+    steps = list(state.steps)
+    for number in range(len(state.fit.terms), len(terms)):
+        term = fit.terms[number]
+        assert term.smooth is not None
+        what = f"{EFFECTS[term.slug].title}: {term.law.form.words}"
+        steps.append(problem.step(term.slug, what, term.smooth.evidence, terms[: number + 1]))
+    steps[-1] = replace(steps[-1], model=fit.model)
+    return SearchState(data, fit, tuple(steps), state.dropped)

@@ -1,0 +1,228 @@
+"""Stepwise search for the effects that a calibrated model lacks.
+
+1. Add effects of the library while one passes the threshold; refine the law of an effect before a second is named.
+2. Where the named effects leave more than the noise, extend the model by what the library lacks: data-driven terms or
+   free curves of the joints. Try that beside the named effects and, unless these explain nearly all, in their place.
+3. Review each model, take the best by the Bayesian information criterion, and find the rivals of its terms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from cellapp.estimation.calibration.identification import TooFewReadings
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.candidates import LawScore
+from cellapp.estimation.discovery.joint_fit import fit_terms, refit, reweighted
+from cellapp.estimation.discovery.search.addition import addition
+from cellapp.estimation.discovery.search.comparison import best_state, floor_reached
+from cellapp.estimation.discovery.search.contradiction import with_contradiction
+from cellapp.estimation.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
+from cellapp.estimation.discovery.search.free_part import with_free_parts
+from cellapp.estimation.discovery.search.refinement import refinement
+from cellapp.estimation.discovery.search.review import review, reviewed
+from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.search.significance import score_threshold, simulate_null_maxima
+from cellapp.estimation.discovery.search.smooth_terms import with_smooth_terms
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchResult, SearchState, SearchStep
+from cellapp.estimation.discovery.search.tuning import apply_step
+from cellapp.estimation.discovery.terms import has_smooth_terms
+from cellapp.ground.progress import CancelToken, Report, ignore_report
+
+_MOST_EFFECTS = 5
+"""Effects of the library in one model at most: further ones would only explain the imperfection of
+the other laws."""
+_MOST_STEPS = 16
+"""Additions and refinements at most: three for each of the effects, and one more."""
+LEAST_FREEDOM = 30.0
+"""Measured coordinates beyond the determined parameters below which no effect is looked for: what geometry leaves of so
+few follows any law."""
+_NULL_SEED = 0xD15C
+"""Beside the profile's seed: the simulated noise is then independent of all other draws."""
+
+
+SEARCH_STEPS = 4
+"""Steps that a search reports: simulations without effects, effects of the library, beyond the library, review."""
+
+
+def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Report = ignore_report) -> SearchResult:
+    """Search for effects among ``slugs`` and, beyond them, for what no effect of the library explains.
+
+    ``report`` takes the steps done, of ``SEARCH_STEPS``.
+    """
+    progress = _SearchProgress(report)
+    settings = data.profile.discovery
+    weighed = reweighted(data, ())
+    fit = fit_terms(weighed, ())
+    start = SearchState(weighed.at(fit.model), fit)
+    if len(fit.residual) - fit.projector.effective_parameters < LEAST_FREEDOM:
+        slugs = ()
+    scan = LawScan.of(fit.candidates(start.data, slugs), fit.projector)
+    seed = (data.profile.seed, _NULL_SEED)
+    null_maxima = simulate_null_maxima(scan, fit.projector, settings.null_simulations, seed)
+    threshold = score_threshold(null_maxima, settings.false_alarm)
+    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, cancel, progress.say)
+    progress.step("effects of the library")
+    best = _best_model(problem, start, scan, progress)
+    progress.finish("review and rivals")
+    return SearchResult(
+        data=best.data,
+        fit=best.fit,
+        geometry_only=fit,
+        scan=scan,
+        reviews=tuple(review(problem, best, number) for number in range(len(best.fit.terms))),
+        steps=best.steps,
+        dropped=best.dropped,
+        threshold=threshold,
+    )
+
+
+def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:
+    """The outcome of a search among some readings, fitted to all of them."""
+    here, fit = refit(data.at(found.fit.model), found.fit.terms)
+    return replace(found, data=here, fit=fit)
+
+
+@dataclass
+class _SearchProgress:
+    """Counts the steps of a search and passes words on; steps that are not needed are counted at the end."""
+
+    report: Report
+    done: int = 0
+
+    def say(self, words: str) -> None:
+        """Report words within the present step."""
+        self.report(self.done, words)
+
+    def step(self, words: str) -> None:
+        """Report that a step is done and the next one begins."""
+        self.done = min(self.done + 1, SEARCH_STEPS - 1)
+        self.say(words)
+
+    def finish(self, words: str) -> None:
+        """Report that the last step begins."""
+        self.done = SEARCH_STEPS - 1
+        self.say(words)
+
+
+def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progress: _SearchProgress) -> SearchState:
+    """The best of the reviewed models: named effects alone, extended by what the library lacks, or the reverse."""
+    named = reviewed(problem, _with_library_effects(problem, start, scan))
+    progress.step("beyond the library")
+    if not floor_reached(named):
+        named = _with_contradictions(problem, start, named)
+    instead = in_place_of_names(problem, start, named)
+    best = named if instead is None else best_state([named, reviewed(problem, instead)])
+    if floor_reached(best):  # a law of few parameters explains all
+        return best
+    free = _with_free_functions(problem, start, named)
+    if best_state([best, free]) is not best:
+        best = free
+    if floor_reached(best):
+        return best
+    # where one unknown law replaces all names, names beside it would only share it
+    bases = dict.fromkeys((best, named)) if best in (named, free) else (best,)
+    driven = [with_data_driven_terms(problem, state) for state in bases]
+    return best_state([best, *(_reviewed_again(problem, state) for state in driven if state is not None)])
+
+
+def _with_contradictions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
+    """The best of the named model and those with a law that holds with impossible values only, before or beside it."""
+    found = [with_contradiction(problem, state) for state in dict.fromkeys((start, named))]
+    return best_state([named, *(_reviewed_again(problem, state) for state in found if state is not None)])
+
+
+def _with_free_functions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
+    """The best model with smooth free functions, found before or beside the names; else that of named effects alone."""
+    first = with_smooth_terms(problem, start)
+    if first is not None:
+        first = reviewed(problem, _with_library_effects(problem, first))
+        if best_state([named, first]) is first:
+            return first
+    beside = with_smooth_terms(problem, named) if named.fit.terms else None
+    return named if beside is None else best_state([named, reviewed(problem, beside)])
+
+
+def _reviewed_again(problem: SearchProblem, state: SearchState) -> SearchState:
+    """The model with the library's effects that now show, reviewed."""
+    return reviewed(problem, _with_library_effects(problem, state))
+
+
+def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawScan | None = None) -> SearchState:
+    """Add and refine effects of the library while one passes; ``scan`` is that of the first step, if known."""
+    refused: set[tuple[str, str]] = set()
+    refining, freed = True, False
+    for _ in range(_MOST_STEPS):
+        problem.cancel.check()
+        problem.say(f"model with {len(state.fit.terms)} effects")
+        step = _next_step(problem, state, scan, refused, refining=refining)
+        if step is None:
+            free = None if freed else with_free_parts(problem, state)
+            if free is None:
+                break
+            # what the laws leave over is out of the way: look once more
+            state, scan, freed = free, None, True
+            continue
+        try:
+            after = apply_step(problem, state, step)
+        except TooFewReadings:  # for all that the step brings
+            break
+        if step.slug in state.slugs and best_state([after, state]) is state:
+            refining = False  # the refinement was better in the linear scan only
+            continue
+        state, scan, freed = after, None, False
+    return state
+
+
+def _next_step(
+    problem: SearchProblem,
+    state: SearchState,
+    scan: LawScan | None,
+    refused: set[tuple[str, str]],
+    *,
+    refining: bool,
+) -> SearchStep | None:
+    """The best refinement of an effect in the model, else the best new effect that holds; None if nothing passes.
+
+    Laws that do not hold join ``refused``.
+    """
+    fit = state.fit
+    if scan is None:
+        left = [slug for slug in problem.slugs if slug not in state.slugs]
+        scan = LawScan.of(fit.candidates(state.data, left), fit.projector)
+    scores = [score for score in scan.ranked(fit.projected_residual) if score.key not in refused]
+    # beside smooth functions laws are seldom off, and their refinement is costly: last
+    late = has_smooth_terms(fit.terms)
+    if refining and not late:
+        step = refinement(problem, state, _needed_gain(problem, scores[0].value if scores else -math.inf))
+        if step is not None:
+            return step
+    step = None if len(state.slugs) >= _MOST_EFFECTS else _next_addition(problem, state, scores, refused)
+    if step is None and refining and late:
+        step = refinement(problem, state, _needed_gain(problem, -math.inf))
+    return step
+
+
+def _next_addition(
+    problem: SearchProblem, state: SearchState, scores: Sequence[LawScore], refused: set[tuple[str, str]]
+) -> SearchStep | None:
+    """The best new effect that holds; laws that do not hold join ``refused``."""
+    for score in scores:
+        if score.value <= problem.threshold:
+            break
+        if score.key in refused:
+            continue
+        step = addition(problem, state, score)
+        if step is not None:
+            return step
+        refused.add(score.key)
+    return None
+
+
+def _needed_gain(problem: SearchProblem, best_new: float) -> float:
+    """Gain that a refinement needs: it goes before a new name of about the same score, else it must be clear."""
+    if best_new > problem.threshold:
+        return max(best_new - SCORE_MARGIN, 0.0)
+    return max(problem.threshold, SCORE_MARGIN)

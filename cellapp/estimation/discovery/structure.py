@@ -1,0 +1,237 @@
+"""Whether what a model leaves still has structure: pairs of neighbouring readings with similar residuals.
+
+With residuals y_i, the sum of products y_i y_k over pairs of neighbours is large where y follows the quantity in which
+they are neighbours (Moran, Biometrika 37 (1950) 17). It is compared with its distribution under random signs of whole
+residual vectors (Fisher's randomisation test): noise is symmetric, and each vector keeps its length and its place, so
+that a scatter that differs over the workspace is not taken for structure. Under random signs the mean is zero and the
+variance is the sum of squared products; the skewness is simulated, and the tail is that of the Pearson type III
+distribution with these moments, which needs few simulations (Winkler et al., NeuroImage 141 (2016) 502).
+
+A fit makes neighbouring residuals slightly less alike, so that the one-sided test is on the safe side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.special import gammaincc, ndtr
+
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.records import RemainingStructure, StructureKind
+from cellapp.estimation.discovery.sentences import remaining_structure
+from cellapp.robot.effects.context import varies
+from cellapp.robot.effects.time_functions import times_known
+from cellapp.robot.kinematics.transforms import Array
+
+CHANCE = 0.01
+"""Chance that pure noise is said to have structure, over all tests."""
+_SIGNS = 200
+"""Draws of random signs: they determine the skewness to 0.17, enough for the tail."""
+_SIGN_SEED = 0x516
+"""Beside the profile's seed: the signs are then independent of all other draws."""
+_NEIGHBOURS = 6
+"""Neighbours of each reading: fewer lose power against smooth structure, more against short periods."""
+_MOST_PAIRS = 20_000
+"""Pairs that one test uses; of more, as many at random, which bounds time and memory for thousands of readings."""
+_LONGEST = 3.0
+"""Residual vectors are shortened to this multiple of their median length: an outlier says nothing about structure."""
+_LEAST_SKEWNESS = 1.6e-5
+"""Below it the gamma distribution is the normal one to double precision, and its shape would lose digits."""
+_LEAST_READINGS = 20
+"""Readings below which residuals are not tested: the tail of a sum of so few products is not known."""
+
+Pairs = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""First and second reading of each pair."""
+
+
+def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
+    """Tests of a fit's residuals against all that the readings say, and their outcome in words.
+
+    Each kind has several tests; its p-value is the smallest of them times their number (Bonferroni), at most 1.
+    """
+    if len(data) < _LEAST_READINGS:
+        return remaining_structure({}, CHANCE)
+    tests = _Tests.of(data, fit)
+    kinds: dict[StructureKind, Callable[[], list[float]]] = {
+        "joints": tests.against_joints,
+        "order": tests.against_order,
+        "time": tests.against_time,
+        "approach": tests.against_approach,
+        "position": tests.against_position,
+        "tracker": tests.against_tracker,
+    }
+    p_values: dict[StructureKind, float] = {}
+    for kind, test in kinds.items():
+        if found := test():
+            p_values[kind] = min(min(found) * len(found), 1.0)
+    return remaining_structure(p_values, CHANCE)
+
+
+def has_structure(found: RemainingStructure) -> bool:
+    """Whether some test shows structure, corrected for their number."""
+    return any(test.p_value <= CHANCE / len(found.tests) for test in found.tests)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tests:
+    """Residuals of a fit and what they are tested against.
+
+    Attributes
+    ----------
+    data : ArmData
+    residuals : array, shape (n, 3)
+        Whitened, without outliers.
+    about_axes : array, shape (N, n)
+        Components along the motion by each joint, times the lever.
+    generator : numpy Generator
+    signs : array, shape (n, s)
+        Random signs.
+    """
+
+    data: ArmData
+    residuals: Array
+    about_axes: Array
+    generator: np.random.Generator
+    signs: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, data: ArmData, fit: JointFit) -> _Tests:
+        n = len(data)
+        generator = np.random.default_rng([data.profile.seed, _SIGN_SEED])
+        residuals = fit.residual.reshape(3, n).T
+        lengths = np.linalg.norm(residuals, axis=1)
+        longest = _LONGEST * float(np.median(lengths))
+        residuals = residuals * np.minimum(1.0, longest / np.maximum(lengths, longest))[:, None]
+        about_axes = np.einsum("cjn,nc->jn", fit.by_joint, residuals)
+        signs = generator.choice(np.array([-1.0, 1.0], dtype=np.float32), (n, _SIGNS))
+        return cls(data, residuals, about_axes, generator, signs)
+
+    def against_joints(self) -> list[float]:
+        """Every joint's motion against each angle and each pair of angles; vectors of neighbours in joint space."""
+        q = _standardised(self.data.readings.q)
+        moved = np.flatnonzero(np.ptp(q, axis=0) > 0.0).tolist()
+        if not moved:
+            return []
+        found = self._of_vectors(_nearest(q[:, moved]))
+        for first, joint in enumerate(moved):
+            found += self._of_components(_along(q[:, joint]), self.about_axes)
+            for other in moved[:first]:
+                found += self._of_components(_nearest(q[:, [joint, other]]), self.about_axes)
+        return found
+
+    def against_order(self) -> list[float]:
+        """Stops in their order, by their numbers if no other is known; none where that is the order of time."""
+        order, times = self.data.conditions.order, self._times
+        if order is None:
+            order = self.data.readings.configuration.astype(np.float64)
+        if times is not None and bool(np.all(np.diff(times[np.argsort(order, kind="stable")]) >= 0.0)):
+            return []
+        return self._against_sequence(order)
+
+    def against_time(self) -> list[float]:
+        """Readings that follow each other."""
+        return [] if self._times is None else self._against_sequence(self._times)
+
+    def against_approach(self) -> list[float]:
+        """Mean motion about each joint's axis, towards the last motion of that joint.
+
+        Under random signs the sum is nearly normal, as it has no largest summand.
+        """
+        if not varies(self.data.conditions.approach):
+            return []
+        towards = self.data.context.approach.T * self.about_axes
+        size = np.sqrt(np.sum(towards**2, axis=1))
+        moved = size > 0.0
+        found: list[float] = (2.0 * ndtr(-np.abs(towards[moved].sum(axis=1)) / size[moved])).tolist()
+        return found
+
+    def against_position(self) -> list[float]:
+        """Vectors of neighbours in space."""
+        return self._of_vectors(_nearest(self.data.readings.p_M))
+
+    def against_tracker(self) -> list[float]:
+        """Components along and across the beam against distance, azimuth and elevation."""
+        context = self.data.context
+        distance, beam = context.beam
+        azimuth, elevation, horizontal, upward = context.across
+        components = np.stack([np.sum(self.residuals * one, axis=1) for one in (beam, horizontal, upward)])
+        return [
+            p
+            for driver in (distance, azimuth, elevation)
+            if np.ptp(driver) > 0.0
+            for p in self._of_components(_along(driver), components)
+        ]
+
+    @property
+    def _times(self) -> Array | None:
+        return self.data.conditions.time_s if times_known(self.data.context) else None
+
+    def _against_sequence(self, values: Array) -> list[float]:
+        pairs = _along(values)
+        return [*self._of_components(pairs, self.about_axes), *self._of_vectors(pairs)]
+
+    def _of_vectors(self, pairs: Pairs) -> list[float]:
+        """Scalar products of whole residual vectors."""
+        i, k = self._some(pairs)
+        return self._p_values((i, k), np.einsum("pc,pc->p", self.residuals[i], self.residuals[k])[None])
+
+    def _of_components(self, pairs: Pairs, components: Array) -> list[float]:
+        """Products of each component (m, n)."""
+        i, k = self._some(pairs)
+        return self._p_values((i, k), components[:, i] * components[:, k])
+
+    def _some(self, pairs: Pairs) -> Pairs:
+        count = len(pairs[0])
+        if count <= _MOST_PAIRS:
+            return pairs
+        chosen = self.generator.choice(count, _MOST_PAIRS, replace=False)
+        return pairs[0][chosen], pairs[1][chosen]
+
+    def _p_values(self, pairs: Pairs, products: Array) -> list[float]:
+        """One-sided p-values of the sums of products (m, pairs)."""
+        size = np.sqrt(np.sum(products**2, axis=1))
+        scaled = products[size > 0.0] / size[size > 0.0, None]
+        simulated = scaled.astype(np.float32) @ (self.signs[pairs[0]] * self.signs[pairs[1]])
+        skewness = np.maximum(np.mean(simulated.astype(np.float64) ** 3, axis=1), 0.0)
+        found: list[float] = pearson3_tail(scaled.sum(axis=1), skewness).tolist()
+        return found
+
+
+def pearson3_tail(values: Array, skewness: Array) -> Array:
+    """Probability of a larger value (m,) of a Pearson type III variable of mean 0, variance 1 and ``skewness`` >= 0.
+
+    It is a gamma variable of the shape 4 / skewness^2, shifted and scaled; normal without skewness.
+    """
+    skewed = np.maximum(skewness, _LEAST_SKEWNESS)
+    shape = (2.0 / skewed) ** 2
+    of_gamma = gammaincc(shape, np.maximum(2.0 / skewed * values + shape, 0.0))
+    return np.asarray(np.where(skewness < _LEAST_SKEWNESS, ndtr(-values), of_gamma))
+
+
+def _along(values: Array) -> Pairs:
+    """Pairs of neighbours in the order of values (n,)."""
+    order = np.argsort(values, kind="stable")
+    lags = range(1, min(_NEIGHBOURS, len(order) - 1) + 1)
+    return np.concatenate([order[:-lag] for lag in lags]), np.concatenate([order[lag:] for lag in lags])
+
+
+def _nearest(points: Array) -> Pairs:
+    """Pairs of nearest neighbours among points (n, d), each pair once."""
+    _, near = KDTree(points).query(points, k=_NEIGHBOURS + 1)
+    first = np.repeat(np.arange(len(points)), _NEIGHBOURS)
+    second = np.asarray(near[:, 1:], dtype=np.intp).ravel()
+    code = np.unique(np.minimum(first, second) * len(points) + np.maximum(first, second))
+    low, high = np.divmod(code, len(points))
+    different = low != high  # among equal points a reading may be its own neighbour
+    return low[different], high[different]
+
+
+def _standardised(points: Array) -> Array:
+    """Points (n, d) in units of their spread along each axis."""
+    spread = points.std(axis=0)
+    return np.asarray(points / np.where(spread > 0.0, spread, 1.0))

@@ -1,0 +1,92 @@
+"""Verdict on one arm: explained, nothing missing, unknown effect or ambiguous, with one sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from cellapp.estimation.discovery.outcome import AcceptedEffect
+from cellapp.estimation.discovery.records import RemainingStructure
+from cellapp.estimation.discovery.search.comparison import FLOOR_CHANCE, Scatter
+from cellapp.estimation.discovery.structure import has_structure
+from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.ground.results import Verdict
+from cellapp.robot.effects import EFFECTS
+
+_FLOOR = 1.05
+"""Held-out rms error over the noise floor up to which the gap counts as closed: the twin's plan of a hundred held-out
+stops scatters it by 4 %."""
+_SAMPLING_ERRORS = 2.5
+"""Standard errors of the held-out rms by which it may pass the floor: a chance of 0.6 %."""
+
+
+def verdict(
+    accepted: Sequence[AcceptedEffect],
+    floor_mm: float,
+    after_mm: float,
+    held_out: int,
+    scatter: Scatter | None,
+    structure: RemainingStructure,
+) -> tuple[Verdict, str]:
+    """Verdict and sentence.
+
+    ``held_out`` is the number of held-out readings; ``scatter`` and ``structure`` are those of what is left. An error
+    at the stated noise counts as explained. Above it, and where none is stated, what is left must show no structure.
+    """
+    driven = [effect.description for effect in accepted if effect.description is not None]
+    named = [effect for effect in accepted if effect.term.slug != UNKNOWN]
+    names = " and ".join(EFFECTS[effect.term.slug].title for effect in named)
+    ambiguous = [effect for effect in named if len(effect.answer_set) > 1]
+    if driven:
+        also = f"{names}, and " if names else ""
+        described = "; ".join(description.sentence for description in driven)
+        return "unknown effect", f"{also}something that the library does not have: {described}"
+    closed = scatter is not None and _gap_closed(floor_mm, after_mm, held_out, scatter)
+    left = _left(floor_mm, after_mm, scatter, structure, closed=closed)
+    if not closed and has_structure(structure):
+        found = f"{names} found{' (or a look-alike)' if ambiguous else ''}, but " if accepted else ""
+        return "unknown effect", f"{found}the library does not explain all of the error; {left}"
+    if not accepted:
+        return "nothing missing", left if closed else f"no effect found; {left}"
+    if ambiguous:
+        return "ambiguous", f"{names}, or {_rivals(ambiguous)}: these data cannot distinguish them; {left}"
+    return "explained", f"{names}; {left}"
+
+
+def _left(
+    floor_mm: float, after_mm: float, scatter: Scatter | None, structure: RemainingStructure, *, closed: bool
+) -> str:
+    """What is left, in words."""
+    held_out = f"{after_mm * 1e3:.0f} um rms held out"
+    if scatter is None:
+        return f"{structure.sentence}; {held_out}, and the readings state no uncertainty"
+    gap = f"{held_out} against a noise floor of {floor_mm * 1e3:.0f} um"
+    if closed:
+        return gap
+    if has_structure(structure):
+        return f"{structure.sentence}; {gap}"
+    without = "but without structure" if structure.tests else "and are too few to test for structure"
+    return f"readings scatter {scatter.ratio:.2f} times as stated {without}: repeatability or noise; {gap}"
+
+
+def sampling_allowance(held_out: int) -> float:
+    """Factor by which the rms error of n held-out readings may pass another one by sampling alone.
+
+    The rms of 3 n coordinates has a relative standard error of ``1 / sqrt(6 n)``.
+    """
+    return 1.0 + _SAMPLING_ERRORS / math.sqrt(6.0 * max(held_out, 1))
+
+
+def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
+    """Whether the held-out error is at the noise floor, or what is left may be the stated noise."""
+    sampling = sampling_allowance(held_out)
+    return (
+        after_mm <= floor_mm * _FLOOR
+        or scatter.p_value > FLOOR_CHANCE
+        or (after_mm <= floor_mm * sampling and scatter.ratio < _FLOOR)
+    )
+
+
+def _rivals(effects: Sequence[AcceptedEffect]) -> str:
+    slugs = dict.fromkeys(slug for effect in effects for slug in effect.answer_set[1:])
+    return " or ".join(EFFECTS[slug].title for slug in slugs)

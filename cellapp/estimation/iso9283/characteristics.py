@@ -1,0 +1,110 @@
+"""Formulas of ISO 9283:1998 for positions, and their counterparts for two arms.
+
+Attained positions are arrays (..., n, 3) [m]: n cycles on the last axis but one. Every function is vectorised over the
+axes in front, so that the same formula serves measured and simulated cycles. The norm's characteristics of orientation
+need three points on the flange; one SMR gives none of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellapp.robot.kinematics.transforms import Array
+
+FEWEST_CYCLES = 2
+"""A standard deviation needs two values."""
+
+
+def accuracy_vector(attained: Array, commanded: Array) -> Array:
+    """From the commanded (..., 3) to the mean attained position (..., 3): AP_x, AP_y, AP_z (7.2.1)."""
+    return np.asarray(attained.mean(axis=-2) - commanded)
+
+
+def pose_accuracy(attained: Array, commanded: Array) -> Array:
+    """AP (7.2.1), shape (...): distance of the mean attained position from the commanded one (..., 3)."""
+    return np.asarray(np.linalg.norm(accuracy_vector(attained, commanded), axis=-1))
+
+
+def pose_repeatability(attained: Array) -> Array:
+    """RP (7.2.2), shape (...): ``mean(l) + 3 S_l`` of the distances l of attained positions from their mean.
+
+    Raises ``ValueError`` for fewer than two cycles.
+    """
+    centre = attained.mean(axis=-2, keepdims=True)
+    return _upper_limit(np.linalg.norm(attained - centre, axis=-1))
+
+
+def directional_variation(attained: Array) -> Array:
+    """vAP (7.2.3), shape (...): largest distance between the mean positions (..., k, n, 3) of k directions."""
+    means = attained.mean(axis=-2)
+    return np.asarray(np.linalg.norm(means[..., :, None, :] - means[..., None, :, :], axis=-1).max(axis=(-2, -1)))
+
+
+def distances(first: Array, second: Array) -> Array:
+    """Distance (..., n) between two attained positions of each cycle."""
+    return np.asarray(np.linalg.norm(second - first, axis=-1))
+
+
+def distance_accuracy(first: Array, second: Array, commanded: Array | float) -> Array:
+    """AD (7.3.2), shape (...): mean attained distance minus the commanded one."""
+    return np.asarray(distances(first, second).mean(axis=-1) - commanded)
+
+
+def distance_repeatability(first: Array, second: Array) -> Array:
+    """RD (7.3.3), shape (...): three standard deviations of the attained distance.
+
+    Raises ``ValueError`` for fewer than two cycles.
+    """
+    found = distances(first, second)
+    _require_cycles(found)
+    return np.asarray(3.0 * found.std(axis=-1, ddof=1))
+
+
+def drift(values: Array) -> Array:
+    """dAP or dRP (7.6), shape (...): largest change of AP or RP of k groups (..., k) against the first one."""
+    return np.asarray(np.abs(values - values[..., :1]).max(axis=-1))
+
+
+def path_accuracy(attained: Array, commanded: Array) -> Array:
+    """AT (8.2), shape (...): largest over m places of the distance of the mean path (..., m, n, 3) from ``commanded``
+    (m, 3)."""
+    return np.asarray(pose_accuracy(attained, commanded).max(axis=-1))
+
+
+def path_repeatability(attained: Array) -> Array:
+    """RT (8.3), shape (...): largest over m places (..., m, n, 3) of ``mean(l) + 3 S_l``."""
+    return np.asarray(pose_repeatability(attained).max(axis=-1))
+
+
+def plane_crossings(points: Array, commanded: Array, tangents: Array, within_m: float) -> Array:
+    """Where an attained path crosses the planes normal to the commanded one, (m, 3); NaN where it does not.
+
+    Parameters
+    ----------
+    points : array, shape (k, 3)
+        The attained path, in order [m]; straight between the points.
+    commanded, tangents : arrays, shape (m, 3)
+        Places on the commanded path [m], and its unit tangents there: normals of the planes.
+    within_m : float
+        A crossing farther from its place belongs to another stretch of the path, as on a closed curve [m].
+    """
+    found = np.full(commanded.shape, np.nan)
+    heights = np.einsum("kma,ma->km", points[:, None] - commanded, tangents)
+    for m in range(len(commanded)):
+        k = np.flatnonzero((heights[:-1, m] <= 0.0) & (heights[1:, m] > 0.0))
+        share = heights[k, m] / (heights[k, m] - heights[k + 1, m])
+        crossing = points[k] + share[:, None] * (points[k + 1] - points[k])
+        off = np.linalg.norm(crossing - commanded[m], axis=1)
+        if len(k) and off.min() <= within_m:
+            found[m] = crossing[np.argmin(off)]
+    return found
+
+
+def _upper_limit(lengths: Array) -> Array:
+    _require_cycles(lengths)
+    return np.asarray(lengths.mean(axis=-1) + 3.0 * lengths.std(axis=-1, ddof=1))
+
+
+def _require_cycles(values: Array) -> None:
+    if values.shape[-1] < FEWEST_CYCLES:
+        raise ValueError(f"a repeatability needs at least {FEWEST_CYCLES} cycles, not {values.shape[-1]}")

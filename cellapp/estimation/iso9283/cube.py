@@ -1,0 +1,92 @@
+"""The test cube of ISO 9283 (6.8), its inclined planes and the poses P1 to P5 in them.
+
+Corners C1 to C4 go round the upper face, C5 to C8 are below them. Each of the norm's four planes holds one edge of the
+upper face and the opposite one of the lower face. P1 is the centre; P2 to P5 are on the diagonals of the plane, 10 % of
+their length from the corners. All poses have the same orientation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.robot.kinematics.transforms import Array
+
+CORNERS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
+    {
+        "C1": (-1, -1, 1),
+        "C2": (1, -1, 1),
+        "C3": (1, 1, 1),
+        "C4": (-1, 1, 1),
+        "C5": (-1, -1, -1),
+        "C6": (1, -1, -1),
+        "C7": (1, 1, -1),
+        "C8": (-1, 1, -1),
+    }
+)
+"""Sides of the centre along x, y and z of the arm's base."""
+PLANES: tuple[tuple[str, str, str, str], ...] = (
+    ("C1", "C2", "C7", "C8"),
+    ("C2", "C3", "C8", "C5"),
+    ("C3", "C4", "C5", "C6"),
+    ("C4", "C1", "C6", "C7"),
+)
+"""The norm's planes a to d, in its order."""
+POSES = ("P1", "P2", "P3", "P4", "P5")
+CYCLE = ("P5", "P4", "P3", "P2", "P1")
+"""Order of the visits in a cycle that begins at P1 (7.2): every pose is always reached from the same one."""
+_INSET = 0.1
+"""Distance of P2 to P5 from the ends of the diagonals, as share of their length; the norm allows 0.08 to 0.12."""
+_CIRCLE_SHARE = 0.8
+"""Diameter of the large test circle as share of the cube's edge (6.8)."""
+_CIRCLE_POINTS = 4
+"""Two arcs through four points make the circle."""
+
+
+def plane_name(plane: tuple[str, str, str, str]) -> str:
+    """The plane as the norm writes it, "C1-C2-C7-C8"."""
+    return "-".join(plane)
+
+
+def pose_positions(centre: Array, edge: float, plane: tuple[str, str, str, str]) -> dict[str, Array]:
+    """Positions (3,) of P1 to P5 for a cube about ``centre`` (3,) [m]; P2 to P5 are near the plane's corners."""
+    reach = 0.5 * edge * (1.0 - 2.0 * _INSET)
+    corners = [centre + reach * np.array(CORNERS[name]) for name in plane]
+    return dict(zip(POSES, [np.asarray(centre), *corners], strict=True))
+
+
+def circle_positions(poses: Mapping[str, Array], edge: float) -> Array:
+    """Points (5, 3) [m] a quarter turn apart on the large circle about P1 in the plane of the poses, the first twice.
+
+    Each is in the plane; the first one lies towards the middle of P2 and P3.
+    """
+    centre = poses["P1"]
+    first = 0.5 * (poses["P2"] + poses["P3"]) - centre
+    second = 0.5 * (poses["P3"] + poses["P4"]) - centre
+    first, second = first / np.linalg.norm(first), second / np.linalg.norm(second)
+    angle = np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS + 1)[:, None]
+    return np.asarray(centre + 0.5 * _CIRCLE_SHARE * edge * (np.cos(angle) * first + np.sin(angle) * second))
+
+
+def lattice_cube(points: NDArray[np.bool_]) -> tuple[int, tuple[int, int, int]] | None:
+    """The largest cube of points (a, b, c) bool that all hold: steps along its edge, and its first corner.
+
+    None if no point holds. Of cubes of the same size the first corner in order is taken.
+    """
+    if not points.any():
+        return None
+    edge, held = 0, points
+    while True:
+        larger = held
+        for axis in range(3):
+            low = [slice(None)] * 3
+            high = [slice(None)] * 3
+            low[axis], high[axis] = slice(None, -1), slice(1, None)
+            larger = larger[tuple(low)] & larger[tuple(high)]
+        if not larger.any():
+            first = np.argwhere(held)[0]
+            return edge, (int(first[0]), int(first[1]), int(first[2]))
+        edge, held = edge + 1, larger

@@ -1,0 +1,285 @@
+"""From measured positions to the characteristics of each arm and each pair of arms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellapp.cell.driving.iso9283.chosen_cube import DIRECTIONAL_POSES, DIRECTIONS
+from cellapp.cell.driving.iso9283.programme import ArmProgramme, Place
+from cellapp.estimation.iso9283.characteristics import (
+    FEWEST_CYCLES,
+    accuracy_vector,
+    distances,
+    plane_crossings,
+    pose_accuracy,
+    pose_repeatability,
+)
+from cellapp.estimation.iso9283.cube import POSES
+from cellapp.estimation.iso9283.records import (
+    DirectionalCharacteristics,
+    DistanceCharacteristics,
+    DriftCharacteristics,
+    DriftGroup,
+    IsoCommands,
+    PathCharacteristics,
+    PoseCharacteristics,
+)
+from cellapp.estimation.iso9283.uncertainty import (
+    Cycles,
+    accuracy_value,
+    directional_value,
+    distance_values,
+    drift_values,
+    path_values,
+    repeatability_value,
+)
+from cellapp.robot.kinematics.transforms import Array, xyz_of
+
+_MINUTE_S = 60.0
+_SAME_STRETCH_M = 0.02
+"""An arm is nowhere farther from its path; on a closed path the other side is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One measured visit: arm -> SMR (3,) [m] and its covariance (3, 3) [m^2] as the tracker states it.
+
+    ``group`` counts the groups of a drift test, ``time_s`` is on the cell's clock, ``temperature_c`` that of the air.
+    """
+
+    place: Place
+    cycle: int
+    p_M: Mapping[str, Array]
+    covariance_M: Mapping[str, Array]
+    time_s: float
+    temperature_c: float | None
+    group: int = 0
+
+
+@dataclass(eq=False)
+class Measurements:
+    """All measured visits, in their order."""
+
+    visits: list[Measured] = field(default_factory=list)
+
+    def at(self, place: Place, group: int = 0) -> list[Measured]:
+        """The visits of one place, one for each cycle that was measured."""
+        return [one for one in self.visits if one.place == place and one.group == group]
+
+    def groups(self, place: Place) -> list[int]:
+        """The groups of a drift test that were measured."""
+        return sorted({one.group for one in self.visits if one.place == place})
+
+
+def pose_characteristics(
+    arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator
+) -> tuple[PoseCharacteristics, ...]:
+    """AP and RP at each pose that was measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M."""
+    found = []
+    for pose in POSES:
+        cycles = _cycles(arm, pose, measured.at(arm.place("pose", pose)))
+        if cycles is not None:
+            found.append(_pose(pose, cycles, base_M, rng))
+    return tuple(found)
+
+
+def directional_characteristics(
+    arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator
+) -> tuple[DirectionalCharacteristics, ...]:
+    """vAP at each pose that was measured twice or more from every direction."""
+    found = []
+    for pose in DIRECTIONAL_POSES:
+        each = {
+            direction: _cycles(arm, pose, measured.at(arm.place("multidirectional", pose, direction)))
+            for direction in DIRECTIONS
+        }
+        cycles = [one for one in each.values() if one is not None]
+        if len(cycles) == len(each):
+            errors = {
+                direction: _mm(accuracy_vector(one.attained, one.commanded) @ base_M)
+                for direction, one in zip(each, cycles, strict=True)
+            }
+            value = directional_value(cycles, rng)
+            found.append(DirectionalCharacteristics(pose=pose, variation=value, errors_mm=errors))
+    return tuple(found)
+
+
+def distance_characteristics(
+    arm: ArmProgramme, measured: Measurements, rng: np.random.Generator
+) -> tuple[DistanceCharacteristics, ...]:
+    """AD and RD between P2 and P4, of cycles in which both were measured."""
+    both = [{one.cycle: one for one in measured.at(arm.place("distance", pose))} for pose in ("P2", "P4")]
+    common = sorted(both[0].keys() & both[1].keys())
+    first, second = (_cycles(arm, pose, [one[c] for c in common]) for pose, one in zip(("P2", "P4"), both, strict=True))
+    if first is None or second is None:
+        return ()
+    return (_distance(("P2", "P4"), first, second, rng),)
+
+
+def drift_characteristics(
+    arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator
+) -> DriftCharacteristics | None:
+    """dAP and dRP at P1; None with fewer than two groups."""
+    place = arm.place("drift", "P1")
+    visits = [measured.at(place, group) for group in measured.groups(place)]
+    visits = [one for one in visits if len(one) >= FEWEST_CYCLES]
+    if len(visits) < 2:
+        return None
+    cycles = [one for own in visits if (one := _cycles(arm, "P1", own)) is not None]
+    began_s = visits[0][0].time_s
+    groups = tuple(_group(one, own, began_s, base_M) for one, own in zip(cycles, visits, strict=True))
+    accuracy, repeatability = drift_values(cycles, rng)
+    means = np.array([one.attained.mean(axis=0) for one in cycles])
+    return DriftCharacteristics(
+        pose="P1",
+        minutes=groups[-1].minutes,
+        accuracy=accuracy,
+        repeatability=repeatability,
+        shift_mm=float(np.linalg.norm(means - means[0], axis=1).max()) * 1e3,
+        groups=groups,
+    )
+
+
+def cooperative_characteristics(
+    programmes: tuple[ArmProgramme, ArmProgramme], measured: Measurements, rng: np.random.Generator
+) -> tuple[tuple[PoseCharacteristics, ...], tuple[DistanceCharacteristics, ...]]:
+    """Accuracy and repeatability of the vector between two SMRs, and of its length, at each pair of poses."""
+    first, second = programmes
+    names = (first.name, second.name)
+    places = dict.fromkeys(
+        one.place
+        for one in measured.visits
+        if one.place.test == "cooperative" and one.place.arms == names and one.place.commands == first.commands
+    )
+    vectors, lengths = [], []
+    for place in places:
+        visits = [one for one in measured.at(place) if len(one.p_M) == 2]
+        a, b = (_cycles(arm, pose, visits) for arm, pose in zip(programmes, place.poses, strict=True))
+        if a is None or b is None:
+            continue
+        vector = Cycles(b.attained - a.attained, b.commanded - a.commanded, a.tracker + b.tracker, a.frame + b.frame)
+        vectors.append(_pose("+".join(place.poses), vector, np.eye(3), rng))
+        ends_of = f"{names[0]} {place.poses[0]}", f"{names[1]} {place.poses[1]}"
+        lengths.append(_distance(ends_of, a, b, rng))
+    return tuple(vectors), tuple(lengths)
+
+
+@dataclass(frozen=True, eq=False)
+class PathRuns:
+    """A path that was driven several times.
+
+    Attributes
+    ----------
+    arm, commands, name : str
+    speed : float
+        Commanded [m/s].
+    length : float
+        [m]
+    commanded_M, tangents_M : array, shape (m, 3)
+        Places on the commanded path [m], and its unit tangents there.
+    tracks_M : list
+        Of each cycle, measured points (k, 3) [m] in order.
+    tracker, frame : array, shape (3, 3)
+        As in ``Cycles`` [m^2].
+    wanted : int
+        Cycles that were to be driven.
+    problems : list of str
+        Why fewer were.
+    """
+
+    arm: str
+    commands: IsoCommands
+    name: str
+    speed: float
+    length: float
+    commanded_M: Array
+    tangents_M: Array
+    tracks_M: list[Array]
+    tracker: Array
+    frame: Array
+    wanted: int
+    problems: list[str] = field(default_factory=list)
+
+
+def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharacteristics | None:
+    """AT and RT over the places that every cycle crossed; None with fewer than two cycles."""
+    if len(runs.tracks_M) < FEWEST_CYCLES:
+        return None
+    crossed = np.stack(
+        [plane_crossings(track, runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M) for track in runs.tracks_M], axis=1
+    )
+    kept = np.isfinite(crossed).all(axis=(1, 2))
+    if not kept.any():
+        return None
+    accuracy, repeatability = path_values(crossed[kept], runs.commanded_M[kept], runs.tracker, runs.frame, rng)
+    return PathCharacteristics(
+        path=runs.name,
+        speed_mm_s=runs.speed * 1e3,
+        length_mm=runs.length * 1e3,
+        points=int(kept.sum()),
+        accuracy=accuracy,
+        repeatability=repeatability,
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _cycles(arm: ArmProgramme, pose: str, visits: Sequence[Measured]) -> Cycles | None:
+    """The cycles of one position; None with fewer than two."""
+    own = [one for one in visits if arm.name in one.p_M]
+    if len(own) < FEWEST_CYCLES:
+        return None
+    return Cycles(
+        attained=np.array([one.p_M[arm.name] for one in own]),
+        commanded=arm.position_M[pose],
+        tracker=np.mean([one.covariance_M[arm.name] for one in own], axis=0),
+        frame=arm.frame[pose],
+    )
+
+
+def _pose(pose: str, cycles: Cycles, axes_M: Array, rng: np.random.Generator) -> PoseCharacteristics:
+    accuracy = accuracy_value(cycles, rng)
+    repeatability, tracker = repeatability_value(cycles, rng)
+    return PoseCharacteristics(
+        pose=pose,
+        error_mm=_mm(accuracy_vector(cycles.attained, cycles.commanded) @ axes_M),
+        accuracy=accuracy,
+        repeatability=repeatability,
+        deviations_mm=tuple(_mm(one) for one in (cycles.attained - cycles.commanded) @ axes_M),
+        tracker_rp_mm=tracker * 1e3,
+    )
+
+
+def _distance(
+    between: tuple[str, str], first: Cycles, second: Cycles, rng: np.random.Generator
+) -> DistanceCharacteristics:
+    accuracy, repeatability = distance_values(first, second, rng)
+    wanted = float(np.linalg.norm(second.commanded - first.commanded))
+    errors = distances(first.attained, second.attained) - wanted
+    return DistanceCharacteristics(
+        between=between,
+        commanded_mm=wanted * 1e3,
+        accuracy=accuracy,
+        repeatability=repeatability,
+        errors_mm=tuple((errors * 1e3).tolist()),
+    )
+
+
+def _group(cycles: Cycles, visits: Sequence[Measured], began_s: float, base_M: Array) -> DriftGroup:
+    air = [one.temperature_c for one in visits if one.temperature_c is not None]
+    return DriftGroup(
+        minutes=(visits[0].time_s - began_s) / _MINUTE_S,
+        accuracy_mm=float(pose_accuracy(cycles.attained, cycles.commanded)) * 1e3,
+        repeatability_mm=float(pose_repeatability(cycles.attained)) * 1e3,
+        error_mm=_mm(accuracy_vector(cycles.attained, cycles.commanded) @ base_M),
+        n=cycles.n,
+        temperature_c=float(np.mean(air)) if air else None,
+    )
+
+
+def _mm(vector: Array) -> tuple[float, float, float]:
+    return xyz_of(vector * 1e3)

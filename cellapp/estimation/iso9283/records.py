@@ -1,0 +1,233 @@
+"""Result of ``iso9283``: performance characteristics of arms by ISO 9283, and of two arms together beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.estimation.uncertainty.records import Judgement
+from cellapp.ground.results import Record, Result
+
+IsoTest = Literal["pose", "multidirectional", "distance", "drift", "path", "cooperative"]
+ISO_TESTS: tuple[IsoTest, ...] = ("pose", "multidirectional", "distance", "drift", "path", "cooperative")
+
+IsoCommands = Literal["nominal", "calibrated"]
+"""What is commanded: joint positions by the published geometry (as found), or by the calibrated model (as left)."""
+ISO_COMMANDS: tuple[IsoCommands, ...] = ("nominal", "calibrated")
+
+Vector3 = tuple[float, float, float]
+
+
+class IsoValue(Record):
+    """A characteristic [mm] from ``n`` cycles, and its expanded uncertainty (coverage factor 2).
+
+    ``expanded_mm`` is None where the tracker states no uncertainty.
+    """
+
+    value_mm: float
+    expanded_mm: float | None
+    n: int
+
+
+class PoseCharacteristics(Record):
+    """Accuracy AP and repeatability RP at one pose.
+
+    Attributes
+    ----------
+    error_mm : three numbers
+        From the commanded to the mean attained position, along the axes of the arm's base: AP_x, AP_y, AP_z. Of
+        cooperative tests: of the vector between both SMRs, along the axes of the tracker.
+    deviations_mm : tuple
+        From the commanded position to each attained one, in the order of the cycles.
+    tracker_rp_mm : float or None
+        RP that the tracker's stated uncertainty alone would show, if all of it scattered from cycle to cycle.
+    """
+
+    pose: str
+    error_mm: Vector3
+    accuracy: IsoValue
+    repeatability: IsoValue
+    deviations_mm: tuple[Vector3, ...]
+    tracker_rp_mm: float | None = None
+
+
+class DirectionalCharacteristics(Record):
+    """Multi-directional pose accuracy variation vAP at one pose.
+
+    ``errors_mm`` maps each direction of approach ("x", "y", "z" of the arm's base) to the error of the mean position.
+    """
+
+    pose: str
+    variation: IsoValue
+    errors_mm: Mapping[str, Vector3]
+
+
+class DistanceCharacteristics(Record):
+    """Distance accuracy AD (measured minus commanded, with its sign) and repeatability RD, of one pair of positions."""
+
+    between: tuple[str, str]
+    commanded_mm: float
+    accuracy: IsoValue
+    repeatability: IsoValue
+    errors_mm: tuple[float, ...]
+
+
+class DriftGroup(Record):
+    """AP and RP of one group of cycles, ``minutes`` after the first one."""
+
+    minutes: float
+    accuracy_mm: float
+    repeatability_mm: float
+    error_mm: Vector3
+    n: int
+    temperature_c: float | None = None
+
+
+class DriftCharacteristics(Record):
+    """Drift at one pose: largest change of AP and of RP against the first group of cycles.
+
+    ``shift_mm`` is the largest displacement of the mean position, which AP does not show where the distance from the
+    commanded position stays. ``minutes`` is how long was observed.
+    """
+
+    pose: str
+    minutes: float
+    accuracy: IsoValue
+    repeatability: IsoValue
+    shift_mm: float
+    groups: tuple[DriftGroup, ...]
+
+
+class PathCharacteristics(Record):
+    """Path accuracy AT and repeatability RT: the largest over ``points`` places along the path."""
+
+    path: str
+    speed_mm_s: float
+    length_mm: float
+    points: int
+    accuracy: IsoValue
+    repeatability: IsoValue
+
+
+class CommandedTests(Record):
+    """The tests of one arm with one kind of commands; empty or None where a test was not made."""
+
+    pose: tuple[PoseCharacteristics, ...] = ()
+    multidirectional: tuple[DirectionalCharacteristics, ...] = ()
+    distance: tuple[DistanceCharacteristics, ...] = ()
+    drift: DriftCharacteristics | None = None
+    path: tuple[PathCharacteristics, ...] = ()
+
+
+class IsoPose(Record):
+    """A pose of the test, with the joint positions by the published geometry [rad]."""
+
+    name: str
+    position_B: Vector3
+    q: tuple[float, ...]
+
+
+class IsoCube(Record):
+    """The test cube of an arm, edges along the axes of its base, and the plane in it with the poses P1 to P5.
+
+    Attributes
+    ----------
+    edge_mm : float
+    centre_B : three numbers
+        [m] in the frame of the arm's base.
+    plane : str
+        The corners of the norm's plane, as "C1-C2-C7-C8".
+    rpy : three numbers or None
+        Roll, pitch, yaw of the flange in the base [rad], the same at all poses; None where it is free.
+    poses : tuple of IsoPose
+    limited_by : str
+        What a larger cube offends.
+    """
+
+    edge_mm: float
+    centre_B: Vector3
+    plane: str
+    rpy: Vector3 | None
+    poses: tuple[IsoPose, ...]
+    limited_by: str
+
+
+class BaseAlignment(Record):
+    """Base and SMR of an arm found by measuring, with the published geometry, where there is no calibration.
+
+    ``rms_mm`` are the residuals of ``n`` positions, ``uncertainty_mm`` the standard uncertainty that the fit adds to a
+    coordinate of a commanded position, rms over the poses of the test.
+    """
+
+    n: int
+    rms_mm: float
+    uncertainty_mm: float
+    smr_offset_mm: Vector3
+
+
+class ArmIso9283(Record):
+    """Characteristics of one arm. ``refused`` maps tests that were not made to the reason."""
+
+    payload_kg: float
+    cube: IsoCube | None = None
+    base: BaseAlignment | None = None
+    tests: Mapping[IsoCommands, CommandedTests] = {}
+    refused: Mapping[IsoTest, str] = {}
+
+
+class PairIso9283(Record):
+    """Cooperative accuracy and repeatability of two arms, which the norm does not define.
+
+    ``vector`` are AP and RP of the vector from the first SMR to the second, ``distance`` accuracy and repeatability of
+    its length, with both arms at rest at poses of their own cubes.
+    """
+
+    arms: tuple[str, str]
+    vector: Mapping[IsoCommands, tuple[PoseCharacteristics, ...]] = {}
+    distance: Mapping[IsoCommands, tuple[DistanceCharacteristics, ...]] = {}
+    refused: str = ""
+
+
+class IsoConditions(Record):
+    """Conditions of the tests.
+
+    ``speed_share`` is of the speed that the profile allows, ``cycles`` what was asked for, ``temperature_c`` lowest and
+    highest of the measured air.
+    """
+
+    cycles: int
+    speed_share: float
+    dwell_s: float
+    averaging_s: float
+    commands: tuple[IsoCommands, ...]
+    began: str = ""
+    seconds: float = 0.0
+    temperature_c: tuple[float, float] | None = None
+
+
+class Iso9283Result(Result):
+    """``iso9283``: the tests that were made, with their conditions; ``judgements`` against the profile's tolerances.
+
+    ``missing`` says which cycles, poses or tests could not be measured, and why. ``pairs`` are those of arms.
+    """
+
+    schema_: Literal["cellapp-iso9283"] = "cellapp-iso9283"
+    version: Literal[1] = 1
+    tests: tuple[IsoTest, ...]
+    arms: Mapping[str, ArmIso9283]
+    pairs: tuple[PairIso9283, ...] = ()
+    conditions: IsoConditions | None = None
+    judgements: tuple[Judgement, ...] = ()
+    missing: tuple[str, ...] = ()
+    stopped: str = ""
+    notes: tuple[str, ...] = ()
+
+    def complaints(self) -> list[str]:
+        """What did not hold: stopped, cycles missing, out of tolerance; empty if all is well."""
+        out = [
+            f"{one.characteristic.replace('_', ' ')} of {one.where}: {one.value_mm:.3f} mm, tolerance"
+            f" {one.tolerance_mm:g} mm"
+            for one in self.judgements
+            if one.conformity == "does not conform" and one.value_mm is not None
+        ]
+        return [*([self.stopped] if self.stopped else []), *self.missing, *out]

@@ -1,0 +1,193 @@
+"""What a stored calibration expects of every arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.calibration.weights import excess_variance, with_excess
+from cellapp.estimation.discovery.joint_fit import mean_variance
+from cellapp.estimation.monitoring.check.model import ArmBelief, CheckBelief
+from cellapp.estimation.prior.belief import Belief, is_smooth
+from cellapp.estimation.prior.earlier import calibration_posterior
+from cellapp.estimation.prior.linear_model import Measured, design
+from cellapp.estimation.prior.posterior import Posterior
+from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.relocation import relocated
+
+WATCHED = ("joint_compliance", "backlash", "encoder_eccentricity")
+"""Effects that appear in arms that had none: gears and bearings wear, and encoders slip, joint by joint."""
+_FEWEST_HELD_OUT = 20
+"""Readings that were not learned from, from which their scatter is judged."""
+
+
+def check_belief(
+    profile: Profile,
+    model: CellModel,
+    readings: Mapping[str, Readings],
+    *,
+    station_free: bool = False,
+    T_new_old: Array | None = None,
+    before: Mapping[str, Belief] | None = None,
+) -> CheckBelief:
+    """What a calibration says of a cell.
+
+    Parameters
+    ----------
+    profile : Profile
+    model : CellModel
+        The calibration in force (of ``calibrate`` or ``discover``), in the frame of its readings.
+    readings : mapping
+        Arm -> the readings that it was calibrated from, of all splits.
+    station_free : bool
+        The tracker was set up anew since, so that its pose is unknown.
+    T_new_old : array, shape (4, 4), optional
+        About where it stands then: maps coordinates in its earlier frame into the present one.
+    before : mapping, optional
+        Arm -> what it was calibrated with as prior, where there was an earlier calibration.
+
+    Raises
+    ------
+    InputError
+        If an arm of the model has no readings.
+    """
+    for name in model.arms:
+        if name not in readings or not len(readings[name]):
+            raise InputError(f"arm '{name}': the calibration has no readings of it; a check needs them")
+    own = {name: readings[name] for name in model.arms}
+    bare = {name: _without_network(model.arms[name], its) for name, its in own.items()}
+    earlier = before or {}
+    found = {name: calibration_posterior(profile, name, model.arms, bare, earlier.get(name)) for name in own}
+    arms = {name: arm_belief(model.arms[name], *found[name]) for name in own}
+    if T_new_old is None:
+        return CheckBelief(arms, station_free)
+    return CheckBelief({name: _relocated(arm, T_new_old) for name, arm in arms.items()}, station_free, T_new_old)
+
+
+def watched_terms(model: ArmModel, measured: Measured) -> tuple[EffectTerm, ...]:
+    """Terms of value zero for effects that the model lacks, at every joint where the readings can show them."""
+    context = model.context(measured.readings.q, conditions=measured.conditions)
+    present = {(term.slug, name) for term in model.effects if not is_smooth(term) for name in term.names}
+    found = []
+    for slug in WATCHED:
+        effect = EFFECTS[slug]
+        if effect.missing_data(context):
+            continue
+        law = effect.laws(context)[0]
+        names = frozenset(one.name for one in effect.columns(context, law) if not one.refines)
+        columns = [one for one in effect.columns(context, law, names) if one.name in names]
+        columns = [one for one in columns if (slug, one.name) not in present]
+        if columns:
+            zeros, units = np.zeros(len(columns)), tuple(one.unit for one in columns)
+            found.append(EffectTerm(slug, tuple(one.name for one in columns), zeros, zeros, units, law))
+    return tuple(found)
+
+
+def network_shift(model: ArmModel, q: Array) -> Array:
+    """What the network of a model adds to its positions (n, 3) [m] at ``q`` (n, N) [rad]; zero without one."""
+    if model.network is None:
+        return np.zeros((len(q), 3))
+    return np.asarray(model.network.correct(q) @ model.geometry.T_M_B()[:3, :3].T)
+
+
+def _without_network(model: ArmModel, readings: Readings) -> Readings:
+    """The readings less what the network explains of them: geometry and effects beside it are then judged."""
+    return readings if model.network is None else replace(readings, p_M=readings.p_M - network_shift(model, readings.q))
+
+
+def arm_belief(stored: ArmModel, found: Posterior, measured: Measured) -> ArmBelief:
+    """What the calibration ``stored`` says of its arm, with the posterior that its readings give."""
+    watched = watched_terms(found.model, measured)
+    model = replace(found.model, effects=(*found.model.effects, *watched))
+    added = sum(len(term.names) for term in watched)
+    p = len(found.values)
+    covariance = np.zeros((p + added, p + added))
+    covariance[:p, :p] = found.covariance
+    promised = _promised(stored, found, measured)
+    excess = _held_out_excess(stored, found, measured, promised)
+    return ArmBelief(
+        stored=stored,
+        model=model,
+        columns=found.prior.columns,
+        covariance=covariance,
+        scatter_m=math.sqrt(found.scatter_m**2 + excess),
+        noise_m=math.sqrt(mean_variance(found.measured.sigma) + excess),
+        day_m=_day_m(found.model, measured),
+        promised_m=math.sqrt(float(np.mean(np.trace(promised, axis1=1, axis2=2)))),
+        measured=measured,
+    )
+
+
+def _promised(stored: ArmModel, found: Posterior, measured: Measured) -> Array:
+    """Covariance (n, 3, 3) [m^2] of predictions at the readings of the calibration."""
+    X = design(found.model, measured, found.prior.columns).reshape(-1, 3, len(measured))
+    covariance = np.einsum("pan,pq,qbn->nab", X, found.covariance, X, optimize=True)
+    if stored.network is None:
+        return np.asarray(covariance)
+    spread = stored.network.spread(measured.readings.q)
+    return np.asarray(covariance + spread[:, :, None] ** 2 * np.eye(3))
+
+
+def _held_out_excess(stored: ArmModel, found: Posterior, measured: Measured, promised: Array) -> float:
+    """Variance [m^2] of a coordinate by which readings that were not learned from scatter beyond what is promised.
+
+    What a model leaves of the arm is small at the readings that it was chosen by, and not at others.
+    """
+    rows = measured.readings.in_split("validate")
+    if len(rows) < _FEWEST_HELD_OUT:
+        return 0.0
+    held_out = measured.take(rows)
+    left_M = held_out.left(replace(stored, network=None))
+    sigma = found.measured.sigma[rows]
+    noise = sigma if sigma.ndim == 3 else sigma[:, None, None] ** 2 * np.eye(3)
+    return excess_variance(left_M, noise + promised[rows], 3 * len(rows))
+
+
+def _day_m(model: ArmModel, measured: Measured) -> float:
+    """Rms motion [m] of the SMR over the calibration's readings by effects of its day, as drift of the base."""
+    terms = tuple(term for term in model.effects if not EFFECTS[term.slug].arm_bound)
+    if not terms:
+        return 0.0
+    q, conditions = measured.readings.q, measured.conditions
+    rest = replace(model, effects=tuple(term for term in model.effects if EFFECTS[term.slug].arm_bound))
+    moved = model.predict(q, conditions=conditions) - rest.predict(q, conditions=conditions)
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+
+
+def point_covariance(arm: ArmBelief, readings: Readings) -> Array:
+    """Covariance (n, 3, 3) [m^2] of measured points: as stated, and the arm's scatter beyond it.
+
+    Readings that state none are taken to be as uncertain as those of the calibration.
+    """
+    stated = stated_uncertainty(readings)
+    if stated is None:
+        return np.broadcast_to(arm.noise_m**2 * np.eye(3), (len(readings), 3, 3))
+    whole = with_excess(stated, arm.scatter_m**2)
+    return whole if whole.ndim == 3 else whole[:, None, None] ** 2 * np.eye(3)
+
+
+def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
+    """The belief in the frame of a tracker that was set up anew."""
+    names = ParameterSet("", arm.model.geometry.joints, arm.columns).names
+    terms = tuple(f"{k}" for k in range(len(arm.covariance) - len(names)))
+    model = replace(arm.model, posterior=None, identified=(*names, *terms), covariance=arm.covariance)
+    model = relocated(CellModel({"": model}), T).arms[""]
+    assert model.covariance is not None
+    its = arm.measured.readings
+    turned = None if its.covariance_M is None else T[:3, :3] @ its.covariance_M @ T[:3, :3].T
+    return replace(
+        arm,
+        stored=relocated(CellModel({"": arm.stored}), T).arms[""],
+        model=model,
+        covariance=model.covariance,
+        measured=replace(arm.measured, readings=replace(its, p_M=apply(T, its.p_M), covariance_M=turned)),
+    )

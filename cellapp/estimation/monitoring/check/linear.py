@@ -1,0 +1,227 @@
+"""The linear model of some stops of a cell about its calibration.
+
+With y the measured less the expected coordinates of all arms, in the order of the stops:
+
+    y = V b + e,    e ~ N(0, K),    K = X S X^T + R (+ T P T^T)
+
+S is the posterior covariance of all parameters of the calibration, which all stops share; R that of tracker and
+repeatability, stop by stop; V the rows of changes, b their sizes in steps of what has to be detected. T are the six
+motions of a tracker that was set up anew, P their wide prior. With K = L L^T, the first rows of L^-1 y belong to the
+first stops alone: moments and information after each stop are cumulative sums of one factor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.station_location import twist_columns
+from cellapp.estimation.monitoring.check.alternatives import Direction, centre_of
+from cellapp.estimation.monitoring.check.belief import network_shift, point_covariance
+from cellapp.estimation.monitoring.check.model import TRACKER, ArmBelief, CheckBelief
+from cellapp.estimation.prior.linear_model import Measured, design
+from cellapp.estimation.readings import Readings
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array
+
+_STATION_M = 0.01
+"""Standard deviation of a tracker's motion about its fitted pose, where it was set up anew [m, and rad at 1 m]: far
+above the noise, so that points alone tell it, and near enough that the factor of K stays exact."""
+_DEPENDENT = 1e-6
+"""Share of the greatest singular value below which a direction depends on the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class StopRows:
+    """Stops in the linear model: n stops, m points, d = 3 m coordinates, C directions of change.
+
+    Attributes
+    ----------
+    measured, expected : array, shape (m, 3)
+        Positions [m], stop by stop, arm by arm.
+    stop_ends : array, shape (n,)
+        Coordinates up to each stop.
+    arm_of : array, shape (m,)
+        Place of each point's arm among the belief's.
+    rows : array, shape (C, d)
+        Motion of the coordinates by one step of each direction [m].
+    factor : array, shape (d, d)
+        Lower Cholesky factor of K [m].
+    free : int
+        How many of the first directions are unknown and fitted: the six of a tracker that was set up anew, or none.
+    """
+
+    measured: Array
+    expected: Array
+    stop_ends: NDArray[np.intp]
+    arm_of: NDArray[np.intp]
+    rows: Array
+    factor: Array
+    free: int = 0
+
+    @property
+    def left(self) -> Array:
+        """Measured less expected (m, 3) [m]."""
+        return np.asarray(self.measured - self.expected)
+
+    def first(self, count: int) -> StopRows:
+        """The first ``count`` stops alone."""
+        d = int(self.stop_ends[count - 1])
+        return replace(
+            self,
+            measured=self.measured[: d // 3],
+            expected=self.expected[: d // 3],
+            stop_ends=self.stop_ends[:count],
+            arm_of=self.arm_of[: d // 3],
+            rows=self.rows[:, :d],
+            factor=self.factor[:d, :d],
+        )
+
+
+def conditions_now(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str, MeasurementConditions]:
+    """Conditions of stops that are not of the calibration's run: its clock ended with it, so that time is now."""
+    found = conditions_of_arms(belief.models, readings)
+    return {name: replace(own, time_s=None, order=None, record=None) for name, own in found.items()}
+
+
+def expected(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str, Array]:
+    """Where the calibration expects the SMR of every arm at the configurations of ``readings``, (n, 3) [m]."""
+    conditions = conditions_now(belief, readings)
+    return {
+        name: belief.arms[name].model.predict(its.q, conditions=conditions[name])
+        + network_shift(belief.arms[name].stored, its.q)
+        for name, its in readings.items()
+    }
+
+
+def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:
+    """The linear model of stops; rows of several arms with the same ``configuration`` are one stop."""
+    conditions, points = conditions_now(belief, readings), expected(belief, readings)
+    stops = _stop_numbers(readings)
+    names = [name for name in belief.arms if name in readings]
+    arm_of = np.concatenate([np.full(len(readings[name]), list(belief.arms).index(name)) for name in names])
+    places = np.concatenate([stops[name] for name in names])
+    p_M = np.concatenate([points[name] for name in names])
+    total = 3 * len(places)
+    station = twist_columns(p_M - centre_of(belief)).reshape(total, 6).T
+    rows, K, first = np.zeros((len(directions), total)), np.zeros((total, total)), 0
+    for name in names:
+        arm, its = belief.arms[name], readings[name]
+        here = slice(first, first + 3 * len(its))
+        X = design(arm.model, Measured(its, conditions[name], np.ones(len(its))), arm.columns)
+        X = X.reshape(-1, 3, len(its)).transpose(0, 2, 1).reshape(len(X), -1)
+        K[here, here] = X.T @ arm.covariance @ X
+        if arm.day_m:
+            drift = twist_columns(p_M[first // 3 : here.stop // 3] - arm_centre(arm)).reshape(-1, 6) * _day_sizes(arm)
+            K[here, here] += drift @ drift.T
+        for k, one in enumerate(directions):
+            if one.arm == name:
+                rows[k, here] = one.row_of(X)
+            elif one.arm == TRACKER:
+                rows[k, here] = one.row_of(station[:, here])
+        _add_noise(K, first, point_covariance(arm, its))
+        first = here.stop
+    if belief.station_free:
+        K += _STATION_M**2 * station.T @ station
+    order = np.argsort(places, kind="stable")
+    coordinates = (3 * order[:, None] + np.arange(3)).ravel()
+    return StopRows(
+        measured=np.concatenate([readings[name].p_M for name in names])[order],
+        expected=p_M[order],
+        stop_ends=3 * (np.flatnonzero(np.diff(places[order], append=-1)) + 1).astype(np.intp),
+        arm_of=arm_of[order],
+        rows=rows[:, coordinates],
+        factor=cholesky(K[np.ix_(coordinates, coordinates)], lower=True),
+        free=len(station) if belief.station_free else 0,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Whitened stops: ``white`` (d,) is L^-1 y, ``directions`` (C, d) the rows V^T L^-T; see ``StopRows``.
+
+    ``fitted`` (r, d) are orthonormal directions in which nothing is left of the stops, because a fit took it.
+    """
+
+    white: Array
+    directions: Array
+    stop_ends: NDArray[np.intp]
+    fitted: Array
+
+    @classmethod
+    def of(cls, stops: StopRows) -> Moments:
+        """Whitened by the factor of K."""
+        solved = solve_triangular(stops.factor, np.column_stack([stops.left.ravel(), stops.rows.T]), lower=True)
+        directions = np.ascontiguousarray(solved[:, 1:].T)
+        return cls(solved[:, 0], directions, stops.stop_ends, spanned(directions[: stops.free]))
+
+    @property
+    def information(self) -> Array:
+        """Non-centrality (n, C) of one step of each direction after each stop."""
+        return np.cumsum(self.directions**2, axis=1)[:, self.stop_ends - 1].T
+
+    @property
+    def moment(self) -> Array:
+        """V^T K^-1 y (n, C) after each stop."""
+        return np.cumsum(self.directions * self.white, axis=1)[:, self.stop_ends - 1].T
+
+    @property
+    def chi_squared(self) -> Array:
+        """y^T K^-1 y (n,) after each stop."""
+        return np.asarray(np.cumsum(self.white**2)[self.stop_ends - 1])
+
+    @property
+    def degrees(self) -> NDArray[np.intp]:
+        """Degrees of freedom (n,) of chi-squared after each stop: the coordinates that no fit took."""
+        return np.maximum(self.stop_ends - len(self.fitted), 0)
+
+
+def spanned(rows: Array) -> Array:
+    """Orthonormal rows of the same span; dependent ones are left out."""
+    if not len(rows):
+        return rows
+    _, values, vectors = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(vectors[values > _DEPENDENT * max(values[0], 1e-300)])
+
+
+def _stop_numbers(readings: Mapping[str, Readings]) -> dict[str, NDArray[np.intp]]:
+    """Places of the stops of every arm's rows, in the order in which they were measured.
+
+    An arm that was not measured at some stops is behind the others in its rows: the greatest row of a stop counts.
+    """
+    last: dict[int, int] = {}
+    for its in readings.values():
+        for row, number in enumerate(its.configuration.tolist()):
+            last[number] = max(row, last.get(number, 0))
+    order = {number: place for place, number in enumerate(sorted(last, key=last.__getitem__))}
+    return {
+        name: np.array([order[number] for number in its.configuration.tolist()], dtype=np.intp)
+        for name, its in readings.items()
+    }
+
+
+def arm_centre(arm: ArmBelief) -> Array:
+    """Middle (3,) of the points of an arm's calibration [m]."""
+    return np.asarray(arm.measured.readings.p_M.mean(axis=0))
+
+
+def _day_sizes(arm: ArmBelief) -> Array:
+    """Standard deviations (6,) [m, rad] of a drift of the base that moves the SMR as far as that of the calibration.
+
+    Half of the mean square is that of the shift, half that of the turn.
+    """
+    p_M = arm.measured.readings.p_M - arm_centre(arm)
+    by_turn = float(np.sqrt(np.mean(np.sum(twist_columns(p_M)[:, :, 3:] ** 2, axis=(1, 2)))))
+    return arm.day_m * math.sqrt(0.5) * np.repeat([1.0 / math.sqrt(3.0), 1.0 / by_turn], 3)
+
+
+def _add_noise(K: Array, first: int, blocks: Array) -> None:
+    for k, block in enumerate(blocks):
+        rows = slice(first + 3 * k, first + 3 * k + 3)
+        K[rows, rows] += block

@@ -1,0 +1,102 @@
+"""Rigid motions of tracker and bases, solved for by Gauss-Newton steps from the registration of the points.
+
+A measured point p of an arm whose base moved by M, seen by a tracker whose frame moved by T, lies at T M p'; p' is
+where the calibration expects it, up to changes of parameters, which enter linearly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.station_location import FEWEST_POINTS, twist_columns
+from cellapp.estimation.monitoring.check.linear import Moments, StopRows
+from cellapp.estimation.monitoring.check.model import LENGTH_M
+from cellapp.estimation.monitoring.check.statistics import solved
+from cellapp.robot.kinematics.transforms import Array, apply, invert, register, rotation_from_vector, transform
+
+LARGE_M = 5e-4
+"""Errors above this are registered first: a turn of that size leaves second-order errors below a micrometre."""
+_STEPS = 8
+"""Gauss-Newton steps at most; two to four are usual."""
+_SMALL = 1e-4
+"""Change in steps of what has to be detected that ends them: 5 nm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """Motions (4, 4) of the tracker's frame and of a base, and the stops with both taken off."""
+
+    tracker: Array
+    base: Array
+    stops: StopRows
+
+
+def solve_motions(
+    stops: StopRows,
+    centre: Array,
+    *,
+    tracker: bool,
+    base: NDArray[np.bool_] | None = None,
+    linear: Sequence[int] = (),
+) -> Motions:
+    """The motions that explain the stops best.
+
+    Parameters
+    ----------
+    stops : StopRows
+    centre : array, shape (3,)
+        About which steps turn [m].
+    tracker : bool
+        Whether the frame of the tracker moved.
+    base : array, shape (m,), optional
+        Points of the arm whose base moved.
+    linear : sequence of int
+        Directions that changed besides.
+    """
+    every = np.ones(len(stops.measured), dtype=np.bool_)
+    own = every & False if base is None else base
+    parts = [points for points, moves in ((every, tracker), (own, base is not None)) if moves]
+    twists = twist_columns(stops.expected - centre)
+    whole = [(twists * points[:, None, None]).reshape(-1, 6).T for points in parts]
+    rows = np.concatenate([*whole, stops.rows[list(linear)]])
+    T, M = _registered(stops, tracker, own)
+    for _ in range(_STEPS):
+        moments = Moments.of(replace(_without(stops, T, M, own), rows=rows, free=0))
+        step = solved(moments, range(len(rows)))[0][: 6 * len(parts)]
+        if tracker:
+            T = T @ _small(step[:6], centre)
+        if base is not None:
+            M = M @ _small(step[-6:], centre)
+        if float(np.abs(step).max(initial=0.0)) < _SMALL * LENGTH_M:
+            break
+    return Motions(T, M, _without(stops, T, M, own))
+
+
+def _registered(stops: StopRows, tracker: bool, own: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Where the solution begins; other points than the moved arm's tell the tracker's motion if there are enough."""
+    T, M = np.eye(4), np.eye(4)
+    if float(np.abs(stops.left).max()) <= LARGE_M:
+        return T, M
+    if tracker:
+        fixed = ~own if np.sum(~own) >= FEWEST_POINTS else np.ones_like(own)
+        T = register(stops.measured[fixed], stops.expected[fixed])
+    if np.sum(own) >= FEWEST_POINTS:
+        M = register(apply(invert(T), stops.measured[own]), stops.expected[own])
+    return T, M
+
+
+def _without(stops: StopRows, T: Array, M: Array, own: NDArray[np.bool_]) -> StopRows:
+    """The stops with both motions taken off."""
+    measured = apply(invert(T), stops.measured)
+    measured[own] = apply(invert(M), measured[own])
+    return replace(stops, measured=measured)
+
+
+def _small(twist: Array, centre: Array) -> Array:
+    """A small motion (4, 4) by a twist about a centre."""
+    rotation = rotation_from_vector(twist[3:])
+    return transform(rotation, centre - rotation @ centre + twist[:3])

@@ -1,0 +1,266 @@
+"""What changed: the alternative that explains the stops best, its rivals, and what the next one adds.
+
+Each alternative lowers chi-squared by what the least squares with its numbers explain; its gain is half of that less
+(r / 2) log d for r numbers and d coordinates (Schwarz, Ann. Stat. 6 (1978) 461). The best one is accepted, its numbers
+count as unknown from then on, and the next one is looked for while the rest is not explained. Tracker and bases may
+have moved by centimetres, see ``motions``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.station_location import FEWEST_POINTS
+from cellapp.estimation.monitoring.check.alternatives import Alternative, Direction, centre_of
+from cellapp.estimation.monitoring.check.linear import Moments, StopRows
+from cellapp.estimation.monitoring.check.model import CheckBelief
+from cellapp.estimation.monitoring.check.motions import LARGE_M, solve_motions
+from cellapp.estimation.monitoring.check.statistics import SPENT_EARLY, LastTest, after, solved
+from cellapp.estimation.prior.changes import SURE
+from cellapp.robot.kinematics.transforms import Array
+
+_MOST_CHANGES = 4
+"""Changes that are named at most: more at once are a new arm, which twenty stops cannot describe."""
+_ALIKE = 3.0
+"""Half the difference of chi-squared within which another change explains the stops about as well: a factor of 20."""
+_INSEPARABLE = 0.05
+"""Share of its motion that a rival must leave of a change for more stops to tell them apart: a hundred times as many
+would be needed with a twentieth."""
+_TIE = 0.01
+"""Difference of gains that is rounding: tracker and base of a cell of one arm."""
+NOT_EXPLAINED = 1e-3
+"""Probability of chi-squared below which named changes do not explain the stops: one false alarm in 1000."""
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """What a check tests, and how surely, C directions.
+
+    Attributes
+    ----------
+    belief : CheckBelief
+    directions, alternatives : tuple
+    motions : mapping
+        Arm -> motion (C, n, 3) [m] of the SMR at the calibration's readings by one step of each direction.
+    moved_m : array, shape (C,)
+        Rms motion by one step beside a moved tracker [m], see ``visibility``.
+    visible : array, shape (C,)
+    false_alarm, miss : float
+        Chance of finding a change where there is none, and of calling a visible one valid.
+    """
+
+    belief: CheckBelief
+    directions: tuple[Direction, ...]
+    alternatives: tuple[Alternative, ...]
+    motions: Mapping[str, Array]
+    moved_m: Array
+    visible: NDArray[np.bool_]
+    false_alarm: float
+    miss: float
+
+    @property
+    def early_alarm(self) -> float:
+        """Chance of a false alarm by the looks after every stop."""
+        return SPENT_EARLY * self.false_alarm
+
+    @property
+    def last_alarm(self) -> float:
+        """Chance of a false alarm by the test after the last stop."""
+        return (1.0 - SPENT_EARLY) * self.false_alarm
+
+    @property
+    def early_miss(self) -> float:
+        """Chance of calling one visible change valid by the looks after every stop."""
+        return SPENT_EARLY * self.miss
+
+    def name_of(self, one: Alternative) -> str:
+        """A change for people, with its arm where the cell has several."""
+        if one.kind == "tracker":
+            return "tracker"
+        if one.kind in ("base", "smr"):
+            return f"{one.what} of arm {one.arm}"
+        return one.what if len(self.belief.arms) == 1 else f"{one.what}, arm {one.arm}"
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """An accepted change: its sizes (r,) in steps with their covariance, its motion where it is rigid, its evidence.
+
+    ``least_p`` is the least p-value of the ``test`` in which it was found. ``rivals`` explain the stops about as well;
+    ``open_rivals`` are not excluded surely yet, though more stops can do it.
+    """
+
+    alternative: Alternative
+    sizes: Array
+    covariance: Array
+    motion: Array | None
+    least_p: float
+    test: LastTest
+    rivals: tuple[str, ...]
+    open_rivals: tuple[str, ...] = ()
+
+    @property
+    def p_value(self) -> float:
+        """Chance of so much evidence for any change, while nothing has changed."""
+        return self.test.corrected(self.least_p)
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """Causes, the most evident first, and the probability of chi-squared of what they leave.
+
+    ``station`` (4, 4) is the motion of a tracker that was set up anew, beyond that without any change.
+    """
+
+    causes: tuple[Cause, ...]
+    left_p_value: float
+    station: Array
+
+    @property
+    def holds(self) -> bool:
+        """Whether the causes explain the stops."""
+        return bool(self.causes) and self.left_p_value >= NOT_EXPLAINED
+
+
+def with_station(design: Design, stops: StopRows) -> tuple[StopRows, Array]:
+    """The stops in the frame where the calibration expects them, and the motion (4, 4) of a tracker set up anew."""
+    if not design.belief.station_free or len(stops.measured) < FEWEST_POINTS:
+        return stops, np.eye(4)
+    found = solve_motions(stops, centre_of(design.belief), tracker=True)
+    return found.stops, found.tracker
+
+
+def explain(design: Design, stops: StopRows) -> Explanation:
+    """What changed, where it is known that something did."""
+    causes: list[Cause] = []
+    nuisance: list[int] = []
+    station = np.eye(4)
+    while True:
+        moments = Moments.of(stops)
+        rest = after(moments, nuisance) if nuisance else moments
+        left = [one for one in design.alternatives if one not in [cause.alternative for cause in causes]]
+        test = LastTest.of(rest, left)
+        p_values = test.p_values(rest.white[:, None])[:, 0]
+        if causes and not test.significant(float(p_values.min()), design.false_alarm):
+            break
+        if len(causes) == _MOST_CHANGES:
+            break
+        fits = [_fit(design, stops, one, nuisance, rest, basis) for one, basis in zip(left, test.bases, strict=True)]
+        best = _best(fits, len(rest.white))
+        stops, station = fits[best].stops, station @ fits[best].station
+        nuisance += fits[best].members
+        found = _Found(left, fits, best, float(p_values[best]), test)
+        causes.append(_cause(design, found, *solved(Moments.of(stops), nuisance)))
+    return Explanation(tuple(causes), float(p_values[-1]), station)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """An alternative fitted: its directions, the stops with all motions taken off, what chi-squared it leaves.
+
+    ``motion`` is that of a tracker or base that moved, ``station`` that of a tracker that was set up anew.
+    """
+
+    members: list[int]
+    stops: StopRows
+    chi_squared: float
+    explained: float
+    rank: int
+    motion: Array | None
+    station: Array
+
+    def gain(self, coordinates: int) -> float:
+        """Gain of the log likelihood less that which so many numbers make without a change."""
+        return 0.5 * self.explained - 0.5 * self.rank * math.log(coordinates)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Alternatives with their fits, the place of the best one, and its p-value in the test of all."""
+
+    alternatives: Sequence[Alternative]
+    fits: Sequence[_Fit]
+    best: int
+    p_value: float
+    test: LastTest
+
+
+def _cause(design: Design, found: _Found, sizes: Array, covariance: Array) -> Cause:
+    """The best alternative with its rivals; ``sizes`` and ``covariance`` are of all changes so far, its own last."""
+    chosen, fit = found.alternatives[found.best], found.fits[found.best]
+    own = slice(len(sizes) - len(fit.members), len(sizes))
+    coordinates = fit.stops.rows.shape[1]
+    behind = [
+        (_behind(its, fit, coordinates), one)
+        for one, its in zip(found.alternatives, found.fits, strict=True)
+        if one is not chosen
+    ]
+    return Cause(
+        alternative=chosen,
+        sizes=sizes[own],
+        covariance=covariance[own, own],
+        motion=fit.motion,
+        least_p=found.p_value,
+        test=found.test,
+        rivals=tuple(design.name_of(one) for by, one in behind if by <= _ALIKE),
+        open_rivals=tuple(
+            design.name_of(one) for by, one in behind if by <= SURE and _tells(design, chosen, sizes[own], one)
+        ),
+    )
+
+
+def _behind(its: _Fit, best: _Fit, coordinates: int) -> float:
+    """By how much the log likelihood of a fit is less than that of the best one, by itself or with its few numbers."""
+    return min(0.5 * (its.chi_squared - best.chi_squared), best.gain(coordinates) - its.gain(coordinates))
+
+
+def _best(fits: Sequence[_Fit], coordinates: int) -> int:
+    gains = [fit.gain(coordinates) for fit in fits]
+    return next(k for k, gain in enumerate(gains) if gain >= max(gains) - _TIE)
+
+
+def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int], rest: Moments, basis: Array) -> _Fit:
+    """Least squares with the numbers of one alternative, beside those that are known to have changed.
+
+    ``rest`` are the stops without what these explain, ``basis`` (r, d) the directions of the alternative there.
+    """
+    members, belief = list(one.members), design.belief
+    before = float(rest.white @ rest.white)
+    points = None if one.kind != "base" else stops.arm_of == list(belief.arms).index(one.arm)
+    moves = one.kind == "tracker" or (points is not None and np.sum(points) >= FEWEST_POINTS)
+    large = belief.station_free and float(np.abs(stops.left).max()) > LARGE_M
+    if not moves and not large:
+        explained = float(np.sum((basis @ rest.white) ** 2))
+        return _Fit(members, stops, before - explained, explained, len(basis), None, np.eye(4))
+    whole = [*nuisance, *members]
+    found = solve_motions(
+        stops,
+        centre_of(belief),
+        tracker=one.kind == "tracker" or belief.station_free,
+        base=points if moves else None,
+        linear=[k for k in whole if design.directions[k].kind not in ("tracker", "base")],
+    )
+    left = _chi_squared(found.stops, whole)
+    motion = {"tracker": found.tracker, "base": found.base}.get(one.kind) if moves else None
+    station = found.tracker if belief.station_free else np.eye(4)
+    return _Fit(members, found.stops, left, before - left, len(basis), motion, station)
+
+
+def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative) -> bool:
+    """Whether the calibration's configurations can tell a change from a rival, beside a tracker set up anew."""
+    whole = np.concatenate([moved.reshape(len(moved), -1) for moved in design.motions.values()], axis=1)
+    moved = sizes @ whole[list(cause.members)]
+    free = [k for k, one in enumerate(design.directions) if one.kind == "tracker" and design.belief.station_free]
+    basis = np.linalg.qr(whole[[*rival.members, *free]].T)[0]
+    left = moved - basis @ (basis.T @ moved)
+    return float(np.linalg.norm(left)) > _INSEPARABLE * float(np.linalg.norm(moved))
+
+
+def _chi_squared(stops: StopRows, nuisance: Sequence[int]) -> float:
+    moments = Moments.of(stops)
+    return float(np.sum((after(moments, nuisance) if nuisance else moments).white ** 2))

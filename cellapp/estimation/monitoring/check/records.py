@@ -1,0 +1,183 @@
+"""Result of ``check``: whether a stored calibration still holds, from about twenty stops."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.commands.locate.result import Matrix, Point
+from cellapp.ground.results import Record, Result, StageName
+
+CheckVerdict = Literal[
+    "valid", "tracker moved", "base moved", "smr moved", "arm changed", "not explained", "cannot say"
+]
+
+
+TRACKER_MOVED: CheckVerdict = "tracker moved"
+CHANGES_OF_ARMS: tuple[CheckVerdict, ...] = ("base moved", "smr moved", "arm changed", "not explained")
+"""What a check found that no new station of the tracker mends: it rests on the arms' model, wherever the tracker is."""
+TRACKER = "tracker"
+"""Stands for the name of an arm where the tracker moved."""
+
+
+class FoundChange(Record):
+    """A parameter or an effect of an arm that changed since the calibration; ``arm`` is "tracker" where that moved.
+
+    ``value`` and ``standard_error`` are of the change, in ``unit``; ``p_value`` is its chance, corrected for the number
+    of changes that were tested; ``moved_mm`` the rms displacement of the SMR by it over the readings of the
+    calibration. ``rivals`` are changes that explain the stops about as well.
+    """
+
+    arm: str
+    what: str
+    value: float | None
+    standard_error: float | None
+    unit: str
+    p_value: float
+    moved_mm: float
+    rivals: tuple[str, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """Where and what, without the amount."""
+        named = self.arm == TRACKER or self.what.endswith(f"arm {self.arm}")
+        return self.what if named else f"arm {self.arm}: {self.what}"
+
+
+class CheckedArm(Record):
+    """One arm: stops that were measured, their errors against the model [mm], and the accuracy that is left.
+
+    ``expected_mm`` is the rms position error that the calibration promised there, ``rms_mm`` what was found,
+    ``left_mm`` the rms error over the calibration's readings that the found changes make, with the promised one.
+    """
+
+    stops: int
+    expected_mm: float
+    rms_mm: float
+    left_mm: float | None = None
+
+
+class CheckedPoint(Record):
+    """A measured SMR: joint positions [rad], position in the tracker frame [m], distance from the prediction [mm]."""
+
+    q: tuple[float, ...]
+    measured_M: Point
+    error_mm: float
+
+
+class CheckedStop(Record):
+    """One stop: what was measured there, arm -> point, and where the sequential test stood after it.
+
+    ``log_evidence`` is the log of the likelihood ratio of any change to none, ``log_valid`` that of none to the most
+    likely visible change, ``p_value`` the chance of errors as large without a change; ``time_s`` [s] counts from the
+    first motion.
+    """
+
+    points: Mapping[str, CheckedPoint]
+    log_evidence: float
+    log_valid: float
+    p_value: float
+    time_s: float
+
+
+class WeakChange(Record):
+    """A change of 0.05 mm or 50 urad that is visible, but that the measured stops show too weakly.
+
+    ``moved_mm`` is as in ``FoundChange``; ``detected`` is the size in ``unit`` that these stops show surely enough.
+    """
+
+    arm: str
+    what: str
+    moved_mm: float
+    detected: float
+    unit: str
+
+
+class CheckResult(Result):
+    """``check``: the verdict with its evidence.
+
+    Attributes
+    ----------
+    verdict : str
+    model : str
+        The stage whose model was checked.
+    planned, sure_after : int
+        Stops that were chosen, and number of stops after which the sequential test ended.
+    p_value : float
+        Chance of errors as large if nothing has changed.
+    false_alarm, miss : float
+        Chances that the test was set for: of a change where there is none, of missing a visible one.
+    sure_change, sure_valid : float or None
+        ``log_evidence`` and ``log_valid`` at which the test is sure before the last stop.
+    arms : mapping
+    changes : tuple of FoundChange
+        The most evident first.
+    weak : tuple of WeakChange
+    station_shift_mm, station_turn_deg, T_new_old
+        Motion of the tracker, where one was solved for; ``T_new_old`` (4 x 4) maps coordinates in its earlier frame
+        into the present one.
+    moved_bases : mapping
+        Arm -> pose of its base (4 x 4) in the tracker frame, where the base moved.
+    smr_offsets_F : mapping
+        Arm -> centre of the SMR in the frame of the last joint [m], where it was remounted.
+    stops : tuple of CheckedStop
+    seconds : float or None
+        From the first motion to the last [s], in the time of the cell.
+    stale : str
+        Why the model should not have been used before the check; empty if it held as far as was known.
+    simulated : bool
+        Whether the hidden physics of another profile took the place of the simulated cell's own.
+    next_step : str
+        What to do now, empty if nothing.
+    notes : tuple of str
+    """
+
+    schema_: Literal["cellapp-check"] = "cellapp-check"
+    version: Literal[1] = 1
+    verdict: CheckVerdict
+    model: StageName | None = None
+    planned: int
+    sure_after: int
+    p_value: float
+    false_alarm: float = 0.01
+    miss: float = 0.05
+    sure_change: float | None = None
+    sure_valid: float | None = None
+    arms: Mapping[str, CheckedArm]
+    changes: tuple[FoundChange, ...] = ()
+    weak: tuple[WeakChange, ...] = ()
+    station_shift_mm: float | None = None
+    station_turn_deg: float | None = None
+    T_new_old: Matrix | None = None
+    moved_bases: Mapping[str, Matrix] = {}
+    smr_offsets_F: Mapping[str, Point] = {}
+    stops: tuple[CheckedStop, ...] = ()
+    seconds: float | None = None
+    stale: str = ""
+    simulated: bool = False
+    next_step: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def found_change(self) -> bool:
+        """Whether something has changed, so that the model should not be used as it is."""
+        return self.verdict in (TRACKER_MOVED, *CHANGES_OF_ARMS)
+
+    @property
+    def found_other_arms(self) -> bool:
+        """Whether arms, bases or SMRs changed: what was measured of them before does not hold. A tracker may move."""
+        return self.verdict in CHANGES_OF_ARMS
+
+    def complaints(self, *, strict: bool = False) -> list[str]:
+        """Why the calibration does not hold, or why that is not known; empty if it holds.
+
+        With ``strict`` also that the model was out of date before the check.
+        """
+        complaints = [f"the model was out of date already: {self.stale}"] if strict and self.stale else []
+        if self.verdict == "valid":
+            return complaints
+        if self.verdict == "cannot say":
+            return ["whether the calibration holds is not known", *complaints]
+        found = "; ".join(one.words for one in self.changes)
+        words = f"the calibration does not hold as it is: {self.verdict}" + (f" ({found})" if found else "")
+        return [words, *complaints]

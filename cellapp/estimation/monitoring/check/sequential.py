@@ -1,0 +1,144 @@
+"""The sequential test: fed stop by stop, it ends when it is sure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from cellapp.estimation.calibration.station_location import FEWEST_POINTS
+from cellapp.estimation.monitoring.check.alternatives import alternatives_of, directions_of
+from cellapp.estimation.monitoring.check.conclusion import concluded
+from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
+from cellapp.estimation.monitoring.check.model import FALSE_ALARM, MISS, CheckBelief, Conclusion, Standing
+from cellapp.estimation.monitoring.check.naming import Design, explain, with_station
+from cellapp.estimation.monitoring.check.statistics import LastTest, looks
+from cellapp.estimation.monitoring.check.visible import calibration_motions, visibility
+from cellapp.estimation.readings import Readings, joined
+from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.transforms import Array
+
+_FEWEST_STOPS = 6
+"""Stops from which a change is named: six numbers of a moved base, and as many that show whether they explain it."""
+
+
+class SequentialTest:
+    """Feed it with stops while ``standing.sure`` is false; then ask for the conclusion.
+
+    The chance of finding a change where there is none is at most ``false_alarm`` over all stops, of calling a visible
+    change valid at most ``miss``.
+    """
+
+    def __init__(
+        self, belief: CheckBelief, planned: int, *, false_alarm: float = FALSE_ALARM, miss: float = MISS
+    ) -> None:
+        """``planned`` is the number of stops after which it ends in any case."""
+        self._design = design_of(belief, false_alarm, miss)
+        self._planned = planned
+        self._readings: dict[str, Readings] = {}
+        self._standing = Standing(0, False, False, False, 0.0, 0.0, 1.0)
+        self._stops: StopRows | None = None
+
+    @property
+    def standing(self) -> Standing:
+        """After the stops so far."""
+        return self._standing
+
+    def add(self, readings: Mapping[str, Readings]) -> Standing:
+        """Take one stop, or several: arm -> its readings (same ``configuration`` at the same stop) in the order of
+        measurement, with approach signs, steps, temperatures and covariance as collection logs them. An arm may be
+        missing where it was not measured.
+
+        Raises
+        ------
+        InputError
+            If a reading is not finite or of an unknown arm.
+        """
+        for name, its in readings.items():
+            if name not in self._design.belief.arms:
+                raise InputError(
+                    f"check: the calibration has no arm '{name}'; it has {', '.join(self._design.belief.arms)}"
+                )
+            if not (np.isfinite(its.p_M).all() and np.isfinite(its.q).all()):
+                raise InputError(f"check: a reading of arm '{name}' is not finite; measure the stop again")
+            if len(its):
+                before = self._readings.get(name)
+                self._readings[name] = its if before is None else joined([before, its])
+        if self._readings:
+            self._stops = stop_rows(self._design.belief, self._readings, self._design.directions)
+            self._standing = judged(self._design, self._stops, self._planned)
+        return self._standing
+
+    def conclusion(self) -> Conclusion:
+        """The verdict from all stops so far, with the change that explains them.
+
+        Raises
+        ------
+        InputError
+            Without any stop.
+        """
+        if self._stops is None:
+            raise InputError("check: no stop was measured; there is nothing to conclude from")
+        return concluded(self._design, self._stops, self._standing)
+
+
+def design_of(belief: CheckBelief, false_alarm: float = FALSE_ALARM, miss: float = MISS) -> Design:
+    """What a check of a cell tests."""
+    directions = tuple(directions_of(belief))
+    motions = calibration_motions(belief, directions)
+    moved, visible = visibility(belief, directions, motions)
+    alternatives = tuple(alternatives_of(belief, directions))
+    return Design(belief, directions, alternatives, motions, moved, visible, false_alarm, miss)
+
+
+def judged(design: Design, stops: StopRows, planned: int) -> Standing:
+    """Where the test stands after some stops."""
+    here, _ = with_station(design, stops)
+    moments = Moments.of(here)
+    if stops.free and len(stops.measured) < FEWEST_POINTS:  # nothing tells yet where the tracker stands
+        return Standing(len(stops.stop_ends), len(stops.stop_ends) >= planned, False, False, 0.0, 0.0, 1.0)
+    seen = looks(moments, design.alternatives, design.visible)
+    count = len(seen.log_evidence)
+    changed_at = _first(seen.log_evidence, design.early_alarm)
+    valid_at = _first(seen.log_valid, design.early_miss)
+    changed, valid = changed_at < count and changed_at <= valid_at, valid_at < changed_at
+    if not changed and not valid and count >= planned:
+        test = LastTest.of(moments, design.alternatives)
+        changed = test.significant(float(test.p_values(moments.white[:, None]).min()), design.last_alarm)
+    sure = valid or count >= planned or (changed and count >= _FEWEST_STOPS and _named(design, here))
+    return Standing(
+        stops=valid_at + 1 if valid else count,
+        sure=sure,
+        changed=changed,
+        valid=valid,
+        log_evidence=float(seen.log_evidence[-1]),
+        log_valid=float(seen.log_valid[-1]),
+        p_value=float(seen.p_values[-1]),
+    )
+
+
+def ended(design: Design, stops: StopRows) -> tuple[StopRows, Standing]:
+    """The stops after which the test ends that is fed with ``stops`` one by one, all of which are planned."""
+    planned = len(stops.stop_ends)
+    first = 1
+    if not design.belief.station_free:  # then the looks at fewer stops are those at all of them
+        seen = looks(Moments.of(stops), design.alternatives, design.visible)
+        first = min(_first(seen.log_evidence, design.early_alarm), _first(seen.log_valid, design.early_miss)) + 1
+    for count in range(min(first, planned), planned + 1):
+        standing = judged(design, stops.first(count), planned)
+        if standing.sure:
+            break
+    return stops.first(count), standing
+
+
+def _first(values: Array, chance: float) -> int:
+    """The first place where a logarithm is at least that of 1 / ``chance``; the number of values if there is none."""
+    reached = np.flatnonzero(values >= -math.log(chance))
+    return int(reached[0]) if len(reached) else len(values)
+
+
+def _named(design: Design, stops: StopRows) -> bool:
+    """Whether the changes explain the stops, and more stops would not tell them from others that do as well."""
+    found = explain(design, stops)
+    return found.holds and not any(cause.open_rivals for cause in found.causes)

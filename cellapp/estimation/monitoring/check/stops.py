@@ -1,0 +1,138 @@
+"""Which stops show every visible change.
+
+Stops are chosen one after another. Each direction k has the information I_k = b_k^T R^-1 b_k of one step, less what the
+motion of a tracker that was set up anew explains of it; I_k is the non-centrality of its test. A stop is worth by how
+much it lowers sum_k exp(-I_k / s), a smooth form of the least I_k: directions that are shown already weigh little. The
+uncertainty of the calibration is left out: it is a fifth of the noise where the calibration has twenty times the stops.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cellapp.estimation.monitoring.check.alternatives import Direction, directions_of
+from cellapp.estimation.monitoring.check.belief import point_covariance
+from cellapp.estimation.monitoring.check.linear import conditions_now
+from cellapp.estimation.monitoring.check.model import TRACKER, ArmBelief, CheckBelief, ChosenStops, Power
+from cellapp.estimation.monitoring.check.visible import calibration_motions, motions, visibility
+from cellapp.estimation.prior.linear_model import Measured
+from cellapp.estimation.readings import Readings
+from cellapp.robot.kinematics.transforms import Array
+
+NEEDED = 32.0
+"""Non-centrality at which a change is found with 95 % at 1 % false alarms among some hundred correlated directions: the
+square of 4.0 (the corrected quantile) and 1.65 standard errors."""
+_SOFTNESS = 6.0
+"""``s``: a direction with the needed information weighs 1/200 of one with none."""
+_KNOWN = 1e-6
+"""Information on a step of the tracker's motion beside the stops: keeps it solvable while one stop leaves it open."""
+LEAST_INFORMATION = 1e-9
+"""Guards divisions by the information on a direction that the stops do not show at all."""
+
+
+def choose_stops(
+    belief: CheckBelief, candidates: Mapping[str, Array], count: int, *, start: Mapping[str, Array] | None = None
+) -> ChosenStops:
+    """About ``count`` stops of all arms that show the least visible change as well as possible, in order.
+
+    Parameters
+    ----------
+    belief : CheckBelief
+    candidates : mapping
+        Arm -> configurations (n, N) [rad]; row k of all arms is one stop. They must be reachable and visible: the
+        configurations of the calibration's own readings are.
+    count : int
+        Stops to choose, at most n.
+    start : mapping, optional
+        Arm -> configuration (N,) before the first stop [rad]: tells from which side its joints approach it.
+    """
+    directions = directions_of(belief)
+    moved, visible = visibility(belief, directions, calibration_motions(belief, directions))
+    weights = np.where(visible, 1.0, 0.0) if np.any(visible) else np.ones(len(directions))
+    n = len(next(iter(candidates.values())))
+    here = dict(start or {})
+    tracker = [k for k, one in enumerate(directions) if one.arm == TRACKER]
+    G = np.zeros((len(directions), len(directions)))
+    free, order = np.ones(n, dtype=bool), []
+    for _ in range(min(count, n)):
+        white = _whitened(belief, candidates, here, directions)
+        gained = _beside_station(G, white, tracker) if belief.station_free else _added(G, white)
+        scores = np.where(free, -(weights[:, None] * np.exp(-gained / _SOFTNESS)).sum(axis=0), -np.inf)
+        chosen = int(np.argmax(scores))
+        G += white[:, :, chosen] @ white[:, :, chosen].T
+        free[chosen] = False
+        order.append(chosen)
+        here = {name: q[chosen] for name, q in candidates.items()}
+    final = np.diag(G) if not belief.station_free else _projected(G, tracker)
+    power = tuple(
+        Power(
+            arm=one.arm,
+            what=one.what,
+            kind=one.kind,
+            noncentrality=float(final[k]),
+            moved_mm=float(moved[k]) * 1e3,
+            visible=bool(visible[k]),
+            unit=one.unit,
+            detected=one.step * math.sqrt(NEEDED / max(float(final[k]), LEAST_INFORMATION)),
+        )
+        for k, one in enumerate(directions)
+    )
+    return ChosenStops(np.array(order, dtype=np.intp), power, NEEDED)
+
+
+def _whitened(
+    belief: CheckBelief, candidates: Mapping[str, Array], here: Mapping[str, Array], directions: Sequence[Direction]
+) -> Array:
+    """Motions (C, d, n) of both arms at each candidate in units of the noise, approached from ``here``."""
+    readings = {name: _imagined(q, here.get(name)) for name, q in candidates.items()}
+    conditions = conditions_now(belief, readings)
+    found = []
+    for name, its in readings.items():
+        arm = belief.arms[name]
+        measured = Measured(its, conditions[name], np.ones(len(its)))
+        rows = motions(belief, name, measured, directions)
+        found.append(np.einsum("ac,knc->kan", _whitener(arm), rows))
+    return np.concatenate(found, axis=1)
+
+
+def _whitener(arm: ArmBelief) -> Array:
+    """Whitening (3, 3) of a point: by the mean covariance of the calibration's readings."""
+    covariance = np.mean(point_covariance(arm, arm.measured.readings), axis=0)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def _imagined(q: Array, here: Array | None) -> Readings:
+    """Readings at configurations ``q`` (n, N) [rad], each approached from ``here`` (N,)."""
+    step = np.zeros_like(q) if here is None else q - here
+    return Readings(
+        configuration=np.arange(len(q)),
+        time_s=np.full(len(q), np.nan),
+        q=q,
+        approach=np.sign(step).astype(np.int8),
+        step=None if here is None else step,
+        p_M=np.zeros((len(q), 3)),
+    )
+
+
+def _added(G: Array, white: Array) -> Array:
+    """Information (C, n) of each direction after each of n stops with motions ``white`` (C, d, n)."""
+    return np.asarray(np.diag(G)[:, None] + np.einsum("kdn,kdn->kn", white, white))
+
+
+def _projected(G: Array, tracker: Sequence[int]) -> Array:
+    """Information (C,) of each direction beside an unknown tracker, of the information G (C, C) of all together."""
+    own = G[np.ix_(tracker, tracker)] + _KNOWN * np.eye(len(tracker))
+    return np.asarray(np.diag(G) - np.einsum("tk,tk->k", G[tracker], np.linalg.solve(own, G[tracker])))
+
+
+def _beside_station(G: Array, white: Array, tracker: Sequence[int]) -> Array:
+    """``_projected`` (C, n) after each of n stops with motions ``white`` (C, d, n)."""
+    rows = white[tracker]
+    own = G[np.ix_(tracker, tracker)] + _KNOWN * np.eye(len(tracker))
+    own = own + np.einsum("idn,jdn->nij", rows, rows)
+    cross = G[tracker] + np.einsum("idn,kdn->nik", rows, white)
+    lost = np.einsum("nik,nik->kn", cross, np.linalg.solve(own, cross))
+    return np.asarray(_added(G, white) - lost)

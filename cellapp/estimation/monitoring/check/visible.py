@@ -1,0 +1,69 @@
+"""Which changes are visible: how far one step of each direction moves the SMR over the calibration's readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.station_location import twist_columns
+from cellapp.estimation.monitoring.check.alternatives import Direction, centre_of
+from cellapp.estimation.monitoring.check.model import TRACKER, VISIBLE, CheckBelief
+from cellapp.estimation.prior.belief import is_smooth
+from cellapp.estimation.prior.linear_model import Measured, design
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+
+
+def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Direction]) -> Array:
+    """Motion (C, n, 3) [m] of the SMR of an arm at n readings by one step of each direction."""
+    arm = belief.arms[name]
+    model, kept = _without_free_functions(arm.model, len(arm.columns))
+    X = np.zeros((len(arm.covariance), len(measured), 3))
+    X[kept] = design(model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)
+    p_M = model.predict(measured.readings.q, conditions=measured.conditions)
+    station = twist_columns(p_M - centre_of(belief)).transpose(2, 0, 1)
+    found = np.zeros((len(directions), len(measured), 3))
+    for k, one in enumerate(directions):
+        if one.arm == name:
+            found[k] = one.row_of(X)
+        elif one.arm == TRACKER:
+            found[k] = one.row_of(station)
+    return found
+
+
+def _without_free_functions(model: ArmModel, geometric: int) -> tuple[ArmModel, NDArray[np.bool_]]:
+    """The model with its laws alone, and which of its parameters these are.
+
+    Free functions have hundreds of values, none of which is a direction of its own; they turn the joints by some 0.1
+    mrad, which changes no motion by a thousandth.
+    """
+    kept = np.concatenate([np.full(geometric, True), *(np.full(len(t.names), not is_smooth(t)) for t in model.effects)])
+    return replace(model, effects=tuple(term for term in model.effects if not is_smooth(term))), kept
+
+
+def calibration_motions(belief: CheckBelief, directions: Sequence[Direction]) -> dict[str, Array]:
+    """Arm -> ``motions`` at the readings of the calibration."""
+    return {name: motions(belief, name, arm.measured, directions) for name, arm in belief.arms.items()}
+
+
+def visibility(
+    belief: CheckBelief, directions: Sequence[Direction], moved: Mapping[str, Array]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Rms motion (C,) [m] of the SMR by one step of each direction, and which are visible.
+
+    The motion of the tracker that follows it best is taken off, see ``check.model``; its own is taken as it is,
+    and is no change where it was set up anew. ``moved`` are the motions at the calibration's readings.
+    """
+    rows = np.concatenate([moved[name].reshape(len(directions), -1) for name in belief.arms], axis=1)
+    own = np.array([one.arm == TRACKER for one in directions])
+    basis = np.linalg.qr(rows[own].T)[0]
+    left = np.where(own[:, None], rows, rows - (rows @ basis) @ basis.T)
+    counts = {name: len(arm.measured) for name, arm in belief.arms.items()}
+    noise = {name: arm.noise_m for name, arm in belief.arms.items()}
+    counts[TRACKER], noise[TRACKER] = sum(counts.values()), max(noise.values())
+    rms = np.sqrt(np.sum(left**2, axis=1) / np.array([counts[one.arm] for one in directions]))
+    visible = rms >= VISIBLE * np.array([noise[one.arm] for one in directions])
+    return rms, visible & ~(own & belief.station_free)

@@ -1,0 +1,192 @@
+"""A calibration of a cell, with earlier calibrations of its arms as prior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
+from cellapp.estimation.calibration.evaluation import evaluate
+from cellapp.estimation.calibration.gross_errors import gross_errors, without
+from cellapp.estimation.calibration.identification import Identification
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.pair_calibration import calibrate_pair
+from cellapp.estimation.calibration.parameters import ParameterSet, determined_set
+from cellapp.estimation.calibration.records import ArmPriorResult
+from cellapp.estimation.discovery.joint_fit import mean_variance
+from cellapp.estimation.prior.belief import geometry_sizes, is_smooth
+from cellapp.estimation.prior.earlier import Earlier
+from cellapp.estimation.prior.posterior import Posterior
+from cellapp.estimation.prior.update import Updated, first_model, update
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.posterior import PosteriorDraws
+
+_DRAW_SEED = 0x51D2
+"""Beside the profile's seed: the draws of parameters are then independent of all other draws."""
+
+
+@dataclass(frozen=True)
+class _PairArm:
+    """An arm for the calibration of the pair with the earlier calibrations."""
+
+    model: ArmModel
+    tracker_frame_network: None = None
+
+
+def with_prior(
+    profile: Profile, readings: Mapping[str, Readings], calibration: Calibration, earlier: Mapping[str, Earlier]
+) -> Calibration:
+    """The calibration with the arms in ``earlier`` calibrated again with their prior, and the pair with them."""
+    models = {name: arm.model for name, arm in calibration.arms.items()}
+    conditions = conditions_of_arms(models, readings)
+    arms, notes = dict(calibration.arms), list(calibration.notes)
+    for name, its in earlier.items():
+        arms[name] = _calibrated(profile, name, readings[name], conditions[name], arms[name], its)
+        notes += its.notes
+        prior = arms[name].prior
+        notes += [] if prior is None else [f"arm '{name}': {change.sentence}" for change in prior.changes]
+        if prior is not None and not any(part.used for part in prior.parts.values()):
+            notes.append(f"arm '{name}': the readings contradict {its.run}; nothing of it was used")
+    notes += [
+        f"arm '{name}': no earlier calibration; calibrated from these readings alone"
+        for name in arms
+        if name not in earlier
+    ]
+    pair = calibration.pair
+    good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
+    with_effects, _ = calibrate_pair(profile, good, {name: _PairArm(arm.model) for name, arm in arms.items()})
+    if pair is not None and with_effects is not None:
+        pair = replace(pair, methods={**pair.methods, **with_effects.methods})
+    model = replace(
+        calibration.model,
+        arms={name: arm.model for name, arm in arms.items()},
+        T_R_L=None if pair is None else pair.T_R_L,
+    )
+    return replace(calibration, model=model, arms=arms, pair=pair, notes=tuple(notes))
+
+
+def learned(
+    profile: Profile, name: str, readings: Readings, conditions: MeasurementConditions, earlier: Earlier
+) -> tuple[Readings, MeasurementConditions]:
+    """The readings that are learned from: of the identify and train splits, without gross errors."""
+    rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")]).astype(np.intp)
+    some, its = readings.take(rows), conditions.take(rows)
+    model = first_model(profile, name, some, its, earlier.belief)
+    good = ~gross_errors(some.p_M - model.predict(some.q, conditions=its))
+    return some.take(good), its.take(good)
+
+
+def updated_arm(
+    profile: Profile, name: str, readings: Readings, conditions: MeasurementConditions, earlier: Earlier
+) -> Updated:
+    """One arm with its earlier calibration as prior, from the readings that are learned from."""
+    learn, its = learned(profile, name, readings, conditions, earlier)
+    return update(profile, name, learn, its, earlier.belief, earlier.since)
+
+
+def _calibrated(
+    profile: Profile,
+    name: str,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    alone: ArmCalibration,
+    earlier: Earlier,
+) -> ArmCalibration:
+    outcome = updated_arm(profile, name, readings, conditions, earlier)
+    if not outcome.used:
+        return replace(alone, prior=prior_result(name, earlier, outcome))
+    model = stated_model(outcome.found, profile.seed)
+    rows = readings.in_split("validate")
+    rows = rows[~np.isin(readings.configuration[rows], alone.left_out)]
+    held_out, its = readings.take(rows), conditions.take(rows)
+    return replace(
+        alone,
+        model=model,
+        identification=_identification(profile, alone.identification, outcome.found),
+        validate={**alone.validate, "effects": evaluate(held_out.p_M, model.predict(held_out.q, conditions=its))},
+        prior=prior_result(name, earlier, outcome),
+    )
+
+
+def prior_result(name: str, earlier: Earlier, outcome: Updated) -> ArmPriorResult:
+    """What is stored of a prior and of what was found with it."""
+    return ArmPriorResult(
+        run=str(earlier.run),
+        arm=name,
+        stage=earlier.stage,
+        since=earlier.since,
+        sha256=earlier.digest,
+        readings=earlier.readings,
+        controller=earlier.controller,
+        parts=outcome.parts,
+        effects=tuple(dict.fromkeys(term.slug for term in earlier.belief.terms)),
+        left_behind=earlier.left_behind,
+        scatter_mm=outcome.scatter_m * 1e3,
+        tested=outcome.tested,
+        changes=outcome.changes,
+    )
+
+
+def stated_model(found: Posterior, seed: int) -> ArmModel:
+    """The model of a posterior with standard errors, covariance and draws."""
+    model, count = found.model, len(found.prior.columns)
+    errors = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    names = list(ParameterSet("", model.geometry.joints, found.prior.columns).names)
+    kept, first, effects = list(range(count)), count, []
+    for term in model.effects:
+        here = slice(first, first + len(term.names))
+        effects.append(replace(term, standard_errors=errors[here]))
+        if not is_smooth(term):
+            kept += range(here.start, here.start + len(term.law_names))
+            names += term.law_names
+        first = here.stop
+    draws = PosteriorDraws.of_covariance(
+        columns=found.prior.columns,
+        sizes=[len(term.names) for term in model.effects],
+        covariance=found.covariance,
+        noise_m=math.sqrt(mean_variance(found.measured.sigma)),
+        seed=(seed, _DRAW_SEED),
+    )
+    return replace(
+        model,
+        effects=tuple(effects),
+        identified=tuple(names),
+        covariance=found.covariance[np.ix_(kept, kept)],
+        posterior=draws,
+    )
+
+
+def _identification(profile: Profile, alone: Identification, found: Posterior) -> Identification:
+    """The identification whose table states the values that follow with the prior."""
+    columns, joints = found.prior.columns, found.model.geometry.joints
+    count = len(columns)
+    covariance = found.covariance[:count, :count]
+    size = geometry_sizes(profile, found.model, columns)
+    scale = np.sqrt(np.diag(covariance))
+    information = np.linalg.pinv(covariance / scale / scale[:, None], hermitian=True) / scale / scale[:, None]
+    information = information - np.diag(1.0 / size**2)
+    estimated = ParameterSet(alone.estimated.name, joints, columns)
+    chosen = determined_set(estimated, information, size)
+    to_table, kept = chosen.from_estimated(estimated)
+    in_table: Array = to_table @ covariance @ to_table.T
+    reference = found.prior.reference.vector()[list(columns)]
+    return replace(
+        alone,
+        geometry=found.model.geometry,
+        estimated=estimated,
+        estimated_covariance=covariance,
+        parameter_set=chosen,
+        names=chosen.names,
+        units=chosen.units,
+        values=reference[kept] + to_table @ found.values[:count],
+        standard_errors=np.sqrt(np.diag(in_table)),
+        covariance=in_table,
+        residuals=found.left_M,
+    )

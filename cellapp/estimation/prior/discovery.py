@@ -1,0 +1,103 @@
+"""Discovery on arms that were calibrated with an earlier calibration as prior: what has come beside what was known.
+
+The search sees the readings without the effects that were carried over, at the true joint positions, and the D-H rows
+with the belief as prior. What it finds is then fitted together with all that was carried over, under the whole prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.discovery.held_out import HeldOut
+from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.prior.calibrate import learned, stated_model
+from cellapp.estimation.prior.earlier import Earlier
+from cellapp.estimation.prior.update import update
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Report, ignore_report
+from cellapp.robot.effects import EFFECTS, MeasurementConditions, place_in_words
+from cellapp.robot.model import ArmModel
+
+_SEARCHES = 2
+"""Searches where the first one finds something: the values that were carried over had to make up for it before."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchWithPriors:
+    """``discover_arm`` that keeps the earlier calibrations of some arms."""
+
+    earlier: Mapping[str, Earlier]
+
+    def __call__(
+        self,
+        profile: Profile,
+        name: str,
+        model: ArmModel,
+        readings: Readings,
+        cancel: CancelToken | None = None,
+        *,
+        conditions: MeasurementConditions,
+        report: Report = ignore_report,
+    ) -> Discovery:
+        """Search one arm; ``model`` is the calibrated one."""
+        its = self.earlier.get(name)
+        if its is None:
+            return discover_arm(profile, name, model, readings, cancel, conditions=conditions, report=report)
+        learn = learned(profile, name, readings, conditions, its)
+        if not update(profile, name, *learn, its.belief, its.since).used:
+            return discover_arm(profile, name, model, readings, cancel, conditions=conditions, report=report)
+        final, terms = model, model.effects[:0]
+        for _ in range(_SEARCHES):
+            belief = update(profile, name, *learn, its.belief, its.since, terms).belief
+            known = replace(final, effects=final.effects[: len(belief.terms)])
+            found = discover_arm(
+                profile,
+                name,
+                replace(known, effects=(), network=None, posterior=None, nominal=belief.geometry(model.nominal)),
+                without_effects(known, readings, conditions),
+                cancel,
+                conditions=conditions,
+                report=report,
+                prior_sigma=belief.sigma(),
+            )
+            terms = tuple(effect.term for effect in found.accepted)
+            if not terms:
+                final = model
+                break
+            final = stated_model(update(profile, name, *learn, its.belief, its.since, terms).found, profile.seed)
+        return _with_final_model(found, final, its, HeldOut.of(readings, conditions))
+
+
+def _with_final_model(found: Discovery, final: ArmModel, earlier: Earlier, held_out: HeldOut) -> Discovery:
+    """The outcome of a search with the model that holds all that was carried over."""
+    return replace(
+        found,
+        sentence=f"{found.sentence}; {since_words(earlier, found)}",
+        model=final,
+        after=held_out.position_mm(final),
+        stage=held_out.evaluate(final),
+        uncertainty_mm=held_out.predicted_uncertainty_mm(final),
+    )
+
+
+def since_words(earlier: Earlier, found: Discovery) -> str:
+    """What was carried over, and which effects of the arm itself have appeared since."""
+    carried = list(dict.fromkeys(EFFECTS[term.slug].title for term in earlier.belief.terms))
+    appeared = [
+        f"{EFFECTS[effect.term.slug].title} of {place_in_words(effect.acts_on)} has appeared"
+        for effect in found.accepted
+        if EFFECTS[effect.term.slug].arm_bound
+    ]
+    said = [f"carried over: geometry{''.join(f', {title}' for title in carried)}"]
+    return "; ".join([*said, *(f"{words} since {earlier.since}" for words in appeared)])
+
+
+def without_effects(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> Readings:
+    """The readings at the true joint positions and without the shifts of a model's effects."""
+    moved = model.effect_displacement(readings.q, conditions=conditions)
+    return replace(readings, q=readings.q + moved.joints, p_M=readings.p_M - np.asarray(moved.shift_M))

@@ -1,0 +1,187 @@
+"""How far a belief about an arm holds for new readings, judged by their marginal likelihood.
+
+With X the derivatives of the readings by all parameters, y what the belief's mean leaves of them, S the belief's
+covariance, D the variances of changes since, R the readings' own covariance:
+
+    y ~ N(F b, K),    K = X (S + D) X^T + R,    b free (base and tool).
+
+The likelihood is that of the components of y in the complement of F (Patterson, Thompson, Biometrika 58 (1971) 545).
+Changes are of two kinds: a drift of all parameters of a part, one size each, and jumps of a few parameters, which have
+causes of their own. The drifts and the scatter of the readings maximise the likelihood; a jump is accepted if it gains
+more than chance explains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, qr
+from scipy.optimize import minimize
+
+from cellapp.estimation.calibration.records import SignaturePart
+from cellapp.robot.kinematics.transforms import Array
+
+_NO_DRIFT = 1e-7
+"""Least drift: of geometry [m, rad]; of effects and curves times their size, where it is below all effects."""
+_MOST_DRIFT: Mapping[SignaturePart, float] = {"geometry": 5e-3, "effects": 0.1, "curves": 3.0}
+"""Largest drift in the same units. Then nothing is believed of geometry and curves. A stiffness or a play that changes
+by more than a tenth has a cause of its own: a jump, which names it; a drift of so few values would hide it."""
+_FIRST_DRIFT: Mapping[SignaturePart, float] = {"geometry": 1e-5, "effects": 0.02, "curves": 0.02}
+"""Where the search for the drifts begins: metals of an arm grow by some 10 um with a degree."""
+_SCATTER_M = (1e-7, 1e-2)
+"""Least and largest scatter of a coordinate beyond what is stated [m]."""
+_EVALUATIONS = 160
+"""Evaluations of the likelihood for two to four numbers; it settles after some 80."""
+_DEPENDENT = 1e-9
+"""Share of the largest pivot below which a column of base and tool depends on the others."""
+_TOLERANCE = 0.01
+"""Change of the log likelihood, and of the logarithm of a drift, below which the search ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Parameters that may have jumped together, with a standard deviation each; ``what`` tells them from others."""
+
+    what: str
+    places: NDArray[np.intp]
+    sd: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Drifts:
+    """Sizes of changes of all parameters of each part, the readings' scatter [m], and the log likelihood there."""
+
+    of_parts: Mapping[SignaturePart, float]
+    scatter_m: float
+    log_likelihood: float
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Estimated change (r,) of a candidate's parameters, its covariance, and the gain of the log likelihood."""
+
+    values: Array
+    covariance: Array
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """The linear model of new readings in the complement of base and tool.
+
+    Attributes
+    ----------
+    left : array, shape (d,)
+        What the mean of the belief leaves of the readings.
+    rows : array, shape (p, d)
+        Derivatives by the arm's own parameters.
+    believed : array, shape (d, d)
+        ``X S X^T``.
+    stated : array, shape (d, d)
+        Stated covariance of the readings [m^2], zero where none is stated.
+    drift : mapping
+        Part -> ``X U X^T`` (d, d), U the squares of the parameters' units of drift.
+    """
+
+    left: Array
+    rows: Array
+    believed: Array
+    stated: Array
+    drift: Mapping[SignaturePart, Array]
+
+    def jumped(self, candidate: Candidate) -> Evidence:
+        """The same after a jump of some parameters is taken as possible."""
+        rows = self.rows[candidate.places] * candidate.sd[:, None]
+        return replace(self, believed=self.believed + rows.T @ rows)
+
+    def covariance(self, drifts: Mapping[SignaturePart, float], scatter_m: float) -> Array:
+        """K (d, d) [m^2]."""
+        K = self.believed + self.stated
+        for part, size in drifts.items():
+            K = K + size**2 * self.drift[part]
+        K.flat[:: len(K) + 1] += scatter_m**2
+        return K
+
+    def log_likelihood(self, drifts: Mapping[SignaturePart, float], scatter_m: float) -> float:
+        """Log of the marginal likelihood, without the constants."""
+        factor, lower = cho_factor(self.covariance(drifts, scatter_m), lower=True, check_finite=False)
+        solved = cho_solve((factor, lower), self.left, check_finite=False)
+        return float(-0.5 * self.left @ solved - np.sum(np.log(np.diag(factor))))
+
+    def drifts(self, start: Drifts | None = None) -> Drifts:
+        """The drifts and the scatter of the greatest likelihood, searched from ``start``."""
+        parts = list(self.drift)
+        bounds = [
+            *((math.log(_NO_DRIFT), math.log(_MOST_DRIFT[part])) for part in parts),
+            (math.log(_SCATTER_M[0]), math.log(_SCATTER_M[1])),
+        ]
+
+        def loss(x: Array) -> float:
+            inside = np.clip(x, [low for low, _ in bounds], [high for _, high in bounds])
+            sizes = np.exp(inside).tolist()
+            return -self.log_likelihood(dict(zip(parts, sizes[:-1], strict=True)), sizes[-1])
+
+        first = [_FIRST_DRIFT[part] for part in parts] if start is None else [start.of_parts[part] for part in parts]
+        scatter = 2e-5 if start is None else start.scatter_m
+        x0 = np.log(np.array([*first, scatter]))
+        simplex = np.vstack([x0, x0 + 1.5 * np.eye(len(x0))])
+        options = {"maxfev": _EVALUATIONS, "xatol": _TOLERANCE, "fatol": _TOLERANCE, "initial_simplex": simplex}
+        found = minimize(loss, x0, method="Nelder-Mead", bounds=bounds, options=options)
+        sizes = np.exp(found.x).tolist()
+        return Drifts(dict(zip(parts, sizes[:-1], strict=True)), sizes[-1], -float(found.fun))
+
+    def estimates(self, drifts: Drifts, candidates: list[Candidate]) -> list[Estimate]:
+        """What each candidate's jump would be, and by how much it raises the log likelihood."""
+        K = self.covariance(drifts.of_parts, drifts.scatter_m)
+        factor = cho_factor(K, lower=True, check_finite=False)
+        solved = cho_solve(factor, self.rows.T, check_finite=False)
+        moment = solved.T @ self.left
+        found = []
+        for one in candidates:
+            S = self.rows[one.places] @ solved[:, one.places]
+            scaled = S * one.sd * one.sd[:, None]
+            b = moment[one.places] * one.sd
+            inner = np.eye(len(b)) + scaled
+            values = np.linalg.solve(inner, b)
+            gain = 0.5 * float(b @ values) - 0.5 * float(np.linalg.slogdet(inner)[1])
+            covariance = np.linalg.inv(inner) * one.sd * one.sd[:, None]
+            found.append(Estimate(values * one.sd, covariance, gain))
+        return found
+
+
+def evidence(
+    free: Array, own: Array, left: Array, covariance: Array, stated: Array, units: Mapping[SignaturePart, Array]
+) -> Evidence:
+    """The linear model behind what is free.
+
+    Parameters
+    ----------
+    free : array, shape (f, 3 n)
+        Derivatives by base and tool.
+    own : array, shape (p, 3 n)
+        By the arm's own parameters.
+    left : array, shape (3 n,)
+        What the mean of the belief leaves of the readings [m], at any base and tool.
+    covariance : array, shape (p, p)
+        Of the belief.
+    stated : array, shape (3 n, 3 n)
+        Of the readings [m^2].
+    units : mapping
+        Part -> unit of drift (p,) of each parameter, zero outside the part.
+    """
+    scale = 1.0 / np.maximum(np.linalg.norm(free, axis=1), 1e-300)
+    Q, R, _ = qr((free * scale[:, None]).T, pivoting=True)
+    pivots = np.abs(np.diag(R))
+    Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
+    rows = own @ Z
+    return Evidence(
+        left=Z.T @ left,
+        rows=rows,
+        believed=rows.T @ covariance @ rows,
+        stated=Z.T @ stated @ Z,
+        drift={part: (rows * unit[:, None] ** 2).T @ rows for part, unit in units.items()},
+    )

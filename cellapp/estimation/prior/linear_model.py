@@ -1,0 +1,122 @@
+"""Normal matrix of an arm's geometry and effects over its readings, gathered over chunks of them.
+
+With W the whitening of a reading and J, A its derivatives by geometric parameters and by those of the effects, the rows
+are W [J, A]. Values are deviations from a reference: geometric parameters from those of ``reference``, effects from 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.weights import whitener
+from cellapp.estimation.discovery.joint_fit import LinearModel
+from cellapp.estimation.readings import Readings
+from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, MeasurementConditions
+from cellapp.robot.effects.modulation import with_modulations
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+
+_CHUNK = 512
+"""Readings at once: 1500 columns of them take 18 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Readings of one arm, their conditions, and the uncertainty (n,) [m] or (n, 3, 3) [m^2] that weighs them."""
+
+    readings: Readings
+    conditions: MeasurementConditions
+    sigma: Array
+
+    def __len__(self) -> int:
+        return len(self.readings)
+
+    def take(self, rows: NDArray[np.intp]) -> Measured:
+        """Some of the readings."""
+        return Measured(self.readings.take(rows), self.conditions.take(rows), self.sigma[rows])
+
+    def chunks(self) -> Iterator[Measured]:
+        """The readings in parts."""
+        for first in range(0, len(self), _CHUNK):
+            yield self.take(np.arange(first, min(first + _CHUNK, len(self)), dtype=np.intp))
+
+    def left(self, model: ArmModel) -> Array:
+        """Measured less predicted positions (n, 3) [m]."""
+        return self.readings.p_M - model.predict(self.readings.q, conditions=self.conditions)
+
+
+@dataclass(frozen=True, eq=False)
+class NormalMatrix:
+    """``X^T X`` (p, p), ``X^T y`` (p,) and ``y^T y`` of n whitened coordinates; y is measured less the reference.
+
+    ``log_variance`` is the sum of the logarithms of the coordinates' variances.
+    """
+
+    gram: Array
+    moment: Array
+    square: float
+    coordinates: int
+    log_variance: float
+
+
+def term_columns(model: ArmModel, measured: Measured) -> list[EffectColumn]:
+    """Columns of all effects of a model, in the order of their values, at the true joint positions."""
+    q, conditions = measured.readings.q, measured.conditions
+    actual = model.true_joints(q, conditions=conditions) if model.effects else None
+    context = replace(model.context(q, conditions=conditions), q_actual=actual)
+    found: list[EffectColumn] = []
+    for term in model.effects:
+        of_law = EFFECTS[term.slug].columns(context, term.law, frozenset(term.law_names))
+        by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
+        found += [by_name[name] for name in term.names]
+    return found
+
+
+def design(model: ArmModel, measured: Measured, columns: tuple[int, ...]) -> Array:
+    """Whitened derivatives (p, 3 n) by the geometric parameters ``columns`` and by the values of all effects."""
+    white = whitener(measured.sigma)
+    if white.ndim == 1:
+        white = np.eye(3)[:, :, None] * white
+    return LinearModel.of(model.geometry, measured.readings.q, white, columns, term_columns(model, measured)).rows
+
+
+def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...], reference: Geometry) -> NormalMatrix:
+    """Gathered over all readings, linearised at ``model``."""
+    deviation = values_of(model.geometry, model.effects, columns, reference)
+    total = len(deviation)
+    gram, moment, square, log_variance = np.zeros((total, total)), np.zeros(total), 0.0, 0.0
+    for chunk in measured.chunks():
+        white = whitener(chunk.sigma)
+        if white.ndim == 1:
+            white = np.eye(3)[:, :, None] * white
+        rows = design(model, chunk, columns)
+        target = np.einsum("acn,nc->an", white, chunk.left(model)).ravel() + deviation @ rows
+        gram += rows @ rows.T
+        moment += rows @ target
+        square += float(target @ target)
+        log_variance -= 2.0 * float(np.sum(np.log(np.einsum("aan->an", white))))
+    return NormalMatrix(gram, moment, square, 3 * len(measured), log_variance)
+
+
+def values_of(geometry: Geometry, terms: Sequence[EffectTerm], columns: tuple[int, ...], reference: Geometry) -> Array:
+    """Deviations (p,) of geometric parameters from ``reference``, then the effects' values."""
+    places = list(columns)
+    of_geometry = geometry.vector()[places] - reference.vector()[places]
+    return np.concatenate([of_geometry, *(term.values for term in terms)])
+
+
+def with_values(model: ArmModel, columns: tuple[int, ...], reference: Geometry, values: Array) -> ArmModel:
+    """The model at ``values`` (p,), see ``values_of``; the reverse of that."""
+    vector = model.geometry.vector()
+    vector[list(columns)] = reference.vector()[list(columns)] + values[: len(columns)]
+    first = len(columns)
+    terms = []
+    for term in model.effects:
+        terms.append(replace(term, values=values[first : first + len(term.values)]))
+        first += len(term.values)
+    return replace(model, geometry=model.geometry.with_vector(vector), effects=tuple(terms))

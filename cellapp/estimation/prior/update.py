@@ -1,0 +1,223 @@
+"""An arm calibrated again with its earlier calibration as prior.
+
+1. The earlier calibration becomes a belief about the arm's own parameters (``belief``). The likelihood of the new
+   readings decides which parts of it are used.
+2. Drifts of these parts and the scatter of the new readings maximise the likelihood of these (``evidence``).
+3. Jumps of single parameters, effects or curves are added one after another while one is proven (``changes``).
+4. Geometry, effects, base and tool follow from the new readings and the belief, widened by drifts and jumps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.records import PartDrift, SignatureChange, SignaturePart
+from cellapp.estimation.prior.belief import Belief, is_own, sizes
+from cellapp.estimation.prior.changes import SURE, alike, candidates, change_of
+from cellapp.estimation.prior.evidence import Drifts, Evidence, evidence
+from cellapp.estimation.prior.linear_model import Measured, design, term_columns
+from cellapp.estimation.prior.posterior import Posterior, posterior
+from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import EffectTerm, MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm, up_in_tracker
+
+_MOST_CHANGES = 10
+"""Jumps at most: all joints of an arm may have got new gears."""
+_MOST_READINGS = 300
+"""Readings that judge drifts and jumps at most: the cost grows with the cube, and a few hundred show them."""
+_FEW_READINGS = 100
+"""Readings that judge at most which parts are believed at all: a part that is wrong contradicts most of them."""
+_SUBSET_SEED = 0x51A7
+"""Beside the profile's seed: the draw of these readings is then independent of all other draws."""
+_PARTS: tuple[tuple[SignaturePart, ...], ...] = (
+    ("geometry", "effects", "curves"),
+    ("geometry", "curves"),
+    ("geometry",),
+)
+"""Parts that may be believed together. Curves go with the geometry they were found with; named effects may be wrong."""
+_BELIEVED = 0.5
+"""Drift beyond this share of what the parameters may be at all counts as a part that is not believed."""
+_GEOMETRY_UNIT = "m, rad"
+_SHARE_UNIT = "of their size"
+
+
+@dataclass(frozen=True, eq=False)
+class Updated:
+    """The outcome: the belief as it was used, the posterior, and what is said about both."""
+
+    belief: Belief
+    found: Posterior
+    parts: Mapping[SignaturePart, PartDrift]
+    changes: tuple[SignatureChange, ...]
+    tested: int
+    scatter_m: float
+
+    @property
+    def used(self) -> bool:
+        """Whether anything of the earlier calibration was believed."""
+        return not self.belief.is_forgotten
+
+
+def first_model(
+    profile: Profile, name: str, readings: Readings, conditions: MeasurementConditions, belief: Belief
+) -> ArmModel:
+    """The arm as it was believed, its base and tool fitted to the new readings."""
+    arm = profile.arms[name]
+    nominal = nominal_arm(arm)
+    unknown = arm.smr.offset == "unknown"
+    model = ArmModel(
+        geometry=nominal,
+        nominal=start_from_nominal(nominal, readings.q, readings.p_M, tool_unknown=unknown),
+        bodies=bodies_of(arm),
+        up_M=up_in_tracker(profile),
+        effects=belief.terms,
+        smr_normal=np.array(arm.smr.normal, dtype=np.float64),
+    )
+    believed = belief.geometry(nominal)
+    model = replace(model, geometry=believed.with_T_M_B(model.nominal.T_M_B()))
+    true_q = model.true_joints(readings.q, conditions=conditions)
+    return replace(model, geometry=start_from_nominal(believed, true_q, readings.p_M, tool_unknown=True))
+
+
+def update(
+    profile: Profile,
+    name: str,
+    readings: Readings,
+    conditions: MeasurementConditions,
+    belief: Belief,
+    since: str,
+    further: Sequence[EffectTerm] = (),
+) -> Updated:
+    """The arm from ``readings`` and the ``belief``; ``further`` effects have the priors of their laws alone.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If readings are not finite.
+    """
+    measured = Measured(readings, conditions, np.ones(len(readings)))
+    supported = _supported(profile, name, measured, belief)
+    model = first_model(profile, name, readings, conditions, supported)
+    judged = measured.take(_subset(profile, len(readings), _MOST_READINGS))
+    changed, drifts, changes, tested = _changed(supported, model, judged, since)
+    first = len(sizes(profile, model, measured))
+    model = replace(model, effects=(*model.effects, *further))
+    found = posterior(
+        model, readings, conditions, changed.prior(model.nominal, sizes(profile, model, measured)[first:])
+    )
+    parts = {part: _part(belief, part, drifts.of_parts.get(part)) for part in dict.fromkeys(belief.parts)}
+    return Updated(changed, found, parts, tuple(changes), tested, drifts.scatter_m)
+
+
+def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) -> Belief:
+    """The belief about those parts with which the readings are likeliest; without any, what was known at first."""
+    some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
+    kept: tuple[tuple[SignaturePart, ...], ...] = (
+        ("geometry", "effects", "curves"),
+        ("geometry", "curves"),
+        ("geometry",),
+    )
+    alternatives = {len(one.mean): one for parts in kept for one in [belief.restricted(parts)]}
+    found = []
+    for one in (*alternatives.values(), belief.forgotten()):
+        model = first_model(profile, name, some.readings, some.conditions, one)
+        problem = _evidence(one, model, some)
+        if one.is_forgotten:
+            problem = replace(problem, drift={})
+        drifts = problem.drifts()
+        found.append((drifts.log_likelihood - len(drifts.of_parts), one))
+    return max(found, key=lambda pair: pair[0])[1]
+
+
+def _changed(
+    belief: Belief, model: ArmModel, judged: Measured, since: str
+) -> tuple[Belief, Drifts, list[SignatureChange], int]:
+    """The belief widened by drifts and proven jumps, these, and the number of jumps that were tested."""
+    problem = _evidence(belief, model, judged)
+    if belief.is_forgotten:
+        problem = replace(problem, drift={})
+        return belief, problem.drifts(), [], 0
+    columns = term_columns(model, judged)
+    left = candidates(belief, columns)
+    tested, needed = len(left), SURE + math.log(max(len(left), 1))
+    drifts = problem.drifts()
+    variance = np.zeros(len(belief.mean))
+    changes: list[SignatureChange] = []
+    while len(changes) < _MOST_CHANGES and left:
+        estimates = problem.estimates(drifts, left)
+        best = int(np.argmax([one.gain for one in estimates]))
+        chosen = left[best]
+        jumped = problem.jumped(chosen)
+        after = jumped.drifts(drifts)
+        if after.log_likelihood - drifts.log_likelihood < needed:
+            break
+        # the drifts shrink once the jump is allowed for: judge it beside them
+        again = problem.estimates(after, left)
+        rows = problem.rows[chosen.places]
+        changes.append(change_of(belief, chosen, again[best], rows, alike(left, again, best), since, tested))
+        variance[chosen.places] += chosen.sd**2
+        left = left[:best] + left[best + 1 :]
+        problem, drifts = jumped, after
+    for part, size in drifts.of_parts.items():
+        variance += size**2 * _units(belief, part) ** 2
+    return belief.widened(variance), drifts, changes, tested
+
+
+def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> Evidence:
+    joints = model.geometry.joints
+    free = tuple(column for column in range(9 + 5 * joints) if not is_own(column, joints))
+    rows = design(model, judged, (*free, *belief.columns))
+    return evidence(
+        free=rows[: len(free)],
+        own=rows[len(free) :],
+        left=judged.left(model).T.ravel(),
+        covariance=belief.covariance,
+        stated=_covariance_matrix(stated_uncertainty(judged.readings), len(judged)),
+        units={part: _units(belief, part) for part in dict.fromkeys(belief.parts)},
+    )
+
+
+def _covariance_matrix(stated: Array | None, count: int) -> Array:
+    """Stated uncertainty as a matrix (3 n, 3 n) [m^2], coordinates first."""
+    whole = np.zeros((3, count, 3, count))
+    if stated is not None:
+        blocks = stated[:, None, None] ** 2 * np.eye(3) if stated.ndim == 1 else stated
+        rows = np.arange(count)
+        for a in range(3):
+            for b in range(3):
+                whole[a, rows, b, rows] = blocks[:, a, b]
+    return whole.reshape(3 * count, 3 * count)
+
+
+def _units(belief: Belief, part: SignaturePart) -> Array:
+    """Unit of drift (p,) of each parameter of a part: 1 m or rad of the geometry, its size of an effect."""
+    units, places = np.zeros(len(belief.mean)), belief.places(part)
+    units[places] = 1.0 if part == "geometry" else belief.jump_sd[places]
+    return units
+
+
+def _part(belief: Belief, part: SignaturePart, drift: float | None) -> PartDrift:
+    places = belief.places(part)
+    size = float(np.sqrt(np.mean(belief.jump_sd[places] ** 2))) if part == "geometry" else 1.0
+    return PartDrift(
+        parameters=len(places),
+        drift=drift,
+        unit=_GEOMETRY_UNIT if part == "geometry" else _SHARE_UNIT,
+        used=drift is not None and drift < _BELIEVED * size,
+    )
+
+
+def _subset(profile: Profile, count: int, most: int) -> NDArray[np.intp]:
+    if count <= most:
+        return np.arange(count, dtype=np.intp)
+    generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
+    return np.sort(generator.permutation(count)[:most]).astype(np.intp)

@@ -1,0 +1,302 @@
+"""The columns of a reading, in one table: names, units, shapes, checks.
+
+The SQL schema, the rows of the run file, CSV import and export and the conversion of one ``Reading`` into ``Readings``
+are made from ``COLUMNS``. A new quantity is one entry here and one attribute of ``Reading`` and ``Readings``.
+
+Besides these columns, a row has the name of its arm and ``extras``: unknown columns of an imported file, kept as text.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.ground.units import first_in_degrees
+
+Shape = Literal["scalar", "joints", "point", "symmetric"]
+Values: TypeAlias = NDArray[Any] | tuple[str | None, ...]
+"""One column of n readings: an array of n rows, or n texts."""
+
+SPLITS = ("identify", "train", "validate")
+
+_UPPER = np.triu_indices(3)
+_VARIANCES = [0, 3, 5]
+"""Places of the variances among the six numbers of an upper triangle."""
+_FURTHEST_M = 100.0
+"""No laser tracker measures beyond 80 m (Leica AT960); a larger coordinate is not in metres."""
+_LEAST_SIGMA_M, _LARGEST_SIGMA_M = 1e-10, 1.0
+"""Standard uncertainties of points that instruments state [m]; beyond these their squares lose all meaning."""
+_REVOLUTION = 2.0 * math.pi
+_LONGEST_S = 1e11
+"""Seconds; clocks that count from 1970 are below 1e10."""
+_SINGULAR = 1e-14
+"""Least eigenvalue of a correlation matrix that counts as positive: some ten times the rounding of its entries."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An implausible value: its row, its place among the column's CSV names (None: all of them), what was expected."""
+
+    row: int
+    place: int | None
+    text: str
+
+
+@dataclass(frozen=True)
+class Column:
+    """One quantity of a reading.
+
+    Attributes
+    ----------
+    name : str
+        Attribute of ``Reading`` and ``Readings``.
+    unit : str
+        SI unit, or "" for a number or word without one.
+    csv : tuple of str
+        Names in a CSV file; of a quantity per joint the stem, to which the joint's number is appended.
+    shape : str
+        Of one reading's value: ``scalar`` (), ``joints`` (N,), ``point`` (3,), ``symmetric`` (3, 3).
+    dtype : type
+        np.float64, np.int64, np.int8 or str.
+    sql : str
+        Name in the run file.
+    required : bool
+        Whether every reading has it.
+    fill : float, optional
+        Value of missing entries in a column that is always there. Without it a column is None where no reading has a
+        value, and NaN stands in single readings without one.
+    allowed : tuple, optional
+        The only values (besides a missing one) that are accepted.
+    expected : str
+        These values in words.
+    check : function, optional
+        Finds the first implausible value in a CSV file, given the values as a matrix (n, w), w numbers per reading.
+    since : int
+        Schema of the run file that introduced the column.
+    """
+
+    name: str
+    unit: str
+    csv: tuple[str, ...]
+    shape: Shape = "scalar"
+    dtype: type = np.float64
+    sql: str = ""
+    required: bool = False
+    fill: float | None = None
+    allowed: tuple[float | str, ...] = ()
+    expected: str = ""
+    check: Callable[[NDArray[Any]], Fault | None] | None = None
+    since: int = 1
+
+    @property
+    def sql_name(self) -> str:
+        """Name in the run file."""
+        return self.sql or self.name
+
+    @property
+    def sql_declaration(self) -> str:
+        """Name and type for CREATE TABLE and ALTER TABLE.
+
+        Scalar floats have no declared type: SQLite would store some of them as integers. Several numbers are JSON text,
+        whose shortest decimals give back the same float64 and stay legible to any SQLite tool.
+        """
+        kind = " INTEGER" if self.dtype is np.int64 else " TEXT" if self.dtype is str or self.shape != "scalar" else ""
+        always = self.required or (self.fill is not None and not math.isnan(self.fill))
+        return f"{self.sql_name}{kind}{' NOT NULL' if always else ''}"
+
+    def csv_names(self, joints: int) -> tuple[str, ...]:
+        """Names in a CSV file for an arm with this number of joints, in the order of ``matrix``."""
+        if self.shape == "joints":
+            return tuple(f"{self.csv[0]}{joint}" for joint in range(1, joints + 1))
+        return self.csv
+
+    def array_shape(self, n: int, joints: int) -> tuple[int, ...]:
+        """Shape of the column of n readings."""
+        return {"scalar": (n,), "joints": (n, joints), "point": (n, 3), "symmetric": (n, 3, 3)}[self.shape]
+
+    def missing(self, n: int, joints: int) -> NDArray[Any] | None:
+        """The column of n readings of which none has a value."""
+        if self.fill is None:
+            return None
+        return np.full(self.array_shape(n, joints), self.fill, dtype=self.dtype)
+
+    def matrix(self, values: NDArray[Any]) -> NDArray[Any]:
+        """A column as a matrix (n, w); of symmetric matrices the upper triangles, row by row."""
+        if self.shape == "symmetric":
+            return values[:, _UPPER[0], _UPPER[1]]
+        return values[:, np.newaxis] if self.shape == "scalar" else values
+
+    def from_matrix(self, matrix: NDArray[Any]) -> NDArray[Any]:
+        """The column of which ``matrix`` (n, w) is the matrix; NaN becomes ``fill`` where there is one."""
+        if self.fill is not None:
+            matrix = np.where(np.isnan(matrix), self.fill, matrix)
+        matrix = matrix.astype(self.dtype)
+        if self.shape == "symmetric":
+            values: NDArray[Any] = np.empty((len(matrix), 3, 3), dtype=self.dtype)
+            values[:, _UPPER[0], _UPPER[1]] = matrix
+            values[:, _UPPER[1], _UPPER[0]] = matrix
+            return values
+        return matrix[:, 0] if self.shape == "scalar" else matrix
+
+    def is_given(self, values: Values | None) -> bool:
+        """Whether any reading has a value that is not the one for missing entries."""
+        if values is None or self.fill is None or isinstance(values, tuple):
+            return values is not None
+        return bool(np.any(~np.isnan(values) if math.isnan(self.fill) else values != self.fill))
+
+
+def _in_reach(points: NDArray[Any]) -> Fault | None:
+    far = np.argwhere(np.abs(points) > _FURTHEST_M)
+    if not len(far):
+        return None
+    row, axis = far[0].tolist()
+    return Fault(row, axis, f"expected metres, got {points[row, axis]:g}; no tracker reaches {_FURTHEST_M:g} m")
+
+
+def _within(low: float, high: float, unit: str) -> Callable[[NDArray[Any]], Fault | None]:
+    """A check that finds values that no measurement of this kind has; missing ones pass."""
+
+    def check(values: NDArray[Any]) -> Fault | None:
+        wrong = np.argwhere((values < low) | (values > high))
+        if not len(wrong):
+            return None
+        row, place = wrong[0].tolist()
+        return Fault(row, place, f"expected {low:g} to {high:g} {unit}, got {values[row, place]:g}")
+
+    return check
+
+
+def beyond_limits(q: NDArray[Any], limits: NDArray[Any]) -> list[Fault]:
+    """The first joint position of each joint that is beyond its limits by more than a revolution.
+
+    Parameters
+    ----------
+    q : array, shape (n, N) [rad]
+    limits : array, shape (N, 2) [rad]
+        Lower and upper one. A controller may count a revolution that the limits of the cell do not have.
+    """
+    faults = []
+    for joint, (low, high) in enumerate(limits.tolist()):
+        values = q[:, joint]
+        wrong = np.flatnonzero((values < low - _REVOLUTION) | (values > high + _REVOLUTION))
+        if not len(wrong):
+            continue
+        value = float(values[wrong[0]])
+        guess = "; degrees?" if low <= math.radians(value) <= high else ""
+        faults.append(
+            Fault(
+                int(wrong[0]),
+                joint,
+                f"expected {low:.4g} to {high:.4g} rad (limits of the joint) or one revolution more,"
+                f" got {value:g}{guess}",
+            )
+        )
+    return faults
+
+
+def _in_radians(q: NDArray[Any]) -> Fault | None:
+    place = first_in_degrees(q)
+    if place is None:
+        return None
+    return Fault(*place, f"expected radians, got {q[place]:g}, and most rows are beyond two turns; are these degrees?")
+
+
+def _positive(sigma: NDArray[Any]) -> Fault | None:
+    wrong = np.flatnonzero(sigma[:, 0] <= 0.0)
+    if not len(wrong):
+        return _within(_LEAST_SIGMA_M, _LARGEST_SIGMA_M, "m")(sigma)
+    return Fault(int(wrong[0]), 0, f"expected an uncertainty above 0 m, got {sigma[wrong[0], 0]:g}")
+
+
+def _positive_definite(triangles: NDArray[Any]) -> Fault | None:
+    """Check upper triangles (n, 6) by their correlations: 1e-12 m^2 is a usual variance, not a sign of singularity."""
+    missing = np.isnan(triangles)
+    incomplete = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
+    if len(incomplete):
+        row = int(incomplete[0])
+        place = int(np.argmax(missing[row]))
+        return Fault(row, place, "the value is missing; give all six of the covariance or none")
+    least, largest = _LEAST_SIGMA_M**2, _LARGEST_SIGMA_M**2
+    variances = triangles[:, _VARIANCES]
+    absurd = np.argwhere((variances > largest) | ((variances > 0.0) & (variances < least)))
+    if len(absurd):
+        row, place = absurd[0].tolist()
+        text = f"expected a variance of {least:g} to {largest:g} m^2, got {variances[row, place]:g}"
+        return Fault(row, _VARIANCES[place], text)
+    given = np.flatnonzero(~missing.any(axis=1))
+    if not len(given):
+        return None
+    matrices = np.empty((len(given), 3, 3))
+    matrices[:, _UPPER[0], _UPPER[1]] = triangles[given]
+    matrices[:, _UPPER[1], _UPPER[0]] = triangles[given]
+    variance = np.einsum("nii->ni", matrices)
+    positive = np.all(variance > 0.0, axis=1)
+    scale = np.sqrt(np.where(positive[:, np.newaxis], variance, 1.0))
+    with np.errstate(over="ignore"):
+        correlation = matrices / scale[:, :, np.newaxis] / scale[:, np.newaxis, :]
+    # A correlation beyond 2 needs no eigenvalues, which could overflow.
+    usable = positive & np.all(np.abs(correlation) < 2.0, axis=(1, 2))
+    smallest = np.linalg.eigvalsh(np.where(usable[:, np.newaxis, np.newaxis], correlation, -np.eye(3)))[:, 0]
+    wrong = given[smallest <= _SINGULAR]
+    return Fault(int(wrong[0]), None, "expected a positive definite covariance in m^2") if len(wrong) else None
+
+
+def _places(sequence: NDArray[Any]) -> Fault | None:
+    absurd = _within(-1e15, 1e15, "as its place")(sequence)
+    if absurd is not None:
+        return absurd
+    missing = np.isnan(sequence[:, 0])
+    if missing.all():
+        return None
+    if missing.any():
+        return Fault(int(np.argmax(missing)), 0, "the value is missing; give every row of the arm its place, or none")
+    _, first = np.unique(sequence[:, 0], return_index=True)
+    again = np.setdiff1d(np.arange(len(sequence)), first)
+    if not len(again):
+        return None
+    return Fault(int(again[0]), 0, f"{sequence[again[0], 0]:g} is the place of another row of the arm already")
+
+
+_DEGREES_C = _within(-273.15, 1e3, "degC")
+
+CONFIGURATION = Column("configuration", "", ("configuration",), dtype=np.int64, required=True)
+"""The number of the stop, with the arm the key of a reading."""
+
+COLUMNS: tuple[Column, ...] = (
+    CONFIGURATION,
+    Column("time_s", "s", ("time_s",), fill=math.nan, check=_within(-_LONGEST_S, _LONGEST_S, "s")),
+    Column("sequence", "", ("sequence",), check=_places, since=5),
+    Column("q", "rad", ("q",), "joints", required=True, check=_in_radians),
+    Column(
+        "approach",
+        "",
+        ("approach",),
+        "joints",
+        np.int8,
+        fill=0,
+        allowed=(-1, 0, 1),
+        expected="-1, 0 (unknown) or 1",
+    ),
+    Column("payload_kg", "kg", ("payload_kg",), check=_within(0.0, 1e4, "kg")),
+    Column("temperature_c", "degC", ("temperature_c",), check=_DEGREES_C),
+    Column("joint_temperature_c", "degC", ("joint_temperature",), "joints", check=_DEGREES_C),
+    Column("step", "rad", ("step",), "joints", check=_within(-1e3, 1e3, "rad"), since=2),
+    Column("dwell_s", "s", ("dwell_s",), check=_within(0.0, _LONGEST_S, "s"), since=2),
+    Column("p_M", "m", ("x_m", "y_m", "z_m"), "point", sql="p_m", required=True, check=_in_reach),
+    Column("sigma_m", "m", ("sigma_m",), check=_positive),
+    Column(
+        "covariance_M",
+        "m^2",
+        ("sxx", "sxy", "sxz", "syy", "syz", "szz"),
+        "symmetric",
+        sql="covariance_m2",
+        check=_positive_definite,
+    ),
+    Column("split", "", ("split",), dtype=str, allowed=SPLITS, expected="identify, train, validate or nothing"),
+)
+"""In the order of an exported CSV file."""

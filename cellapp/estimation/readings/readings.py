@@ -1,0 +1,227 @@
+"""Measured data: one reading, and all readings of one arm as arrays. No I/O here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Values
+
+_Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reading:
+    """One arm at one stop, N joints.
+
+    Attributes
+    ----------
+    q : array, shape (N,)
+        Joint positions read from the controller [rad].
+    p_M : array, shape (3,)
+        Measured SMR centre in the tracker frame [m].
+    time_s : float
+        Seconds since the run began; NaN if unknown.
+    sequence : float or None
+        Place in the order in which the arm's readings were measured.
+    approach : array, shape (N,), or None
+        Sign of each joint's last motion before the stop: -1, 0 (unknown), +1; None if unknown for all joints.
+    payload_kg, temperature_c, sigma_m : float or None
+        Payload [kg]; arm or ambient temperature [degC]; isotropic standard uncertainty of ``p_M`` [m].
+    joint_temperature_c : array, shape (N,), or None
+        Joint temperatures [degC].
+    step : array, shape (N,), or None
+        Each joint's last motion before the stop, with its sign [rad].
+    dwell_s : float or None
+        Time from standstill to the measurement [s].
+    covariance_M : array, shape (3, 3), or None
+        Covariance of ``p_M`` [m^2]; the run file stores its upper triangle.
+    split : str or None
+        identify, train or validate; None if not assigned.
+    extras : dict
+        Unknown columns of an imported file, as text.
+    """
+
+    q: _Floats
+    p_M: _Floats
+    time_s: float = float("nan")
+    sequence: float | None = None
+    approach: NDArray[np.int8] | None = None
+    payload_kg: float | None = None
+    temperature_c: float | None = None
+    joint_temperature_c: _Floats | None = None
+    step: _Floats | None = None
+    dwell_s: float | None = None
+    covariance_M: _Floats | None = None
+    sigma_m: float | None = None
+    split: str | None = None
+    extras: dict[str, str] = field(default_factory=dict)
+
+    def as_readings(self, configuration: int) -> Readings:
+        """This reading as the only row of ``Readings``, at the given stop.
+
+        Raises
+        ------
+        ValueError
+            If an array has the wrong shape.
+        """
+        values: dict[str, Values | None] = {CONFIGURATION.name: np.array([configuration], dtype=CONFIGURATION.dtype)}
+        for column in COLUMNS:
+            if column is CONFIGURATION:
+                continue
+            value = getattr(self, column.name)
+            if value is None:
+                values[column.name] = column.missing(1, len(self.q))
+            elif column.dtype is str:
+                values[column.name] = (value,)
+            else:
+                values[column.name] = np.asarray(value, dtype=column.dtype)[np.newaxis]
+        return readings_from_columns(values, {name: (text,) for name, text in self.extras.items()})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Readings:
+    """The n readings of one arm with N joints.
+
+    An optional quantity is None where no reading has it; where only some have it, the others hold NaN.
+
+    Attributes
+    ----------
+    configuration : array, shape (n,), int64
+        Number of the stop; rows of both arms with the same number were measured at the same stop.
+    time_s : array, shape (n,)
+        Seconds since the run began; NaN if unknown.
+    sequence : array, shape (n,), or None
+        Place in the order in which the arm's readings were measured, of an imported file.
+    q : array, shape (n, N)
+        Joint positions read from the controller [rad].
+    approach : array, shape (n, N), int8
+        Sign of each joint's last motion before the stop: -1, 0 (unknown), +1.
+    p_M : array, shape (n, 3)
+        Measured SMR centre in the tracker frame [m].
+    payload_kg, temperature_c : array, shape (n,), or None
+        Payload [kg]; arm or ambient temperature [degC].
+    joint_temperature_c : array, shape (n, N), or None
+        Joint temperatures [degC].
+    step : array, shape (n, N), or None
+        Each joint's last motion before the stop, with its sign [rad].
+    dwell_s : array, shape (n,), or None
+        Time from standstill to the measurement [s].
+    covariance_M : array, shape (n, 3, 3), or None
+        Covariance of ``p_M`` [m^2].
+    sigma_m : array, shape (n,), or None
+        Isotropic standard uncertainty of ``p_M`` [m].
+    split : tuple of n (str or None), or None
+        identify, train or validate.
+    extras : dict
+        Unknown columns of an imported file: name -> n texts, in the file's order.
+    """
+
+    configuration: NDArray[np.int64]
+    time_s: _Floats
+    q: _Floats
+    approach: NDArray[np.int8]
+    p_M: _Floats
+    sequence: _Floats | None = None
+    payload_kg: _Floats | None = None
+    temperature_c: _Floats | None = None
+    joint_temperature_c: _Floats | None = None
+    step: _Floats | None = None
+    dwell_s: _Floats | None = None
+    covariance_M: _Floats | None = None
+    sigma_m: _Floats | None = None
+    split: tuple[str | None, ...] | None = None
+    extras: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        n, joints = len(self.configuration), self.q.shape[-1] if self.q.ndim else 0
+        for column in COLUMNS:
+            value = getattr(self, column.name)
+            if value is None:
+                continue
+            expected = column.array_shape(n, joints)
+            shape = (len(value),) if column.dtype is str else value.shape
+            if shape != expected:
+                raise ValueError(f"expected {column.name} of shape {expected}, got {shape}")
+        for name, texts in self.extras.items():
+            if len(texts) != n:
+                raise ValueError(f"expected {n} texts in the extra column '{name}', got {len(texts)}")
+
+    def __len__(self) -> int:
+        return len(self.configuration)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints N."""
+        return int(self.q.shape[1])
+
+    def take(self, indices: Sequence[int] | NDArray[np.integer] | NDArray[np.bool_]) -> Readings:
+        """The rows at ``indices`` (integers, or a mask of n booleans), in that order."""
+        chosen = np.arange(len(self))[np.asarray(indices, dtype=None if len(indices) else np.intp)]
+        arrays = {
+            entry.name: getattr(self, entry.name)[chosen]
+            for entry in fields(self)
+            if isinstance(getattr(self, entry.name), np.ndarray)
+        }
+        split = self.split
+        return replace(
+            self,
+            **arrays,
+            split=None if split is None else tuple(split[index] for index in chosen),
+            extras={name: tuple(texts[index] for index in chosen) for name, texts in self.extras.items()},
+        )
+
+    def in_split(self, name: str) -> NDArray[np.intp]:
+        """Indices of the rows of one split; empty where no splits are assigned."""
+        split = self.split or ()
+        return np.array([index for index, word in enumerate(split) if word == name], dtype=np.intp)
+
+
+def readings_from_columns(values: Mapping[str, Values | None], extras: dict[str, tuple[str, ...]]) -> Readings:
+    """Readings from the values of every column of ``COLUMNS`` by name."""
+    attributes: dict[str, Any] = dict(values)
+    return Readings(**attributes, extras=extras)
+
+
+def joined(parts: Sequence[Readings]) -> Readings:
+    """The rows of several readings of one arm, one after the other, without unknown columns of imported files.
+
+    Raises
+    ------
+    ValueError
+        If they have different numbers of joints.
+    """
+    values: dict[str, Values | None] = {}
+    for column in COLUMNS:
+        own = [getattr(part, column.name) for part in parts]
+        if all(value is None for value in own):
+            values[column.name] = None
+        elif column.dtype is str:
+            values[column.name] = tuple(
+                word
+                for part, words in zip(parts, own, strict=True)
+                for word in ((None,) * len(part) if words is None else words)
+            )
+        else:
+            values[column.name] = np.concatenate(
+                [
+                    np.full(column.array_shape(len(part), part.joints), np.nan) if value is None else value
+                    for part, value in zip(parts, own, strict=True)
+                ]
+            )
+    return readings_from_columns(values, {})
+
+
+def stated_uncertainty(readings: Readings) -> _Floats | None:
+    """Uncertainty of the points as the readings state it, for all of them or not at all.
+
+    Covariances (n, 3, 3) [m^2] where every reading has one, else standard uncertainties (n,) [m], else None.
+    """
+    for stated in (readings.covariance_M, readings.sigma_m):
+        if stated is not None and not np.isnan(stated).any():
+            return stated
+    return None

@@ -1,0 +1,102 @@
+"""Instruments and other data of traceability for a certificate: what was used, what is not given. No I/O."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import date
+
+from cellapp.commands.certificate.budget import not_given
+from cellapp.commands.certificate.result import CertifiedArm, CertifiedInstrument, UncertaintyContribution
+from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.acceptance import Instrument
+from cellapp.ground.times import day_of
+
+TRACKER_ROLE = "laser tracker"
+_FIELDS = {
+    "model": "model",
+    "serial": "serial number",
+    "calibrated": "date of calibration",
+    "due": "date when its calibration is due",
+    "certificate": "calibration certificate",
+}
+"""What a reader expects of the tracker."""
+_FIELDS_OF_OTHERS = ("serial", "calibrated", "due")
+"""What a reader expects of an SMR and of further instruments."""
+
+
+def used_instruments(profile: Profile, measured: Sequence[str]) -> tuple[CertifiedInstrument, ...]:
+    """The tracker, the SMR of each arm, further instruments; each with a note if its calibration was not in force.
+
+    ``measured`` are the first and the last time of measuring (ISO 8601); empty if that is not known.
+    """
+    stated = profile.traceability
+    days = [date.fromisoformat(day_of(time)) for time in measured]
+    listed = [
+        (TRACKER_ROLE, stated.tracker),
+        *((f"SMR of arm {arm}", stated.smr.get(arm, Instrument())) for arm in profile.arms),
+        *stated.instruments.items(),
+    ]
+    return tuple(
+        CertifiedInstrument(
+            role=role,
+            model=one.model,
+            serial=one.serial,
+            calibrated="" if one.calibrated is None else one.calibrated.isoformat(),
+            due="" if one.due is None else one.due.isoformat(),
+            certificate=one.certificate,
+            note=_note(one, days),
+        )
+        for role, one in listed
+    )
+
+
+def missing_data(
+    profile: Profile,
+    instruments: Sequence[CertifiedInstrument],
+    arms: Mapping[str, CertifiedArm],
+    conditions: Mapping[str, MeasuredConditions],
+    measured: Sequence[str],
+    contributions: Sequence[UncertaintyContribution] = (),
+) -> tuple[str, ...]:
+    """What a reader expects and nobody gave, one phrase each; ``contributions`` are those of the uncertainty."""
+    stated = profile.traceability
+    whole = {
+        "organisation": stated.organisation,
+        "client": stated.client,
+        "location": stated.location,
+        "operator": stated.operator,
+        "procedure": stated.procedure,
+        "air pressure": stated.air_pressure,
+        "relative humidity": stated.relative_humidity,
+    }
+    named = [
+        *(name for name, given in whole.items() if not given),
+        *([] if measured else ["time of measuring"]),
+        *(phrase for one in instruments if (phrase := _of_instrument(one))),
+        *(f"uncertainty of {name}" for name in not_given(contributions)),
+    ]
+    for name, arm in arms.items():
+        lacking = [
+            *([] if arm.serial or arm.controller_serial else ["serial number of arm or controller"]),
+            *([] if arm.payload_kg is not None else ["payload"]),
+            *([] if arm.air_c is not None or arm.joints_c is not None else ["temperature"]),
+        ]
+        if lacking and name in conditions:
+            named.append(f"arm {name}: {', '.join(lacking)}")
+    return tuple(named)
+
+
+def _of_instrument(one: CertifiedInstrument) -> str:
+    expected = tuple(_FIELDS) if one.role == TRACKER_ROLE else _FIELDS_OF_OTHERS
+    lacking = [_FIELDS[field] for field in expected if not getattr(one, field)]
+    return f"{one.role}: {', '.join(lacking)}" if lacking else ""
+
+
+def _note(one: Instrument, days: Sequence[date]) -> str:
+    """Why the calibration of an instrument was not in force on one of the days of measuring."""
+    if one.due is not None and days and max(days) > one.due:
+        return f"its calibration was overdue: due on {one.due}, used on {max(days)}"
+    if one.calibrated is not None and days and min(days) < one.calibrated:
+        return f"it was calibrated on {one.calibrated}, after it was used on {min(days)}"
+    return ""

@@ -1,0 +1,49 @@
+"""Measured errors judged against the profile's tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+from cellapp.ground.results import Record
+
+Conformity = Literal["conforms", "does not conform", "cannot say"]
+Characteristic = Literal[
+    "position",
+    "distance",
+    "cooperative",
+    "pose_accuracy",
+    "pose_repeatability",
+    "multidirectional",
+    "distance_accuracy",
+    "distance_repeatability",
+    "drift",
+    "path_accuracy",
+    "path_repeatability",
+]
+"""Keys of the profile's section ``tolerances``."""
+
+
+class Judgement(Record):
+    """One characteristic of one arm, or of a pair of arms, against its tolerance [mm].
+
+    ``value_mm`` is the measured error and ``expanded_mm`` its expanded uncertainty (coverage factor 2); None where it
+    was not measured, or its uncertainty is not known. ``source`` says what was measured, as "verification, 40 targets".
+    """
+
+    characteristic: Characteristic
+    where: str
+    value_mm: float | None
+    expanded_mm: float | None
+    tolerance_mm: float
+    rule: Literal["guarded", "simple"]
+    conformity: Conformity
+    source: str
+    n: int = 0
+
+
+def overall(judgements: Sequence[Judgement]) -> Conformity | None:
+    """The worst of all judgements; None if nothing is judged."""
+    found = {one.conformity for one in judgements}
+    order: tuple[Conformity, ...] = ("does not conform", "cannot say", "conforms")
+    return next((one for one in order if one in found), None)

@@ -1,0 +1,1 @@
+"""What every group uses: errors, units, times, progress, control of jobs, outputs, tasks, the typed profile."""

@@ -1,0 +1,14 @@
+"""What a cell is: the typed sections of a profile. ``cell.profile`` reads and writes them as YAML."""
+
+from cellapp.ground.profile.schema import Arm, CellPoint, Discovery, Pose, Priors, Profile, Sensors, Splits
+
+__all__ = [
+    "Arm",
+    "CellPoint",
+    "Discovery",
+    "Pose",
+    "Priors",
+    "Profile",
+    "Sensors",
+    "Splits",
+]

@@ -1,0 +1,366 @@
+"""What a cell is: the sections of a profile, their keys and the checks of their values.
+
+Lengths, angles and other quantities are SI numbers or texts with a unit (``drivers.quantities``). Frames: C is the cell
+(floor or table, z up), M the tracker, B an arm's base, F its flange, S the SMR centre. The sections ``driver`` of arms
+and tracker, and the sensors, hold the settings of one of the kinds that are registered in ``drivers``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    StrictFloat,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+
+from cellapp.ground.profile.acceptance import Tolerances, Traceability
+from cellapp.ground.profile.collection import Collection
+from cellapp.ground.profile.obstacles import Obstacles
+from cellapp.ground.profile.plan import Plan
+from drivers.arms.registry import ARMS
+from drivers.arms.settings import ArmSettings
+from drivers.quantities import (
+    Angle,
+    AngularAcceleration,
+    AngularSpeed,
+    ArmLength,
+    CellLength,
+    Length,
+    Mass,
+    RelativeLength,
+    Temperature,
+    Time,
+    Turn,
+)
+from drivers.sensors.registry import AIR_SENSORS
+from drivers.sensors.settings import AirSensorSettings
+from drivers.settings import OneOf, Section
+from drivers.trackers.registry import TRACKERS
+from drivers.trackers.settings import TrackerSettings
+
+VERSION = 1
+"""Version of the profile's format; ``Profile.version`` accepts this one only."""
+
+ArmPoint = tuple[ArmLength, ArmLength, ArmLength]
+CellPoint = tuple[CellLength, CellLength, CellLength]
+
+_ROUNDING_RAD = 1e-9
+"""Conversion of the same angle from degrees in two files."""
+
+
+class Joint(Section):
+    """One row of the D-H table, the limits of that joint, and the body that it carries.
+
+    ``A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)``. Where the next axis is nominally parallel, the program
+    adds Hayati's ``rot_y(beta)``. ``mass`` and ``center_of_mass`` describe the body fixed to D-H frame i.
+    """
+
+    theta: Turn = 0.0
+    d: ArmLength = 0.0
+    a: ArmLength = 0.0
+    alpha: Turn = 0.0
+    limit: tuple[Turn, Turn] = (-2.0 * math.pi, 2.0 * math.pi)
+    speed: Annotated[AngularSpeed, Field(gt=0.0, le=30.0)] = math.pi / 2.0
+    acceleration: Annotated[AngularAcceleration, Field(gt=0.0, le=100.0)] = math.pi / 2.0
+    mass: Annotated[Mass, Field(ge=0.0, le=1000.0)] = 0.0
+    center_of_mass: ArmPoint = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> Self:
+        if self.limit[0] >= self.limit[1]:
+            raise ValueError(
+                f"limit: the lower one ({self.limit[0]:g} rad) must be below the upper one ({self.limit[1]:g} rad)"
+            )
+        return self
+
+
+class Capsule(Section):
+    """A body for collision checks: all points within ``radius`` of a segment in D-H frame ``frame`` (0: base)."""
+
+    frame: Annotated[int, Field(strict=True, ge=0)]
+    start: ArmPoint
+    end: ArmPoint
+    radius: Annotated[ArmLength, Field(gt=0.0)]
+
+
+class ArmType(Section):
+    """An arm as its maker publishes it. Each type is a file of its own: a new one needs no code."""
+
+    model: str
+    source: str = ""
+    joints: Annotated[tuple[Joint, ...], Field(min_length=2)]
+    capsules: tuple[Capsule, ...] = ()
+
+    @model_validator(mode="after")
+    def _frames_exist(self) -> Self:
+        for index, capsule in enumerate(self.capsules):
+            if capsule.frame > len(self.joints):
+                raise ValueError(f"capsules[{index}].frame: {capsule.frame} is beyond the last, {len(self.joints)}")
+        return self
+
+
+class Pose(Section):
+    """A pose in the cell frame; ``rpy`` is roll, pitch, yaw of ``R = rot_z(yaw) rot_y(pitch) rot_x(roll)``."""
+
+    position: CellPoint
+    rpy: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)
+
+
+class Smr(Section):
+    """The retroreflector on a flange.
+
+    ``offset: unknown`` identifies it from the data. ``normal`` is the viewing direction, ``acceptance`` the half-angle
+    about it within which the SMR returns the beam.
+    """
+
+    offset: ArmPoint | Literal["unknown"]
+    normal: tuple[StrictFloat, StrictFloat, StrictFloat] = (0.0, 0.0, 1.0)
+    acceptance: Annotated[Angle, Field(gt=0.0, le=math.pi)] = math.radians(30.0)
+
+    @field_validator("normal")
+    @classmethod
+    def _unit_vector(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not 0.9 < math.hypot(*value) < 1.1:
+            raise ValueError("normal must be a unit vector in the flange frame")
+        return value
+
+
+class Payload(Section):
+    """Payload set on the controller: tool and load together, centre of mass in the flange frame."""
+
+    mass: Annotated[Mass, Field(ge=0.0, le=1000.0)] = 0.0
+    center_of_mass: ArmPoint = (0.0, 0.0, 0.0)
+
+
+class Arm(Section, defer_build=True):
+    """One arm. ``base`` is its approximate pose in the cell; planning and pointing need it, calibration does not."""
+
+    type: ArmType
+    driver: Annotated[ArmSettings, OneOf(ARMS)]
+    smr: Smr
+    base: Pose | None = None
+    payload: Payload = Payload()
+    limits: tuple[tuple[Turn, Turn], ...] | None = None
+    """Joint ranges of this cell, if tighter than those of the type."""
+    home: tuple[Turn, ...] | None = None
+    """Configuration before and after a job [rad]; planning needs it."""
+    speed_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 0.5
+
+    @model_validator(mode="after")
+    def _limits_fit_the_type(self) -> Self:
+        if self.limits is not None:
+            joints = self.type.joints
+            if len(self.limits) != len(joints):
+                raise ValueError(f"limits: {len(self.limits)} ranges for the {len(joints)} joints of {self.type.model}")
+            for number, ((low, high), joint) in enumerate(zip(self.limits, joints, strict=True), start=1):
+                if low >= high or low < joint.limit[0] - _ROUNDING_RAD or high > joint.limit[1] + _ROUNDING_RAD:
+                    raise ValueError(
+                        f"limits: joint {number} has [{low:g}, {high:g}] rad, which is not inside"
+                        f" the type's [{joint.limit[0]:g}, {joint.limit[1]:g}] rad"
+                    )
+        return self
+
+
+class PermissibleError(Section):
+    """A maximum permissible error ``constant + proportional * distance``; half of it is one standard deviation."""
+
+    constant: Annotated[Length, Field(gt=0.0, le=0.01)]
+    proportional: Annotated[RelativeLength, Field(ge=0.0, le=0.01)] = 0.0
+
+
+class Tracker(Section, defer_build=True):
+    """The laser tracker, its pose and its field of view. Its z axis points up, unless ``pose`` specifies otherwise."""
+
+    driver: Annotated[TrackerSettings, OneOf(TRACKERS)]
+    pose: Pose | None = None
+    transverse: PermissibleError = PermissibleError(constant=15e-6, proportional=6e-6)
+    range: PermissibleError = PermissibleError(constant=10e-6, proportional=0.3e-6)
+    azimuth: tuple[Turn, Turn] = (-2.0 * math.pi, 2.0 * math.pi)
+    elevation: tuple[Turn, Turn] = (math.radians(-55.0), math.radians(55.0))
+    distance: tuple[CellLength, CellLength] = (1.0, 40.0)
+    averaging: Annotated[Time, Field(gt=0.0, le=60.0)] = 1.0
+
+
+class Sensors(Section, defer_build=True):
+    """Sensors of the surroundings. Without ``air``, readings get the air temperature that the tracker reports."""
+
+    air: Annotated[AirSensorSettings, OneOf(AIR_SENSORS)] | None = None
+
+
+class Splits(Section):
+    """Number of stops for each use; ``rest`` is all that remain. Those of the pair are drawn from all common stops."""
+
+    identify: Annotated[int, Field(strict=True, ge=1)] = 100
+    train: Annotated[int, Field(strict=True, ge=0)] = 200
+    validate_: Annotated[int, Field(strict=True, ge=1)] | Literal["rest"] = Field(default=100, alias="validate")
+    pair_identify: Annotated[int, Field(strict=True, ge=1)] = 100
+    pair_validate: Annotated[int, Field(strict=True, ge=1)] = 100
+
+
+class Priors(Section):
+    """Prior standard deviations of the arm's own parameters about their nominal values. Base and tool never have one.
+
+    None: with the set ``auto``, the spread that the arm's own parameters show; with the other sets, no prior.
+    """
+
+    length: Annotated[Length, Field(gt=0.0)] | None = None
+    angle: Annotated[Angle, Field(gt=0.0)] | None = None
+
+
+class Calibration(Section):
+    """How the geometry is identified. ``robust`` selects Huber or Tukey weights against outliers.
+
+    ``auto`` estimates all parameters with priors, and the results state those that the data determine; ``paper`` is the
+    set of Bai et al., ``full`` all parameters without priors.
+    """
+
+    parameter_set: Literal["auto", "paper", "full"] = "auto"
+    priors: Priors = Priors()
+    robust: Literal["none", "huber", "tukey"] = "none"
+    tolerance: Annotated[float, Field(strict=True, gt=0.0, le=1e-2)] = 1e-8
+    max_iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 50
+
+
+class Network(Section):
+    """The residual network: ``mlp`` trains one on the residuals of the geometry, ``none`` trains none."""
+
+    kind: Literal["mlp", "none"] = "mlp"
+    folds: Annotated[int, Field(strict=True, ge=2, le=20)] = 5
+    iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 150
+
+
+class Pair(Section):
+    """The inter-base transform: from distances alone, as in the paper, or from the common tracker frame."""
+
+    transform: Literal["distances", "tracker"] = "distances"
+
+
+class Discovery(Section):
+    """Search for missing effects: false-alarm rate of the whole scan, and the simulations that set its threshold.
+
+    ``network`` says after which verdicts a residual network is trained on what the accepted effects leave: *unknown
+    effect* alone, every verdict, or none.
+    """
+
+    false_alarm: Annotated[float, Field(strict=True, gt=0.0, lt=0.5)] = 0.003
+    null_simulations: Annotated[int, Field(strict=True, ge=20, le=100_000)] = 400
+    folds: Annotated[int, Field(strict=True, ge=2, le=50)] = 5
+    network: Literal["unknown", "always", "never"] = "unknown"
+
+
+class GeometryErrors(Section):
+    """Standard deviations of the errors of the true cell against the nominal one; all zero: a perfect cell."""
+
+    length: Annotated[Length, Field(ge=0.0)] = 0.3e-3
+    angle: Annotated[Angle, Field(ge=0.0)] = math.radians(0.05)
+    base_length: Annotated[Length, Field(ge=0.0)] = 5e-3
+    base_angle: Annotated[Angle, Field(ge=0.0)] = math.radians(0.3)
+    smr: Annotated[Length, Field(ge=0.0)] = 1e-3
+    mass: Annotated[float, Field(strict=True, ge=0.0, lt=1.0)] = 0.0
+    """Relative error of the mass of each body."""
+
+
+class Plant(Section):
+    """The simulated cell behind the simulated drivers. ``effects`` specifies the hidden physics of each arm."""
+
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    geometry: GeometryErrors = GeometryErrors()
+    repeatability: Annotated[Angle, Field(ge=0.0)] = 0.0
+    temperature: Temperature = 20.0
+    noise: Annotated[bool, Field(strict=True)] = True
+    effects: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
+    """Arm -> effect -> parameters; see ``drivers/plant/effects``."""
+    tracker_pose: Pose | None = None
+    """Where the simulated tracker really stands, if that is not ``tracker.pose``, as after it was moved."""
+
+    @model_serializer(mode="wrap")
+    def _without_tracker_pose(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = handler(self)
+        return {key: value for key, value in content.items() if key != "tracker_pose" or value is not None}
+
+
+class Profile(Section, defer_build=True):
+    """A whole cell."""
+
+    schema_: Literal["cellapp-profile"] = Field(alias="schema")
+    version: Literal[1]
+    name: Annotated[str, Field(min_length=1)]
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    arms: Annotated[dict[str, Arm], Field(min_length=1)]
+    tracker: Tracker
+    sensors: Sensors = Field(default_factory=Sensors)
+    obstacles: Obstacles = Field(default_factory=dict)
+    plan: Plan = Plan()
+    splits: Splits = Splits()
+    calibration: Calibration = Calibration()
+    network: Network = Network()
+    pair: Pair = Pair()
+    collection: Collection = Collection()
+    discovery: Discovery = Discovery()
+    plant: Plant | None = None
+    targets: str | None = None
+    """Path of a target list, relative to the profile; used by ``run``."""
+    tolerances: Tolerances = Tolerances()
+    traceability: Traceability = Traceability()
+
+    @model_serializer(mode="wrap")
+    def _without_empty_sections(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Profiles without these sections keep the JSON text, and so the hash, that earlier results rest on."""
+        content: dict[str, Any] = handler(self)
+        for name, empty in (("tolerances", Tolerances()), ("traceability", Traceability())):
+            if getattr(self, name) == empty:
+                content.pop(name, None)
+        return content
+
+    @property
+    def moves_hardware(self) -> bool:
+        """Whether a motion in this cell moves a real arm."""
+        return any(arm.driver.moves_hardware for arm in self.arms.values())
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        self._check_plant()
+        if self.collection.air.temperature is not None and self.sensors.air is None:
+            raise ValueError("collection.air: limits of the air need a weather station; add 'sensors.air'")
+        for section in ("smr", "arms"):
+            for name in getattr(self.traceability, section):
+                if name not in self.arms:
+                    raise ValueError(f"traceability.{section}.{name}: unknown arm; arms are {', '.join(self.arms)}")
+        for name, obstacle in self.obstacles.items():
+            if obstacle.arm is not None and obstacle.arm not in self.arms:
+                raise ValueError(f"obstacles.{name}.arm: unknown arm; arms are {', '.join(self.arms)}")
+            if name in self.arms or not name.strip():
+                raise ValueError(f"obstacles.{name}: an obstacle needs a name of its own, other than those of the arms")
+        for name, arm in self.arms.items():
+            if arm.driver.has_device:
+                needed = {
+                    f"arms.{name}.base": arm.base,
+                    f"arms.{name}.home": arm.home,
+                    "tracker.pose": self.tracker.pose,
+                }
+                for key, value in needed.items():
+                    if value is None:
+                        raise ValueError(f"{key}: missing; arm {name} has a driver: planning and pointing need it")
+            joints = len(arm.type.joints)
+            if arm.home is not None and len(arm.home) != joints:
+                raise ValueError(f"arms.{name}.home: {len(arm.home)} positions for {joints} joints")
+            if self.plan.ranges is not None and len(self.plan.ranges) != joints:
+                raise ValueError(f"plan.ranges: {len(self.plan.ranges)} ranges for the {joints} joints of arm {name}")
+        return self
+
+    def _check_plant(self) -> None:
+        if self.plant is None:
+            if self.sensors.air is not None and self.sensors.air.needs_plant:
+                raise ValueError("sensors.air: a simulated station needs a section 'plant' that it measures")
+            if self.tracker.driver.needs_plant or any(arm.driver.needs_plant for arm in self.arms.values()):
+                raise ValueError("plant: simulated drivers need a section 'plant' that specifies what they simulate")
+            return
+        for name in self.plant.effects:
+            if name not in self.arms:
+                raise ValueError(f"plant.effects.{name}: unknown arm; arms are {', '.join(self.arms)}")

@@ -1,0 +1,169 @@
+"""What all results share: their JSON form, names of models and stages, error statistics, estimates."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationError, model_serializer
+
+from cellapp.ground.errors import InputError
+
+Stage = Literal["nominal", "geometry", "network", "effects"]
+STAGES: tuple[Stage, ...] = ("nominal", "geometry", "network", "effects")
+"""Models of one arm in the order in which they are built."""
+
+Method = Literal["nominal", "method_1", "method_2", "proposed", "effects"]
+METHODS: tuple[Method, ...] = ("nominal", "method_1", "method_2", "proposed", "effects")
+"""Models of the pair; method 1, method 2 and proposed are those of Bai et al., ROBOT 45(3), 2023."""
+
+BEST_METHODS: tuple[Method, ...] = ("effects", "proposed", "method_1", "nominal")
+"""The first of these that was computed is the pair's best; method_2 is the counter-example of the paper."""
+
+Verdict = Literal["explained", "nothing missing", "unknown effect", "ambiguous"]
+
+StageName = Literal[
+    "calibrate",
+    "discover",
+    "locate",
+    "compensate",
+    "push",
+    "verify",
+    "path",
+    "follow",
+    "iso9283",
+    "check",
+    "certificate",
+]
+CALIBRATE: StageName = "calibrate"
+DISCOVER: StageName = "discover"
+LOCATE: StageName = "locate"
+"""The tracker's station after it was moved; its model is that of an earlier stage in the new tracker frame."""
+COMPENSATE: StageName = "compensate"
+PUSH: StageName = "push"
+"""Targets that were pushed without measuring them; it does not replace a verification."""
+VERIFY: StageName = "verify"
+PATH: StageName = "path"
+"""Paths that were planned, or driven without measuring them; it does not replace a measured one."""
+FOLLOW: StageName = "follow"
+ISO9283: StageName = "iso9283"
+CHECK: StageName = "check"
+"""A few stops that show whether the calibration still holds; it measures the cell and changes no model."""
+CERTIFICATE: StageName = "certificate"
+STAGE_NAMES: tuple[StageName, ...] = (
+    CALIBRATE,
+    DISCOVER,
+    LOCATE,
+    COMPENSATE,
+    PUSH,
+    VERIFY,
+    PATH,
+    FOLLOW,
+    ISO9283,
+    CHECK,
+    CERTIFICATE,
+)
+"""What verbs store in a run, in the order of the work."""
+
+
+class Record(BaseModel):
+    """A part of a result: immutable, rejects unknown keys. NaN and infinity become null in JSON."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        ser_json_inf_nan="null",
+        populate_by_name=True,
+        alias_generator=lambda name: name.removesuffix("_"),  # schema_ and validate_ would hide names of pydantic
+    )
+
+    omitted_when_none: ClassVar[frozenset[str]] = frozenset()
+    """Keys that are left out of the JSON object where their value is None."""
+
+    @model_serializer(mode="wrap")
+    def _without_omitted(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = handler(self)
+        return {key: value for key, value in content.items() if value is not None or key not in self.omitted_when_none}
+
+
+class Result(Record):
+    """The result of one verb. Subclasses set ``schema_`` and ``version`` to literals."""
+
+    schema_: str
+    version: int
+
+    def to_json(self, *, indent: int | None = None) -> str:
+        """The JSON text; floats are written in their shortest exact form."""
+        return self.model_dump_json(by_alias=True, indent=indent)
+
+    @classmethod
+    def from_json(cls, text: str, where: str) -> Self:
+        """Read what ``to_json`` wrote.
+
+        Raises
+        ------
+        InputError
+            If the text is not such a result; the message begins with ``where``.
+        """
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            key = ".".join(str(part) for part in first["loc"])
+            raise InputError(
+                f"{where}: {key or 'text'}: {first['msg']}; another version of cellapp wrote it, repeat that step"
+            ) from None
+
+
+class ErrorResult(Result):
+    """Why a command failed, where ``--json -`` asks for JSON: its exit code and the sentence that a person gets."""
+
+    schema_: Literal["cellapp-error"] = "cellapp-error"
+    version: Literal[1] = 1
+    exit_code: int
+    message: str
+
+
+class ErrorSummary(Record):
+    """Statistics of n error magnitudes [mm]; ``mean_ci95`` is a bootstrap 95 % interval of the mean."""
+
+    mean: float
+    rms: float
+    std: float
+    max: float
+    p50: float | None = None
+    p95: float | None = None
+    mean_ci95: tuple[float, float] | None = None
+    n: int
+    omitted_when_none = frozenset({"p50", "p95", "mean_ci95"})
+
+
+class StageErrors(Record):
+    """Held-out errors of one model of an arm: absolute, and ISO 9283 distance errors of all pairs of points."""
+
+    position_mm: ErrorSummary
+    distance_mm: ErrorSummary | None = None
+    omitted_when_none = frozenset({"distance_mm"})
+
+
+class Estimate(Record):
+    """An estimated parameter with its standard error, both in ``unit``."""
+
+    value: float
+    standard_error: float | None
+    unit: str
+
+
+class Provenance(Record):
+    """Which program made a result, from which profile, when (ISO 8601, UTC).
+
+    ``torch`` is in results of earlier versions, which trained networks with it.
+    """
+
+    profile: str
+    seed: int
+    program: str
+    python: str | None = None
+    numpy: str | None = None
+    torch: str | None = None
+    written: str
+    omitted_when_none = frozenset({"python", "numpy", "torch"})

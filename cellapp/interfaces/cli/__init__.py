@@ -1,0 +1,27 @@
+"""The command line: the verbs, the trials, and what every command shares."""
+
+from __future__ import annotations
+
+import sys
+
+from cellapp.ground.errors import CellappError
+from cellapp.interfaces.cli.requests import ask_job, plain_request
+
+
+def main() -> None:
+    """The program. A plain request to a running job is sent before the rest of the program is loaded: it may be a stop.
+
+    Everything else, and whatever goes wrong, is the matter of the whole command line.
+    """
+    request = plain_request(sys.argv[1:])
+    if request is None:
+        from cellapp.interfaces.cli.app import main as whole_program
+
+        whole_program()
+        return
+    try:
+        ask_job(request)
+    except (CellappError, OSError, ValueError, KeyboardInterrupt) as error:
+        from cellapp.interfaces.cli.program import end_with
+
+        end_with(error)

@@ -1,0 +1,157 @@
+"""What a command may write: derived from the declarations of its options, with ``--force`` for each that writes."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_origin
+
+import typer
+
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.interfaces.cli.requests import REMEDY
+
+_FORCE = "force"
+CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
+
+
+class Written(Enum):
+    """How an option writes; stands in its annotation."""
+
+    FILE = "the file itself; looked at before the command begins"
+    FILES = "a file, or several that are named after it; looked at when they are written"
+    FOLDER = "files in a folder; looked at when they are written"
+    STORE = "a store of results, to which is added; never replaced"
+    OWN_FOLDER = "a folder that is new, or is continued; never replaced"
+
+
+@dataclass(frozen=True)
+class CommandOutputs:
+    """What one command was called with: ``outputs`` writes its files, ``files`` are those it names, by option.
+
+    ``later`` are paths that files are named after, which are looked at when they are written; ``stores`` are added to.
+    """
+
+    outputs: Outputs = NEW_ONLY
+    files: dict[str, Path] = field(default_factory=dict)
+    later: dict[str, Path] = field(default_factory=dict)
+    stores: dict[str, Path] = field(default_factory=dict)
+
+    def check(self) -> None:
+        """Look at all files before anything is done. Raises ``InputError`` for one that may not be written."""
+        for option, path in self.stores.items():
+            self.outputs.check_added_to(path, option)
+        named: dict[str, str] = {}
+        for option, path in {**self.files, **self.later, **self.stores}.items():
+            if option in self.files:
+                self.outputs.check(path, option)
+            place = os.path.realpath(path)
+            if place in named and (path.is_file() or not path.exists()):
+                raise InputError(f"{named[place]} and {option} both name {path}; nothing was done. Give two files")
+            named[place] = option
+
+
+_ADDED_TO = (Written.STORE, Written.OWN_FOLDER)
+_NOTHING_CALLED = CommandOutputs()
+_current: ContextVar[CommandOutputs] = ContextVar("command_outputs", default=_NOTHING_CALLED)
+
+
+def current_outputs() -> CommandOutputs:
+    """What the command that runs may write; nothing that is there is replaced where none runs."""
+    return _current.get()
+
+
+class Commands(typer.Typer):
+    """A group of commands, each of which has ``--force`` where it has an option that writes."""
+
+    def command(self, name: str | None = None, **settings: Any) -> Callable[[CommandFunction], CommandFunction]:
+        """As that of ``typer.Typer``."""
+        register = super().command(name, **settings)
+
+        def registered(function: CommandFunction) -> CommandFunction:
+            register(with_force(function))
+            return function
+
+        return registered
+
+
+def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A command with ``--force``, which knows what it reads and writes; the same function if it writes nothing."""
+    signature = inspect.signature(function, eval_str=True)
+    written = {name: how for name, one in signature.parameters.items() if (how := _how(one.annotation)) is not None}
+    if not written:
+        return function
+    options = {name: _option(signature.parameters[name]) for name in written}
+
+    @functools.wraps(function)
+    def command(*, force: bool = False, **values: Any) -> Any:
+        with _called(_outputs_of(written, options, values, force=force)):
+            return function(**values)
+
+    replaced = [option for name, option in options.items() if written[name] not in _ADDED_TO]
+    flag = typer.Option("--force", help=f"Replace files of {', '.join(replaced)} that are there.")
+    parameter = inspect.Parameter(
+        _FORCE, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, flag]
+    )
+    parameters = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in signature.parameters.values()]
+    command.__signature__ = signature.replace(parameters=[*parameters, parameter])  # type: ignore[attr-defined]
+    return command
+
+
+def written_by(function: Callable[..., Any]) -> dict[str, Written]:
+    """The options of a command that write, and how."""
+    parameters = inspect.signature(function, eval_str=True).parameters.values()
+    return {_option(one): how for one in parameters if (how := _how(one.annotation)) is not None}
+
+
+def _outputs_of(
+    written: dict[str, Written], options: dict[str, str], values: dict[str, Any], *, force: bool
+) -> CommandOutputs:
+    named: dict[Written, dict[str, Path]] = {how: {} for how in Written}
+    for name, how in written.items():
+        if values[name] is not None and str(values[name]) != "-":
+            named[how][options[name]] = Path(values[name])
+    inputs = [path for name, value in values.items() if name not in written for path in _paths(value)]
+    return CommandOutputs(
+        Outputs(force, tuple(inputs), REMEDY), named[Written.FILE], named[Written.FILES], named[Written.STORE]
+    )
+
+
+def _paths(value: object) -> Iterator[Path]:
+    """The paths in the value of a parameter; a text may be one, as that of a public key."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, str) and type(value) is str and value:
+        yield Path(value)
+    elif isinstance(value, (list, tuple)):
+        for one in value:
+            yield from _paths(one)
+
+
+@contextmanager
+def _called(outputs: CommandOutputs) -> Iterator[None]:
+    token = _current.set(outputs)
+    try:
+        yield
+    finally:
+        _current.reset(token)
+
+
+def _how(annotation: object) -> Written | None:
+    if get_origin(annotation) is not Annotated:
+        return None
+    return next((one for one in get_args(annotation)[1:] if isinstance(one, Written)), None)
+
+
+def _option(parameter: inspect.Parameter) -> str:
+    """The first word of an option as it is typed; typer keeps it where a default would stand."""
+    found = next(one for one in get_args(parameter.annotation)[1:] if hasattr(one, "param_decls"))
+    return str(found.default)

@@ -1,0 +1,214 @@
+"""What every command shares: progress bars, cancelling, tables and JSON."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cellapp.ground.control import Aborted, JobControl
+from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.progress import Progress, StateChange, Suspicion, eta_words
+from cellapp.ground.signals import available, ended_by, watch_signals
+from cellapp.interfaces.cli.command_outputs import current_outputs
+
+if TYPE_CHECKING:
+    from cellapp.cell.run import RunFile
+    from cellapp.commands.view.table import Table
+    from cellapp.ground.results import Result
+
+INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
+HANGUP = available("SIGHUP")
+"""The terminal was closed. It may come twice: once from the system, once from the shell."""
+_BY_KEY = available("SIGINT", "SIGBREAK")
+"""A person pressed Ctrl-C; everything else that ends the job is recorded as what it was."""
+_SUSPENDS = available("SIGTSTP")
+_LAST_WORDS_S = 1.0
+"""How long the end of a job waits for its messages to be printed."""
+
+
+@contextlib.contextmanager
+def open_run(folder: Path, *, write: bool = False) -> Iterator[RunFile]:
+    """An existing run, to read or with ``write`` to add to."""
+    from cellapp.cell.run import RunFile
+
+    with RunFile.open(folder, write=write) as opened:
+        yield opened
+
+
+class Job:
+    """One command: progress bars, what signals ask of the job, tables and sentences, and the JSON.
+
+    Ctrl-C and SIGTERM stop: all arms brake at once, and the job ends. The second one aborts: it ends at once. A closed
+    terminal stops. Ctrl-Z pauses after the present stop if arms are open, the second one resumes that pause.
+
+    Raises
+    ------
+    InputError
+        If a file that the command names may not be written; nothing was done then.
+    """
+
+    def __init__(self, json_file: str | None) -> None:
+        called = current_outputs()
+        called.check()
+        self.outputs = called.outputs
+        self.control = JobControl()
+        self._json_file = json_file
+        self._bars: Any = None
+        self._tasks: dict[str, Any] = {}
+        self._signals = contextlib.ExitStack()
+        self._interrupts = 0
+        self._messages: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._writer = threading.Thread(target=self._print_messages, name="messages", daemon=True)
+
+    def __enter__(self) -> Job:
+        self._writer.start()
+        numbers = (*INTERRUPTS, *HANGUP, *_SUSPENDS)
+        self._signals.enter_context(watch_signals(numbers, self._react, self._interrupt))
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._signals.close()  # first: the reaction to a signal may still have something to say
+        self._messages.put(None)
+        self._writer.join(_LAST_WORDS_S)
+        self._stop_bars()
+
+    def listen(self, event: Progress) -> None:
+        """Draw one bar for each job on standard error, if that is a terminal, and say what a person must know."""
+        match event.detail:
+            case StateChange(state, reason):
+                self._announce(f"{event.job}: {state}: {reason}")
+            case Suspicion(kind, text):
+                self._announce(f"{event.job}: suspicion, {kind}: {text}")
+        if not sys.stderr.isatty():
+            return
+        if self._bars is None:
+            self._start_bars()
+        if event.job not in self._tasks:
+            self._tasks[event.job] = self._bars.add_task(event.job, total=event.total, note="", eta="")
+        task, eta = self._tasks[event.job], eta_words(event.eta_s)
+        self._bars.update(task, completed=event.done, total=event.total, eta=eta)
+        if event.note or event.detail is None:  # the note of a step stands until the next step
+            self._bars.update(task, note=event.note)
+
+    def say(self, *lines: str) -> None:
+        """Print lines on standard output, or on standard error where standard output carries the JSON."""
+        self._stop_bars()
+        for line in lines:
+            print(line, file=sys.stderr if self._json_file == "-" else sys.stdout, flush=True)
+
+    def warn(self, *lines: str) -> None:
+        """Print lines on standard error: what a person must see, wherever standard output goes."""
+        self._stop_bars()
+        for line in lines:
+            print(line, file=sys.stderr, flush=True)
+
+    def show(self, tables: Sequence[Table]) -> None:
+        """Print tables, where ``say`` prints."""
+        from rich.console import Console
+
+        from cellapp.interfaces.render.terminal import rich_table
+
+        self._stop_bars()
+        console = Console(stderr=self._json_file == "-")
+        for table in tables:
+            console.print(rich_table(table, cut=False), crop=False)
+
+    def result(self, result: Result) -> None:
+        """Write the result as JSON if ``--json`` was given."""
+        if self._json_file is not None:
+            self.write_json(result.to_json(indent=1))
+
+    def write_json(self, text: str) -> None:
+        """Write a JSON text where ``--json`` says, if it was given."""
+        if self._json_file is None:
+            return
+        if self._json_file == "-":
+            try:
+                sys.stdout.write(text + "\n")
+                sys.stdout.flush()
+            except BrokenPipeError:
+                raise
+            except OSError as error:
+                raise InputError(f"--json: standard output cannot be written ({error.strerror})") from None
+            return
+        self.outputs.write_text(Path(self._json_file), text + "\n", "--json")
+
+    def _react(self, number: int) -> None:
+        """Do what a signal asks for, in the thread that watches the signals; the brakes come before any word."""
+        arms = self.control.has_brakes
+        if number in INTERRUPTS and self.control.request in ("stop", "abort"):
+            self.control.abort()
+            self._announce("abort: the job ends at once")
+        elif number in INTERRUPTS or number in HANGUP:
+            if number in _BY_KEY:
+                self.control.stop()
+            else:
+                self.control.leave(ended_by(number))
+            what = "all arms brake now; the job then ends" if arms else "the job ends at its next step"
+            self._announce(f"stop: {what} and can be resumed. Once more: end at once")
+        elif number in _SUSPENDS and not arms:
+            os.kill(os.getpid(), signal.SIGSTOP)  # nothing can move: what Ctrl-Z does to any program
+        elif self.control.request == "pause":
+            self.control.resume()
+            self._announce("resume: the job continues")
+        elif self.control.request == "none":
+            self.control.pause()
+            self._announce("pause: the arms rest after this stop. Ctrl-Z again: resume; Ctrl-C: stop")
+
+    def _interrupt(self, number: int, frame: object) -> None:
+        """End the job at the second interrupt, wherever the main thread is. ``_react`` does all that is urgent."""
+        if number in INTERRUPTS:
+            self._interrupts += 1
+            if self._interrupts > 1 or self.control.request == "abort":  # Python may report two signals as one
+                raise Aborted("aborted at once")
+
+    def _announce(self, text: str) -> None:
+        """Print a line on standard error, above the bars; from any thread.
+
+        A thread of its own writes it: a terminal that takes no output must not hold up the next signal.
+        """
+        self._messages.put(text)
+
+    def _print_messages(self) -> None:
+        while (text := self._messages.get()) is not None:
+            bars = self._bars
+            with contextlib.suppress(OSError):  # the terminal was closed
+                if bars is None:
+                    print(f"cellapp: {text}", file=sys.stderr, flush=True)
+                else:
+                    bars.console.print(f"cellapp: {text}", markup=False, highlight=False)
+
+    def _start_bars(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bars
+
+        self._bars = Bars(
+            TextColumn("{task.description:12}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[eta]}"),
+            TextColumn("{task.fields[note]}"),
+            console=Console(stderr=True),
+        )
+        self._bars.start()
+
+    def _stop_bars(self) -> None:
+        if self._bars is not None:
+            with contextlib.suppress(OSError):  # the terminal was closed
+                self._bars.stop()
+            self._bars, self._tasks = None, {}
+
+
+def require_none(complaints: Sequence[str], what: str) -> None:
+    """Raise ``CheckFailed`` if a check of ``what`` has something to complain of."""
+    if complaints:
+        raise CheckFailed(f"{what}: {'; '.join(complaints)}")

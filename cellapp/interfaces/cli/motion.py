@@ -1,0 +1,39 @@
+"""How a person allows real arms to move: ``--allow-motion``, or the profile's name typed at the terminal."""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+from collections.abc import Callable
+
+from cellapp.interfaces.cli.job import Job
+
+_LOOK_S = 0.1
+"""How often a waiting question looks whether the job is to end."""
+
+
+def asking(job: Job, profile_name: str, *, allowed: bool) -> Callable[[str], bool] | None:
+    """Return what shows the first motion and says whether it is allowed; None where nobody can be asked."""
+    if allowed:
+
+        def show(words: str) -> bool:
+            job.warn(words)
+            return True
+
+        return show
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return None
+
+    def ask(words: str) -> bool:
+        job.warn(words, f"Type '{profile_name}' and Enter to let the arms move; anything else ends this.")
+        answers: queue.Queue[str] = queue.Queue()
+        threading.Thread(target=lambda: answers.put(sys.stdin.readline()), name="answer", daemon=True).start()
+        while True:
+            job.control.check()  # Ctrl-C ends the question too
+            try:
+                return answers.get(timeout=_LOOK_S).strip() == profile_name
+            except queue.Empty:
+                continue
+
+    return ask

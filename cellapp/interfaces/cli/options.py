@@ -1,0 +1,80 @@
+"""Arguments and options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cellapp.interfaces.cli.command_outputs import Written
+
+if TYPE_CHECKING:
+    from cellapp.ground.scale.executor import Resources
+
+ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The run's folder.")]
+NewRun = Annotated[Path, typer.Option("--run", metavar="DIR", help="Folder of the new run; must not hold one yet.")]
+TargetsPath = Annotated[Path, typer.Argument(metavar="TARGETS", help="Target list: .yaml or .csv.")]
+PriorOption = Annotated[
+    Path | None,
+    typer.Option("--prior", metavar="EARLIER", help="Folder of an earlier calibrated run of the same arms, as prior."),
+]
+JsonOption = Annotated[
+    str | None,
+    typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output."),
+    Written.FILE,
+]
+AllowMotion = Annotated[
+    bool,
+    typer.Option("--allow-motion", help="Let real arms move without asking: the cell is clear, a person watches it."),
+]
+OutOfDate = Annotated[
+    bool, typer.Option("--out-of-date", help="Use the latest model even if it no longer fits the run's data.")
+]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Exit code 1 if a result, the page or the certificate is out of date.")
+]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs",
+        metavar="N",
+        min=1,
+        max=1024,
+        help="Processes, each of one thread; all cores if left out; 1: no other.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler", metavar="ADDRESS", help="Compute on the workers of a Dask scheduler, as tcp://HOST:8786."
+    ),
+]
+Store = Annotated[
+    Path | None,
+    typer.Option("--store", metavar="FILE", help="Keep results in FILE as they come; what it holds is not repeated."),
+    Written.STORE,
+]
+SimulatedCell = Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")]
+DEFAULT_CELL = Path("profiles/twin.yaml")
+DrawnCells = Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells, or draws of rows.")]
+FirstSeed = Annotated[int, typer.Option("--first", min=0, help="The first seed.")]
+Mix = Annotated[bool, typer.Option("--mix", help="Hide compliance, curves and backlash on the arms.")]
+SeriesFolder = Annotated[Path, typer.Option("--data", metavar="DIR", help="Folder of the series.")]
+SeriesProfiles = Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")]
+MarkdownFile = Annotated[
+    Path | None,
+    typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE."),
+    Written.FILE,
+]
+
+
+def resources_of(jobs: int | None, scheduler: str | None, store: Path | None = None) -> Resources:
+    """Where tasks are computed and kept, by the options of a command. Raises ``InputError`` if they contradict."""
+    from cellapp.ground.scale.executor import Resources
+    from cellapp.ground.scale.gather import check_resources
+
+    resources = Resources(jobs, scheduler, store)
+    check_resources(resources)
+    return resources

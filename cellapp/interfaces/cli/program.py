@@ -1,0 +1,151 @@
+"""The whole program: an error or a signal ends it with one sentence, an exit code and, if asked for, a JSON object."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NoReturn, TextIO, cast
+
+import typer
+
+from cellapp.ground.errors import CellappError
+from cellapp.ground.outputs import RENEWED
+from cellapp.ground.progress import Cancelled
+from cellapp.interfaces.cli.job import HANGUP, INTERRUPTS
+
+EXIT_UNEXPECTED = 1
+EXIT_INTERRUPTED = 4
+_ERROR_LOG = "cellapp-error.log"
+
+
+def run_program(app: Callable[[], object]) -> None:
+    """Run the program; an error or a signal becomes one sentence on standard error and an exit code.
+
+    With ``--json -`` an error is an object on standard output too, unless the command has written its result there.
+    """
+    handlers = {number: signal.signal(number, _stop_before_job) for number in (*INTERRUPTS, *HANGUP)}
+    try:
+        with _errors_as_json(sys.argv[1:]):
+            _ended(app)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def end_with(error: BaseException) -> None:
+    """End the program with an error as ``run_program`` does."""
+
+    def fail() -> None:
+        raise Cancelled("stopped on request") if isinstance(error, KeyboardInterrupt) else error
+
+    run_program(fail)
+
+
+def _ended(app: Callable[[], object]) -> None:
+    """Run the program; every error ends in ``SystemExit``, whose ``__context__`` it is."""
+    try:
+        app()
+    except (CellappError, Cancelled) as error:
+        _complain(error_text(error))
+        sys.exit(EXIT_INTERRUPTED if isinstance(error, Cancelled) else error.exit_code)
+    except BrokenPipeError:
+        _reader_gone()
+    except SystemExit as ended:
+        if isinstance(ended.__context__, OSError) and ended.__context__.errno == errno.EPIPE:  # typer's own exit code
+            _reader_gone()
+        raise
+    except Exception as error:  # noqa: BLE001 - the last door: a user gets a sentence, the trace goes to a file
+        with contextlib.suppress(CellappError):
+            RENEWED.write_text(Path(_ERROR_LOG), traceback.format_exc())
+        _complain(error_text(error))
+        sys.exit(EXIT_UNEXPECTED)
+
+
+def _reader_gone() -> NoReturn:
+    """End as any program does whose reader, as ``head``, has read enough. Nothing more is written to it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    with contextlib.suppress(OSError, ValueError):  # a stream of a test has no number
+        os.dup2(nowhere, sys.__stdout__.fileno() if sys.__stdout__ else 1)
+    os.close(nowhere)
+    sys.exit(0)
+
+
+def error_text(error: BaseException) -> str:
+    """The sentence that a person gets for an error."""
+    if isinstance(error, Cancelled):
+        return (
+            f"{error}; what was committed is kept; 'cellapp collect DIR --resume' continues a collection, the same"
+            " command with --store a trial"
+        )
+    if isinstance(error, CellappError):
+        return str(error)
+    if isinstance(error, typer.TyperException):
+        return error.format_message()
+    return f"unexpected {type(error).__name__}: {error}; please report it with {_ERROR_LOG} from this folder"
+
+
+# -- JSON on standard output ------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _errors_as_json(arguments: Sequence[str]) -> Iterator[None]:
+    """Write the error that ends the program as JSON if the arguments ask for JSON on standard output.
+
+    Standard output then carries results and nothing else. So what was written to it is the command's result.
+    """
+    if not wants_json(arguments):
+        yield
+        return
+    watched = _Watched(sys.stdout)
+    try:
+        with contextlib.redirect_stdout(cast(TextIO, watched)):
+            yield
+    except SystemExit as ended:
+        error = ended.__context__
+        if error is not None and ended.code and not watched.used:
+            _write_error(error, int(ended.code))
+        raise
+
+
+def wants_json(arguments: Sequence[str]) -> bool:
+    """Whether the arguments ask for JSON on standard output."""
+    return "--json=-" in arguments or ("--json", "-") in pairwise(arguments)
+
+
+class _Watched:
+    """A stream that knows whether something was written to it."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self.used = False
+
+    def write(self, text: str) -> int:
+        self.used = self.used or bool(text)
+        return self._stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def _write_error(error: BaseException, exit_code: int) -> None:
+    from cellapp.ground.results import ErrorResult
+
+    with contextlib.suppress(OSError):  # the reader of our output went away
+        print(ErrorResult(exit_code=exit_code, message=error_text(error)).to_json(indent=1), flush=True)
+
+
+def _stop_before_job(number: int, frame: object) -> None:
+    """Stop while the command is still being loaded; ``Job`` handles signals from then on."""
+    raise Cancelled("stopped on request")
+
+
+def _complain(text: str) -> None:
+    with contextlib.suppress(OSError):  # the terminal was closed
+        print(f"cellapp: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,160 @@
+"""Tables that only the page shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from cellapp.commands.calibrate.view import MM, merged_words
+from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
+from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
+from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial
+from cellapp.ground.results import METHODS, Estimate
+from cellapp.robot.kinematics.chain import parameter_names
+from cellapp.robot.model import CellModel
+
+
+def pair_tables(calibrate: CalibrateResult) -> list[Table]:
+    """The inter-base transform that each method identified, beside its value from the common tracker frame."""
+    columns = (
+        Column("parameter"),
+        number_column("by distances", ".5f"),
+        number_column("standard error", ".5f"),
+        number_column("by the tracker frame", ".5f"),
+        Column("unit"),
+    )
+    tables = []
+    for method in METHODS:
+        if method not in calibrate.pair or not calibrate.pair[method].identified:
+            continue
+        rows: list[tuple[Cell, ...]] = []
+        for name, estimate in calibrate.pair[method].identified.items():
+            factor, unit = geometry_unit(estimate.unit)
+            values = (estimate.value, estimate.standard_error, estimate.by_tracker)
+            rows.append((name, *(None if value is None else value * factor for value in values), unit))
+        first, second = calibrate.arms
+        title = f"Pair: base of {first} in the base of {second}, with {METHOD_WORDS[method]}"
+        tables.append(Table(title, columns, tuple(rows)))
+    return tables
+
+
+def nominal_and_identified_tables(calibrate: CalibrateResult, model: CellModel) -> list[Table]:
+    """Identified parameters beside their nominal values and the difference, one table for each arm."""
+    columns = (
+        Column("parameter"),
+        number_column("nominal", ".5f"),
+        number_column("value", ".5f"),
+        number_column("delta", "+.5f"),
+        number_column("standard error", ".5f"),
+        Column("unit"),
+    )
+    tables = []
+    for name, arm in calibrate.arms.items():
+        nominal = model.arms[name].nominal
+        values = dict(zip(parameter_names(nominal.joints), nominal.vector().tolist(), strict=True))
+        rows = [
+            (parameter, *_difference_cells(values[parameter], estimate))
+            for parameter, estimate in arm.identified.items()
+        ]
+        tables.append(Table(f"Arm {name}: identified parameters", columns, tuple(rows)))
+    return tables
+
+
+def _difference_cells(nominal: float, estimate: Estimate) -> tuple[Cell, ...]:
+    factor, unit = geometry_unit(estimate.unit)
+    delta = estimate.value - nominal
+    if estimate.unit == "rad":
+        delta = math.remainder(delta, 2.0 * math.pi)
+    error = estimate.standard_error
+    return (
+        nominal * factor,
+        estimate.value * factor,
+        delta * factor,
+        None if error is None else error * factor,
+        unit,
+    )
+
+
+def merged_tables(calibrate: CalibrateResult) -> list[Table]:
+    """Parameters that the data cannot separate from others, and those that take their place."""
+    columns = (Column("parameter"), Column("merged into"))
+    return [
+        Table(
+            f"Arm {name}: parameters that act like others",
+            columns,
+            tuple((parameter, merged_words(shares)) for parameter, shares in arm.merged.items()),
+        )
+        for name, arm in calibrate.arms.items()
+        if arm.merged
+    ]
+
+
+def calibration_facts(calibrate: CalibrateResult) -> Table:
+    """Figures of the identification and of the network training, one column for each arm."""
+    facts = [_arm_facts(arm) for arm in calibrate.arms.values()]
+    rows = tuple((what, *(arm[what] for arm in facts)) for what in facts[0])
+    columns = (Column(""), *(Column(f"arm {name}") for name in calibrate.arms))
+    return Table("Identification and network training", columns, rows)
+
+
+def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
+    repeats = arm.repeatability_mm
+    return {
+        "parameters identified": arm.rank,
+        "iterations": arm.iterations,
+        "condition number of the scaled Jacobian": None if arm.condition is None else Number(arm.condition, 1),
+        "stated uncertainty of the tracker, rms length [mm]": (
+            Number(arm.tracker_mm, 4) if arm.tracker_mm else "not stated"
+        ),
+        "scatter of a coordinate beyond it [mm]": None if arm.excess_mm is None else Number(arm.excess_mm, 4),
+        "position repeatability, mean and RP [mm]": (
+            "no stop was repeated" if repeats is None else f"{repeats.mean:.4f}, {repeats.rp:.4f}"
+        ),
+        "network": _network_words(arm.network),
+        "network, rms on left-out folds [mm]": (
+            "none trained"
+            if arm.network is None
+            else f"{arm.network.left_out_rms_mm:.4f}, without a network {arm.network.without_rms_mm:.4f}"
+        ),
+    }
+
+
+def _network_words(network: NetworkResult | None) -> str:
+    if network is None:
+        return "none trained"
+    used = "used" if network.used else "not used: it did not reduce the error on left-out folds"
+    return f"{_network_shape(network)}; {used}"
+
+
+def network_tables(calibrate: CalibrateResult) -> list[Table]:
+    """Network shapes that were compared inside the training split."""
+    columns = (Column("number"), Column("inputs, hidden layers"), number_column("left-out rms", MM, "mm"))
+    tables = []
+    for name, arm in calibrate.arms.items():
+        if arm.network is not None and arm.network.tried:
+            rows = [
+                (str(number), _network_shape(trial), trial.left_out_rms_mm)
+                for number, trial in enumerate(arm.network.tried, start=1)
+            ]
+            tables.append(Table(f"Arm {name}: networks compared inside the training split", columns, tuple(rows)))
+    return tables
+
+
+def _network_shape(network: NetworkResult | NetworkTrial) -> str:
+    inputs = {"sincos": "sines and cosines", "angles": "scaled angles"}[network.inputs]
+    turning = ", rotating with joint 1" if network.turning else ""
+    return f"{inputs}, {' + '.join(str(width) for width in network.hidden)}{turning}"
+
+
+def base_table(model: CellModel) -> Table:
+    """Positions of the bases in the tracker frame."""
+    columns = (
+        Column("arm"),
+        *(number_column(axis, ".5f") for axis in "xyz"),
+        number_column("distance from the tracker", ".3f"),
+    )
+    rows = []
+    for name, arm in model.arms.items():
+        x, y, z = arm.geometry.T_M_B()[:3, 3].tolist()
+        rows.append((name, x, y, z, math.hypot(x, y, z)))
+    return Table("Bases in the tracker frame [m]", columns, tuple(rows))

@@ -1,0 +1,1 @@
+"""A run from Python, as plain objects and data frames."""

@@ -1,0 +1,1 @@
+"""Tables and charts as terminal text, screen and HTML."""

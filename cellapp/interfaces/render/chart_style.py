@@ -1,0 +1,107 @@
+"""How the page draws the series of a chart: colours of its style sheet, dashes, shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from cellapp.commands.view.charts import Chart, Series
+from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS
+from cellapp.ground.results import STAGES
+
+Swatch = Literal["line", "dot", "dash", "round", "square", "triangle", "diamond", "cross", "bar", "limit"]
+"""What a series looks like: a line (full, dotted, dashed), points of a shape, bars, a limit."""
+
+ARM_COLOURS = 4
+"""Arm colours in the style sheet; styles beyond them belong to no arm."""
+MARKED = 40
+"""Points up to which a line shows them, unless it has a band."""
+FEW = 60
+"""Points up to which each has the shape of its mark; more are dots."""
+_STAGE_COLOURS = (*STAGES, "tracker-network")
+_WORDS = dict([*METHOD_WORDS.items(), *STAGE_WORDS.items()])
+_DASHES: Mapping[str, Swatch] = {"·": "dot", ":": "dash"}
+"""Marks of lines that only guide the eye."""
+_HOLLOW = "○△□◇"
+_SHAPES: Mapping[str, Swatch] = {
+    "B": "square",
+    "■": "square",
+    "□": "square",
+    "T": "triangle",
+    "△": "triangle",
+    "▲": "triangle",
+    "◇": "diamond",
+    "◆": "diamond",
+    "X": "cross",
+    "×": "cross",
+}
+
+
+def css_colour(colour: str) -> str:
+    """A colour of the style sheet; that of the text for ``ink``."""
+    return "currentColor" if colour == "ink" else f"var(--{colour})"
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colour (a variable of the style sheet, without dashes), swatch, and whether points are hollow."""
+
+    colour: str
+    swatch: Swatch
+    hollow: bool = False
+
+    @property
+    def css_colour(self) -> str:
+        """``currentColor`` or a variable of the style sheet."""
+        return css_colour(self.colour)
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """One entry of a legend: how its swatch looks (None: no swatch), a text, and the series that it turns off."""
+
+    look: Look | None
+    text: str
+    series: tuple[int, ...] = ()
+
+
+def look_of(chart: Chart, one: Series) -> Look:
+    """How a series is drawn."""
+    colours = _STAGE_COLOURS if chart.by_stage else tuple(f"arm{number + 1}" for number in range(ARM_COLOURS))
+    guide = _DASHES.get(one.mark) if one.kind != "points" else None
+    colour = colours[one.style] if one.style < len(colours) else "soft" if guide else "ink"
+    if one.kind == "bars":
+        return Look(colour, "bar")
+    if one.kind != "points":
+        return Look(colour, guide or "line")
+    several = len(one.x) > FEW
+    return Look(colour, _shape(one.mark, several=several), bool(one.mark) and one.mark in _HOLLOW and not several)
+
+
+def _shape(mark: str, *, several: bool) -> Swatch:
+    return "round" if several else _SHAPES.get(mark, "round")
+
+
+def is_marked(one: Series) -> bool:
+    """Whether a line has a dot at each of its points."""
+    return one.kind == "line" and one.band is None and not one.mark and len(one.x) <= MARKED
+
+
+def series_words(chart: Chart, one: Series) -> str:
+    """The name of a series for people: that of a stage or of a method of the pair in words."""
+    return _WORDS.get(one.name, one.name) if chart.by_stage else one.name
+
+
+def legend_of(chart: Chart) -> tuple[LegendEntry, ...]:
+    """One entry for each series, and for each limit and band by name; none for bars, which have their names."""
+    if chart.categories:
+        return ()
+    entries = [
+        LegendEntry(look_of(chart, one), series_words(chart, one), (number,)) for number, one in enumerate(chart.series)
+    ]
+    limits = dict.fromkeys(limit.name for limit in chart.limits)
+    entries += [LegendEntry(Look("ink", "limit"), name) for name in limits]
+    if any(one.band is not None for one in chart.series):
+        entries.append(LegendEntry(None, "bands: 95 %"))
+    return tuple(entries)

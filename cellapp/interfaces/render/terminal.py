@@ -1,0 +1,206 @@
+"""Tables for a terminal of any width: no word and no number is ever broken, and nothing is left out.
+
+A table is drawn as it is where it fits; else its columns of text are wrapped between words; else it is printed in
+parts, each with the columns that name the rows; else, where not even one column fits beside those, row by row in lines.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, OverflowMethod, RenderResult
+from rich.measure import Measurement
+from rich.style import Style
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from cellapp.commands.view.table import Cell, Column, Table
+
+_NARROWEST = 16
+"""A column of sentences is not squeezed below this width: parts are easier to read than a column of single words."""
+_TITLE = Style(italic=True)
+
+
+def rich_table(table: Table, *, cut: bool = True) -> TerminalTable:
+    """A table for Rich's console. Cells are plain text: Rich would read a unit in brackets as markup.
+
+    Where what draws it cuts lines at its width, ``cut``, a word that is longer than a line goes on in the next one;
+    else it stays whole, to be copied.
+    """
+    return TerminalTable(table, cut)
+
+
+@dataclass(frozen=True)
+class TerminalTable:
+    """A table that Rich draws as the width allows."""
+
+    table: Table
+    cut: bool
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        width = options.max_width
+        measured = _measured(self.table)
+        parts = _parts(self.table, measured, width)
+        yield from _wrapped(self.table.title, width, "fold", _TITLE)
+        if parts is None:
+            yield from _as_lines(self.table, width, "fold" if self.cut else "ignore")
+            return
+        for part in parts:
+            if part.spacing is _TIGHT:
+                yield Text("")
+            yield _drawn(self.table, part)
+        if parts and parts[-1].spacing is _TIGHT:
+            yield Text("")
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        whole = _LOOSE.width([column.natural for column in _measured(self.table)])
+        title = cell_len(self.table.title)
+        return Measurement(min(whole, options.max_width), min(max(whole, title), options.max_width))
+
+
+@dataclass(frozen=True)
+class _Spacing:
+    """Blanks around the cells of a drawn table: ``edge`` in all at its two ends, ``gap`` between two columns."""
+
+    edge: int
+    gap: int
+
+    def width(self, columns: Sequence[int]) -> int:
+        """Width of a table with columns of these widths."""
+        return sum(columns) + self.edge + self.gap * (len(columns) - 1)
+
+
+_LOOSE = _Spacing(edge=4, gap=3)
+_TIGHT = _Spacing(edge=1, gap=2)
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """Widths of a column: of its longest cell or heading, and the least one that breaks no word."""
+
+    natural: int
+    least: int
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Columns of a table that are drawn side by side, by their places, with their widths."""
+
+    places: tuple[int, ...]
+    widths: tuple[int, ...]
+    spacing: _Spacing
+
+
+def _measured(table: Table) -> list[_Measured]:
+    texts = table.text_rows()
+    return [
+        _measured_column(column, [row[place] for row in table.rows], [row[place] for row in texts])
+        for place, column in enumerate(table.columns)
+    ]
+
+
+def _measured_column(column: Column, cells: Sequence[Cell], texts: Sequence[str]) -> _Measured:
+    every = [column.heading, *texts]
+    natural = max(map(cell_len, every))
+    words = max((cell_len(word) for text in every for word in text.split()), default=0)
+    # "0.1 to 0.2" and "5.0 mm" are read as one
+    numbers = max(
+        (cell_len(text) for cell, text in zip(cells, texts, strict=True) if not isinstance(cell, str)), default=0
+    )
+    sentences = 0 if column.is_number else min(natural, _NARROWEST)
+    return _Measured(natural, max(words, numbers, sentences))
+
+
+def _parts(table: Table, measured: Sequence[_Measured], width: int) -> list[_Part] | None:
+    """The table whole, or in parts that each fit; None where one column does not fit beside the names of the rows."""
+    every = tuple(range(len(measured)))
+    for spacing in (_LOOSE, _TIGHT):
+        whole = _fitted(every, measured, width, spacing)
+        if whole is not None:
+            return [whole]
+    names = _names(table, measured, width)
+    if _fitted(names, measured, width, _TIGHT) is None:
+        return None
+    parts: list[_Part] = []
+    here = names
+    for place in every[len(names) :]:
+        if _fitted((*here, place), measured, width, _TIGHT) is None:
+            parts.append(_must_fit(here, measured, width))
+            here = names
+        here = (*here, place)
+        if _fitted(here, measured, width, _TIGHT) is None:
+            return None
+    return [*parts, _must_fit(here, measured, width)]
+
+
+def _must_fit(places: tuple[int, ...], measured: Sequence[_Measured], width: int) -> _Part:
+    part = _fitted(places, measured, width, _TIGHT)
+    assert part is not None
+    return part
+
+
+def _names(table: Table, measured: Sequence[_Measured], width: int) -> tuple[int, ...]:
+    """The first columns that tell all rows apart, if they take at most half of the width; else the first alone."""
+    rows = table.text_rows()
+    for count in range(1, len(table.columns)):
+        if _TIGHT.width([column.least for column in measured[:count]]) > width // 2:
+            break
+        if len({row[:count] for row in rows}) == len(rows):
+            return tuple(range(count))
+    return (0,)
+
+
+def _fitted(places: tuple[int, ...], measured: Sequence[_Measured], width: int, spacing: _Spacing) -> _Part | None:
+    """The columns with widths that fit, or None. The widest give way first, the names of the rows last."""
+    widths = [measured[place].natural for place in places]
+    surplus = spacing.width(widths) - width
+    for own in (range(1, len(places)), range(1)):
+        while surplus > 0:
+            spare = [at for at in own if widths[at] > measured[places[at]].least]
+            if not spare:
+                break
+            widths[max(spare, key=lambda at: widths[at])] -= 1
+            surplus -= 1
+    return None if surplus > 0 else _Part(places, tuple(widths), spacing)
+
+
+def _drawn(table: Table, part: _Part) -> RichTable:
+    loose = part.spacing is _LOOSE
+    drawn = RichTable(box=box.SIMPLE_HEAD, show_edge=loose, padding=(0, 1) if loose else (0, 1, 0, 0))
+    for place, width in zip(part.places, part.widths, strict=True):
+        column = table.columns[place]
+        side: Literal["left", "right"] = "right" if column.is_number else "left"
+        drawn.add_column(Text(column.heading), justify=side, width=width, overflow="fold")
+    for row in table.text_rows():
+        drawn.add_row(*(Text(row[place]) for place in part.places))
+    return drawn
+
+
+def _as_lines(table: Table, width: int, overflow: OverflowMethod) -> Iterator[Text]:
+    """Each row as its name and below it a line for each of its cells; a word longer than a line stays whole."""
+    first, *others = table.headings
+    for name, *cells in table.text_rows():
+        yield from _wrapped(f"  {first}: {name}", width, overflow)
+        for heading, cell in zip(others, cells, strict=True):
+            if cell:
+                yield from _wrapped(f"    {heading}: {cell}", width, overflow)
+        yield Text("")
+
+
+def _wrapped(text: str, width: int, overflow: OverflowMethod, style: Style | str = "") -> Iterator[Text]:
+    """Lines of a text, broken between words only; those after the first are indented by two more."""
+    indent = " " * (len(text) - len(text.lstrip()))
+    for line in textwrap.wrap(
+        text.strip(),
+        width,
+        initial_indent=indent,
+        subsequent_indent=f"{indent}  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    ):
+        yield Text(line, style, overflow=overflow, no_wrap=overflow == "ignore")

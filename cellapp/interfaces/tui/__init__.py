@@ -1,0 +1,42 @@
+"""The terminal application: ``cellapp`` without arguments. Importing this package does not load Textual."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from cellapp.ground.errors import InputError
+
+ESCAPE_WAITS_MS = 15
+"""For how long the byte of Escape may be the begin of the sequence of another key: terminals send that at once."""
+
+_SWITCH_S = 0.001
+"""For how long a thread that computes may keep the others waiting: from a key to the brakes several take their turn."""
+
+
+def run_app(folder: Path = Path("profiles")) -> int:
+    """Run the application on the profiles of a folder until the user quits. Returns the exit code of the last job.
+
+    0 done (or no job was started), 2 bad input, 3 hardware or unexpected error, 4 stopped and resumable.
+
+    Raises
+    ------
+    InputError
+        If keys cannot be read from a terminal, or it cannot be drawn on.
+    """
+    # Textual reads keys from standard input and draws on standard error
+    if not all(stream is not None and stream.isatty() for stream in (sys.__stdin__, sys.__stderr__)):
+        raise InputError(
+            "the terminal application needs a terminal, and standard input or error is none here; 'cellapp run PROFILE'"
+            " does the day unattended, 'cellapp --help' lists all commands"
+        )
+    os.environ["ESCDELAY"] = str(ESCAPE_WAITS_MS)  # which Textual reads when it is imported
+    from cellapp.interfaces.tui.app import CellApp
+
+    sys.setswitchinterval(_SWITCH_S)
+    app = CellApp(folder, ends_process=True)
+    app.passes.watch()
+    app.run()
+    app.wait_for_job()
+    return app.return_code or 0

@@ -1,0 +1,509 @@
+"""The application: what is open, one job at a time, STOP on every screen, the screens of the day.
+
+The keys that stop call the brakes in the thread that reads the terminal (``urgent_keys``); where there is none, in that
+of the screens. Events of the job wait in a queue of their own and are drawn a few at a time: however many there are, a
+key is handled at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+from collections.abc import Iterable
+from functools import partial
+from pathlib import Path
+from typing import ClassVar
+
+from rich.text import Text
+from textual import on, work
+from textual.app import App, SystemCommand
+from textual.binding import Binding, BindingType
+from textual.css.query import NoMatches
+from textual.driver import Driver
+from textual.screen import Screen
+from textual.widgets import Static
+
+from cellapp.cell.driving.requests.attaching import Detached
+from cellapp.ground.progress import CellLive
+from cellapp.interfaces.tui import work as jobs_of_verbs
+from cellapp.interfaces.tui.attached import LOOK_EVERY_S, JobsOfOthers
+from cellapp.interfaces.tui.dialogs.handbook import Handbook
+from cellapp.interfaces.tui.dialogs.jump import Jump
+from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
+from cellapp.interfaces.tui.dialogs.palette import Palette, possible_commands
+from cellapp.interfaces.tui.dialogs.question import Reading
+from cellapp.interfaces.tui.endings import UNEXPECTED, ending_of, left_behind
+from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
+from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
+from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, StopGiven, WorkspaceLoaded
+from cellapp.interfaces.tui.offers import (
+    offer_at_rest,
+    offer_paths,
+    offer_to_quit,
+    offer_to_resume,
+    offer_whole_day,
+    show_paths,
+)
+from cellapp.interfaces.tui.presses import StopPresses, driver_that_stops
+from cellapp.interfaces.tui.screens import SCREENS
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.slow_passes import SlowPasses
+from cellapp.interfaces.tui.themes import HIGH_CONTRAST
+from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine, StepTab
+from cellapp.interfaces.tui.workspace import Step, Workspace, holds_run, load_workspace
+
+_REQUESTS = ("stop", "pause", "resume", "abort")
+_OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
+_ALWAYS = ("stop", "abort")
+"""Actions that an open dialog does not hide."""
+_DRAWING_S = 0.1
+"""Time between two drawings of a running job: people read no faster, and keys are answered between them."""
+_PRELOAD_AFTER_S = 0.3
+"""The first screen is drawn before."""
+_LATER = (
+    "cellapp.cell.run",
+    "cellapp.commands.report.data",
+    *(f"cellapp.interfaces.tui.screens.{entry.step}" for entry in SCREENS),
+    "cellapp.commands.pipeline",
+    "cellapp.commands.plan.charts",
+    "cellapp.cell.planning.view",
+    "cellapp.commands.docs.sections",
+)
+_MOST_TAKEN = 300
+"""Events that are taken in at a time: each takes some microseconds."""
+
+
+class CellApp(App[None]):
+    """The application.
+
+    Parameters
+    ----------
+    profiles : Path
+        Folder whose ``*.yaml`` are offered.
+    logs : Path
+        Folder of the runs.
+    patience_s : float
+        How long quitting waits for a job to stop before the program ends without it.
+    ends_process : bool
+        Whether a signal that ends the program ends the process even where the screen cannot be left.
+    """
+
+    TITLE = "cellapp"
+    CSS_PATH = "app.tcss"
+    COMMAND_PALETTE_BINDING = "ctrl+p"
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("escape", "stop", "STOP", priority=True),
+        Binding("ctrl+c", "stop", show=False, priority=True),
+        Binding("ctrl+c", "say_how_to_quit", show=False),
+        Binding("f5", "whole_day", "Day", tooltip="plan, collect, calibrate, discover, push and verify; asks first"),
+        Binding("p", "pause", "Pause"),
+        Binding("c", "resume", "Resume"),
+        Binding("x", "abort", "Abort"),
+        Binding("ctrl+x", "abort", show=False, priority=True),
+        *(Binding(entry.key, f"show('{entry.step}')", entry.title, show=False) for entry in SCREENS),
+        Binding("n", "next_step", "Next", tooltip="show the step that comes next"),
+        Binding("question_mark", "explain", "Help", key_display="?", tooltip="explain this screen"),
+        Binding("h,f1", "handbook", "Handbook", show=False),
+        Binding("ctrl+o", "jump", "Jump", show=False),
+        Binding("q", "quit", "Quit"),
+        Binding("ctrl+q", "quit", show=False, priority=True),
+    ]
+
+    def __init__(
+        self, profiles: Path, logs: Path = Path("logs"), patience_s: float = 60.0, *, ends_process: bool = False
+    ) -> None:
+        super().__init__()
+        self.profiles, self.logs = profiles, logs
+        self.workspace = Workspace()
+        self.record = JobRecord()
+        self.jobs = JobRunner(self.post_message)
+        self.presses = StopPresses(self.jobs)
+        self.passes = SlowPasses()
+        self.leaving = Leaving(self, ends_process=ends_process)
+        self.others = JobsOfOthers(self)
+        self.asked_by: DayScreen | None = None
+        """The screen that asked for the present job; it gets the result, whichever screen is shown then."""
+        self.message = ""
+        self._severity: Severity = "information"
+        self._screens: dict[Step, DayScreen] = {}
+        self._commands: list[SystemCommand] = []
+        self._drawn = -1
+        self._loads = 0
+        self._patience_s = patience_s
+        self._leaving = False
+        self._ended: str | None = None
+        self.code = 0
+        """Exit code of the last job."""
+
+    def get_driver_class(self) -> type[Driver]:
+        """The driver that stops before the event loop gets a key, where there is one."""
+        return driver_that_stops(super().get_driver_class())
+
+    # -- begin and end -------------------------------------------------------------------------------------------------
+
+    def on_mount(self) -> None:
+        """Show the first screen of the day, and begin to listen."""
+        self.register_theme(HIGH_CONTRAST)
+        self.push_screen(self._screen_of("cell"))
+        self.call_after_refresh(self._welcome)
+        self.set_interval(_DRAWING_S, self._draw_events)
+        self.set_interval(LOOK_EVERY_S, self.others.look)
+        self.set_timer(_PRELOAD_AFTER_S, self._preload)
+        self.leaving.watch()
+        self.say("Choose a profile on this screen; n goes to the next step, ? explains.")
+
+    def _welcome(self) -> None:
+        """Ask what to begin with where there is no profile."""
+        if not any(self.profiles.glob("*.yaml")):
+            from cellapp.interfaces.tui.dialogs.first_run import (
+                offer_first_run,  # 0.7 s that other starts need not wait for
+            )
+
+            offer_first_run(self)
+
+    @work(thread=True)
+    def _preload(self) -> None:
+        """Load what screens and jobs will need, so that no key waits for it: scipy alone takes half a second."""
+        for module in _LATER:
+            importlib.import_module(module)
+        gc.collect()
+        gc.freeze()  # what was loaded stays: passing over it again and again held up keys for up to 0.3 s
+        if run := jobs_of_verbs.interrupted_run(self.logs):
+            self.post_message(ResumeOffered(run))
+
+    def on_unmount(self) -> None:
+        """Brake all arms and end the job however the screen closes: no job continues unseen."""
+        self.jobs.control.leave(ENDED)
+        self.leaving.close()
+
+    def wait_for_job(self) -> None:
+        """Wait, for a bounded time, until a job that was left has brought its arms to rest."""
+        if self.jobs.running:
+            self.jobs.wait(self._patience_s)
+
+    async def action_quit(self) -> None:
+        """Quit; with a job in progress, ask first, stop it and wait for its end."""
+        if not self.jobs.running:
+            self.exit(return_code=self.code)
+        elif not self._leaving:
+            offer_to_quit(self, self._leave)
+
+    @on(LeaveAsked)
+    def leave_at_once(self) -> None:
+        """Quit as if the question had been answered."""
+        self._leave(True)
+
+    def _leave(self, leave: bool) -> None:
+        self.refresh_bindings()
+        if not leave:
+            return
+        if not self.jobs.running:
+            self.exit(return_code=self.code)
+            return
+        self._leaving = True
+        self.jobs.control.leave(LEFT)
+        self._refuse_motion()
+        if not self.jobs.attached:
+            self.say(f"Stopping, then quitting (waiting at most {self._patience_s:.0f} s).", "warning")
+        self.set_timer(self._patience_s, self._quit_without_job)
+
+    def _quit_without_job(self) -> None:
+        if self.jobs.running:
+            self.exit(return_code=UNEXPECTED, message=Text(left_behind(self.record.name, self._patience_s)))
+
+    # -- screens -------------------------------------------------------------------------------------------------------
+
+    @property
+    def day_screen(self) -> DayScreen:
+        """The screen of the day that is shown, below any dialog."""
+        return next(screen for screen in reversed(self.screen_stack) if isinstance(screen, DayScreen))
+
+    def _screen_of(self, step: Step) -> DayScreen:
+        if step not in self._screens:
+            entry = next(entry for entry in SCREENS if entry.step == step)
+            self._screens[step] = entry.make()
+            self.install_screen(self._screens[step], step)
+        return self._screens[step]
+
+    def action_show(self, step: Step) -> None:
+        """Show the screen of a step."""
+        if step != self.day_screen.STEP:
+            self._drawn = -1
+            self.switch_screen(self._screen_of(step))
+
+    @on(StepTab.Chosen)
+    def show_chosen(self, event: StepTab.Chosen) -> None:
+        """Show the screen of a step that was clicked."""
+        self.action_show(event.step)
+
+    def action_next_step(self) -> None:
+        """Show the screen of the step that comes next."""
+        self.action_show(self.workspace.next_step)
+
+    def action_explain(self) -> None:
+        """Explain the present screen."""
+        screen = self.day_screen
+        self.push_screen(Reading(screen.HELP or f"# {screen.STEP.capitalize()}"))
+
+    def action_handbook(self) -> None:
+        """Open the handbook."""
+        self.push_screen(Handbook())
+
+    def action_jump(self) -> None:
+        """Label everything that can have the focus with a letter that jumps there."""
+        self.push_screen(Jump(self.screen))
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Disable actions that are not possible now; over a dialog only stop and abort remain."""
+        if action in _REQUESTS and not self.jobs.possible(action):
+            return False
+        if action in _OWN and action not in _ALWAYS and not isinstance(self.screen, DayScreen):
+            return False
+        return None if action == "whole_day" and self.jobs.running else True
+
+    def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
+        """Every action for the command palette: those of the application and of the screen below it."""
+        yield from self._commands
+        yield SystemCommand("Paths", "plan, drive or verify paths of lines and arcs", partial(offer_paths, self))
+        for arm in self.workspace.unseen:
+            seen = partial(offer_at_rest, self, arm)
+            yield SystemCommand(f"Arm {arm} is at rest", "a person has seen it: it no longer counts as moving", seen)
+        yield SystemCommand("Theme", "light, dark, high contrast and others", self.action_change_theme)
+
+    def action_command_palette(self) -> None:
+        """Open the command palette with all that is possible now."""
+        if isinstance(self.screen, DayScreen):
+            self._commands = list(possible_commands(self, self.screen))
+            self.push_screen(Palette(id="--command-palette"))
+
+    # -- profile and run -----------------------------------------------------------------------------------------------
+
+    def open_profile(self, path: Path) -> None:
+        """Open a profile without a run."""
+        self._load(path, None)
+
+    @on(ResumeOffered)
+    def offer_to_resume(self, event: ResumeOffered) -> None:
+        """Ask whether to go on with an interrupted run, unless something else was begun meanwhile."""
+        if not self.jobs.running and self.workspace.folder is None and isinstance(self.screen, DayScreen):
+            offer_to_resume(self, event.run)
+
+    def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
+        """Open a run; its own profile is used."""
+        self._load(profile_path, folder)
+
+    def _load(self, profile_path: Path | None, folder: Path | None) -> None:
+        if self._hides_moving_arms(folder):
+            text = f"'{self.record.name}' moves arms; stop it or wait for its end before something else is opened."
+            self.say(text, "warning")
+            return
+        self.others.leave_unless(folder)
+        self._loads += 1
+        self._read(profile_path, folder, self._loads)
+
+    def _hides_moving_arms(self, folder: Path | None) -> bool:
+        """Whether a job moves arms of another run: the header must say of those whether they are real."""
+        job = self.jobs.job
+        return job is not None and job.moves and folder != job.folder
+
+    @work(thread=True)
+    def _read(self, profile_path: Path | None, folder: Path | None, number: int) -> None:
+        loaded = load_workspace(profile_path, folder)
+        if number == self._loads:  # else something else was opened meanwhile
+            self.post_message(WorkspaceLoaded(loaded))
+            self.others.find(folder)
+
+    @on(WorkspaceLoaded)
+    def show_loaded(self, event: WorkspaceLoaded) -> None:
+        """Draw what was read."""
+        before, now = self.workspace, event.workspace
+        if self._hides_moving_arms(now.folder):
+            return  # it was asked for before the job began, whose run is read at its end
+        self.workspace = now
+        ended, self._ended = self._ended, None
+        title = next(entry.title for entry in SCREENS if entry.step == now.next_step)
+        if now.problem:
+            self.say(now.problem, "error")
+        elif now.edited and not (before.edited and before.folder == now.folder):
+            self.say("The profile was edited after this run was planned; the run keeps its own copy.", "warning")
+        elif ended is None and now.folder not in (None, before.folder):
+            then = f"in use by {now.in_use}" if now.in_use else f"next: {title} (key n)"
+            self.say(f"{now.folder} is open; {then}.")
+        elif ended and ended == self.message and now.folder is not None:
+            self.message = f"{ended} Next: {title} (key n)."
+        self.draw_all()
+
+    # -- the job -------------------------------------------------------------------------------------------------------
+
+    def start_job(self, job: Job, cell: Workspace | None = None) -> bool:
+        """Start a job, which uses ``cell`` where that is not what is open; whether it was started."""
+        if self.jobs.running:
+            self.say(f"'{self.record.name}' is still running; stop it or wait for its end.", "warning")
+            return False
+        self.asked_by = None
+        self.workspace = cell or self.workspace
+        self.record.begin(job.name)
+        self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
+        self.jobs.start(job)
+        self.draw_all()
+        return True
+
+    def action_whole_day(self) -> None:
+        """Ask, then plan, collect, calibrate, discover, push and verify in a new run."""
+        offer_whole_day(self)
+
+    def action_stop(self) -> None:
+        """Brake all arms now."""
+        if not self.jobs.possible("stop"):
+            return
+        control = self.jobs.control
+        arms = control.has_brakes
+        control.stop()  # before anything is drawn
+        self._say_stop(arms)
+
+    @on(StopGiven)
+    def show_stop(self, event: StopGiven) -> None:
+        """Say that a press has stopped."""
+        self.presses.said()
+        if self.jobs.running:
+            self._say_stop(event.arms)
+
+    def _say_stop(self, arms: bool) -> None:
+        self._refuse_motion()
+        if self.jobs.control.cancelled:
+            self.say("Stopping: the arms brake, the job ends." if arms else "Stopping at the next step.", "warning")
+        else:
+            self.say("STOP: all arms brake. c: resume when the cell is clear; x: abort.", "error")
+
+    def action_say_how_to_quit(self) -> None:
+        """Ctrl-C, where nothing runs and no text is selected: it does not quit. Say what does."""
+        self.say("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
+
+    def action_pause(self) -> None:
+        """Let the job rest after the present stop; the second time, resume. It does not resume a stopped job."""
+        control = self.jobs.control
+        if control.request == "pause":
+            self.action_resume()
+        elif control.request == "stop":
+            self.say("Stopped, not paused. c: resume when the cell is clear; x: abort.", "warning")
+        elif self.jobs.possible("pause"):
+            control.pause()
+            rests = "the arms rest after the present stop" if control.has_brakes else "the job waits where it can"
+            self.say(f"Pausing: {rests}. p or c: resume; Escape: stop.", "warning")
+
+    def action_resume(self) -> None:
+        """Let a paused or stopped job continue."""
+        if not self.jobs.possible("resume"):
+            return
+        if self.presses.just_given:
+            self.say("Stopped; resume was asked for in the same moment. c: resume when the cell is clear.", "warning")
+            return
+        self.jobs.control.resume()
+        self.say("Resuming.")
+
+    def action_abort(self) -> None:
+        """Brake all arms now and end the job."""
+        if self.jobs.possible("abort"):
+            arms = self.jobs.control.has_brakes
+            self.jobs.control.abort()
+            self._refuse_motion()
+            self.say("Aborting: all arms brake, the job ends." if arms else "Aborting at the next step.", "error")
+
+    @on(MotionAsked)
+    def ask_before_motion(self, message: MotionAsked) -> None:
+        """Show the first motion and ask for the profile's name."""
+        if self.jobs.control.request not in ("none", "pause"):
+            return  # a person stopped the job before the question was shown, which answered it
+        profile = self.workspace.profile
+        name = "move" if profile is None else profile.name
+        self.push_screen(MotionQuestion(message.words, name), lambda allowed: message.answer(bool(allowed)))
+
+    def _refuse_motion(self) -> None:
+        """Close the question before the first motion: a stop is an answer."""
+        if isinstance(self.screen, MotionQuestion):
+            self.screen.dismiss(False)
+
+    @on(JobEnded)
+    def show_end(self, message: JobEnded) -> None:
+        """State in words how the job ended, and read the run again."""
+        for event in self.jobs.events():
+            self.record.add(event)
+        self.jobs.ended()
+        self.record.end()
+        ending = ending_of(message, self.record.latest)
+        self.code = ending.code
+        self._ended = ending.text if ending.code == 0 else ""
+        self.say(ending.text, ending.severity)
+        if self._leaving:  # the shell keeps what the screen can no longer show
+            self.exit(return_code=self.code, message=Text(ending.text))
+            return
+        if not isinstance(message.ending, BaseException | None):
+            for screen in dict.fromkeys((self.asked_by or self.day_screen, self.day_screen)):
+                screen.show_result(message.ending)
+            show_paths(self, message.ending)
+        if isinstance(message.ending, Detached):
+            return  # something else is opened now
+        folder = message.job.folder or self.workspace.folder
+        self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
+        self.refresh_bindings()
+        self.passes.look_again()  # nothing moves now
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def say(self, text: str, severity: Severity = "information") -> None:
+        """Show a sentence in the message line of every screen and keep it in the log."""
+        self.message, self._severity = text, severity
+        self.record.note(text, "info" if severity == "information" else severity)
+        self._draw_message()
+        self.refresh_bindings()
+
+    def draw_all(self) -> None:
+        """Draw the present screen whole."""
+        with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or they go away
+            screen = self.day_screen
+            self._draw_header(screen)
+            self._draw_message()
+            screen.show_workspace(self.workspace)
+            screen.show_job(self.record)
+        self.refresh_bindings()
+
+    def _draw_header(self, screen: DayScreen) -> None:
+        screen.query_one(DayHeader).show(self.workspace, self.record)
+        screen.query_one(StepLine).show(self.workspace, screen.STEP)
+
+    def _draw_message(self) -> None:
+        with contextlib.suppress(NoMatches, StopIteration):
+            line = self.day_screen.query_one(".message", Static)
+            line.update(self.message)
+            line.set_classes(f"message {self._severity}")
+
+    def _draw_events(self) -> None:
+        """Take in the oldest events of the job, and draw if anything changed."""
+        state = self.record.state
+        for event in self.jobs.events(_MOST_TAKEN):
+            self.record.add(event)
+        self.record.look(self.live())
+        if self.record.changes == self._drawn:
+            return
+        self._drawn = self.record.changes
+        with contextlib.suppress(NoMatches, StopIteration):
+            screen = self.day_screen
+            screen.query_one(DayHeader).show(self.workspace, self.record)
+            screen.show_job(self.record)
+        if self.record.state != state:
+            self._say_state()
+
+    def live(self) -> CellLive | None:
+        """What is known now of the cell that the present job has open; None without one."""
+        return self.jobs.control.live() if self.jobs.running else None
+
+    def _say_state(self) -> None:
+        """A new state of the job in the message line; what a replay plays back is no state of these arms."""
+        state, reason = self.record.state, self.record.reason
+        if state is not None and reason:
+            self.message = f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}: {reason}"
+            self._severity = "information" if state == "running" else "warning"
+            self._draw_message()
+        self.refresh_bindings()

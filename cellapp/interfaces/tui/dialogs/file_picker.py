@@ -1,0 +1,160 @@
+"""Type a path; Tab or the right arrow completes it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar
+
+from textual import on
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal
+from textual.suggester import Suggester
+from textual.widgets import Button, Input, OptionList, Static
+
+from cellapp.interfaces.tui.dialogs.question import FieldsQuestion
+
+_MOST_SHOWN = 200
+
+
+class PathSuggester(Suggester):
+    """Completes a path by the files that are there; folders get a slash.
+
+    Parameters
+    ----------
+    wanted : callable
+        Whether a file may be chosen; folders always may be entered.
+    """
+
+    def __init__(self, wanted: Callable[[Path], bool]) -> None:
+        super().__init__(use_cache=False, case_sensitive=True)
+        self._wanted = wanted
+
+    async def get_suggestion(self, value: str) -> str | None:
+        """The first completion; None without one."""
+        found = completions(value, self._wanted)
+        return found[0] if found and found[0] != value else None
+
+
+def completions(text: str, wanted: Callable[[Path], bool]) -> list[str]:
+    """Paths that begin with ``text``, folders with a slash at the end, sorted; hidden ones only if asked for."""
+    head, tail = os.path.split(os.path.expanduser(text))
+    try:
+        entries = sorted(Path(head or ".").iterdir())
+    except OSError:
+        return []
+    found = []
+    for entry in entries[: 10 * _MOST_SHOWN]:
+        if not entry.name.startswith(tail) or (entry.name.startswith(".") and not tail.startswith(".")):
+            continue
+        path = os.path.join(head, entry.name)
+        if entry.is_dir():
+            found.append(path + os.sep)
+        elif wanted(entry):
+            found.append(path)
+    return found[:_MOST_SHOWN]
+
+
+class PathField(Input):
+    """A field for a path, which it completes.
+
+    Parameters
+    ----------
+    text : str
+        The path to begin with.
+    wanted : callable
+        Whether a file may be chosen.
+    hint : str
+        What it shows while it is empty.
+    """
+
+    def __init__(self, text: str, wanted: Callable[[Path], bool], *, id: str = "path", hint: str = "") -> None:
+        super().__init__(text, placeholder=hint, suggester=PathSuggester(wanted), id=id, compact=True)
+        self._wanted = wanted
+
+    def complete(self) -> None:
+        """Complete as far as all candidates agree."""
+        found = completions(self.value, self._wanted)
+        if found:
+            self.value = os.path.commonprefix(found)  # noqa: RUF071 - letter by letter is meant
+            self.cursor_position = len(self.value)
+        self.focus()
+
+
+class FilePicker(FieldsQuestion[Path]):
+    """Ask for a path. Returns it; None where the dialog is closed.
+
+    Parameters
+    ----------
+    title : str
+        What the file is for.
+    start : Path
+        The folder or file at which to begin.
+    wanted : callable
+        Which files are listed.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("tab", "complete", "Complete", priority=True),
+        Binding("down", "into_list", "List", show=False),
+    ]
+
+    def __init__(self, title: str, start: Path, wanted: Callable[[Path], bool]) -> None:
+        super().__init__()
+        self._title, self._start, self._wanted = title, start, wanted
+
+    def body(self) -> ComposeResult:
+        yield Static(self._title, classes="title", markup=False)
+        text = str(self._start) + (os.sep if self._start.is_dir() and str(self._start) != os.sep else "")
+        yield PathField(text, self._wanted)
+        yield OptionList(id="found", markup=False, compact=True)
+        yield Static(f"Tab completes, Enter opens, {self.closing_key} closes.", id="why", classes="text", markup=False)
+        with Horizontal(classes="answers"):
+            yield Button("Open", id="open", variant="success", compact=True)
+            yield Button("Close", id="close", compact=True)
+
+    def on_mount(self) -> None:
+        """Begin with the field."""
+        field = self.query_one("#path", Input)
+        field.focus()
+        field.cursor_position = len(field.value)
+        self._show_found(field.value)
+
+    @on(Input.Changed)
+    def list_files(self, event: Input.Changed) -> None:
+        """List what the text can become."""
+        self._show_found(event.value)
+
+    def _show_found(self, text: str) -> None:
+        found = self.query_one("#found", OptionList)
+        found.clear_options()
+        found.add_options(completions(text, self._wanted))
+
+    def action_complete(self) -> None:
+        """Complete as far as all candidates agree; the only one whole."""
+        self.query_one(PathField).complete()
+
+    def action_into_list(self) -> None:
+        """Go to the list below the field."""
+        self.query_one("#found").focus()
+
+    @on(OptionList.OptionSelected)
+    def take(self, event: OptionList.OptionSelected) -> None:
+        """Put the path into the field; a file is opened at once."""
+        event.stop()
+        field = self.query_one("#path", Input)
+        field.value = str(event.option.prompt)
+        field.cursor_position = len(field.value)
+        field.focus()
+        if not field.value.endswith(os.sep):
+            self.action_send()
+
+    def action_send(self) -> None:
+        """Close with the file, if there is one."""
+        path = Path(self.typed("path")).expanduser()
+        if path.is_file():
+            self.dismiss(path)
+            return
+        self.explain(f"{path}: no such file. Tab completes, {self.closing_key} closes.")

@@ -1,0 +1,99 @@
+"""The first start in a folder without profiles: try the simulated twin, write a profile, or open one elsewhere."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cellapp.cell.profile.draft_file import OpenProfile, blank_draft
+from cellapp.cell.profile.starters import TWIN, copy_starter
+from cellapp.ground.errors import InputError
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.dialogs.question import Answer, Choice
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cellapp.interfaces.tui.app import CellApp
+
+NEW_PROFILE = "my-cell.yaml"
+"""File of a new profile until it has a name."""
+
+
+class Welcome(Choice):
+    """What to begin with, one answer below the other: they are long."""
+
+    DEFAULT_CSS = "Welcome .dialog .answers { layout: vertical; }"
+
+
+def offer_first_run(app: CellApp) -> bool:
+    """Ask what to begin with if there are no profiles; whether the question was asked."""
+    if any(app.profiles.glob("*.yaml")):
+        return False
+    text = (
+        f"There are no profiles in the folder {app.profiles}. A profile describes a cell: its arms, its tracker, where"
+        " they stand. The simulated twin needs no hardware: from it, F5 leads to a finished report in a few minutes."
+    )
+    answers = (
+        Answer("twin", "Try the simulated twin", "t", "success"),
+        Answer("write", "Write a profile for my cell", "w"),
+        Answer("readings", "Calibrate readings of my own", "r"),
+        Answer("open", "Open a profile elsewhere", "o"),
+    )
+    app.push_screen(Welcome("Welcome to cellapp", text, answers), lambda answer: begin_with(app, answer))
+    return True
+
+
+def begin_with(app: CellApp, answer: str | None) -> None:
+    """Do what was chosen; None: nothing."""
+    if answer == "twin":
+        try:
+            path = copy_starter(TWIN, app.profiles)
+        except InputError as error:
+            app.say(str(error), "error")
+            return
+        app.open_profile(path)
+        app.say(f"The simulated twin is in {path}. F5 runs the whole day; n goes to the next step alone.")
+    elif answer == "write":
+        write_profile(app)
+    elif answer == "readings":
+        take_own_readings(app)
+    elif answer == "open":
+        picker = FilePicker("Which profile?", app.profiles.parent, lambda path: path.suffix == ".yaml")
+        app.push_screen(picker, lambda path: None if path is None else app.open_profile(path))
+
+
+def write_profile(app: CellApp) -> None:
+    """Open the form for a new profile; what is saved is opened."""
+    _show_form(app, OpenProfile(app.profiles / NEW_PROFILE, None, blank_draft()))
+
+
+def take_own_readings(app: CellApp) -> None:
+    """Ask for readings that were recorded elsewhere; make their profile and run, and open it."""
+    from cellapp.interfaces.tui import work
+    from cellapp.interfaces.tui.dialogs.own_readings import OwnReadings, OwnReadingsRequest
+
+    home = app.profiles.parent
+
+    def begin(request: OwnReadingsRequest | None) -> None:
+        if request is not None:
+            app.start_job(work.own_readings(request, home))
+
+    app.push_screen(OwnReadings(home), begin)
+
+
+def edit_profile(app: CellApp, path: Path) -> None:
+    """Open the form for a profile that exists; what is saved is opened. A sentence says why where that fails."""
+    from cellapp.cell.profile.draft_file import open_profile
+
+    try:
+        opened = open_profile(path)
+    except InputError as error:
+        app.say(str(error), "error")
+        return
+    _show_form(app, opened)
+
+
+def _show_form(app: CellApp, opened: OpenProfile) -> None:
+    from cellapp.interfaces.tui.screens.profile_form import ProfileForm
+
+    app.push_screen(ProfileForm(opened), lambda path: None if path is None else app.open_profile(path))

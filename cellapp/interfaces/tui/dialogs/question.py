@@ -1,0 +1,176 @@
+"""The base of all dialogs, that of dialogs with a row of answers, and the two simplest: a choice, a text to read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, TypeVar
+
+from rich.markdown import Markdown
+from textual import on
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.screen import ModalScreen
+from textual.widgets import Button, Input, Static
+from textual.widgets.button import ButtonVariant
+
+from cellapp.interfaces.tui.widgets.stop import StopCorner
+
+A = TypeVar("A")
+
+
+class Question(ModalScreen[A]):
+    """A dialog with STOP in the upper right corner.
+
+    F10 closes it without an answer; so does Escape while no job runs, else Escape stops the job.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,f10", "dismiss(None)", "Close", show=False)]
+
+    @property
+    def closing_key(self) -> str:
+        """The key that closes the dialog now."""
+        return "F10" if self.app.check_action("stop", ()) else "Escape"
+
+    def compose(self) -> ComposeResult:
+        yield StopCorner()
+        with Vertical(classes="dialog"):
+            yield from self.body()
+
+    def body(self) -> ComposeResult:
+        """The widgets of the dialog."""
+        raise NotImplementedError
+
+    def typed(self, name: str) -> str:
+        """What a field holds."""
+        return self.query_one(f"#{name}", Input).value.strip()
+
+
+class FieldsQuestion(Question[A]):
+    """Fields that Enter in one of them, or the first button, sends off; the other button closes.
+
+    A subclass closes the dialog in ``action_send``, or says with ``explain`` what is wrong with the fields.
+    """
+
+    @on(Input.Submitted)
+    def submit(self, event: Input.Submitted) -> None:
+        """Send with Enter in any field."""
+        event.stop()
+        self.action_send()
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Send or close."""
+        event.stop()
+        if event.button is self.query(".answers Button").first():
+            self.action_send()
+        else:
+            self.dismiss(None)
+
+    def action_send(self) -> None:
+        """Close with the answer, if the fields are complete."""
+        raise NotImplementedError
+
+    def explain(self, sentence: str) -> None:
+        """Say below the fields what is wrong with them."""
+        self.query_one("#why", Static).update(sentence)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One answer of a choice: what is returned, the button's label, its key, how it looks."""
+
+    value: str
+    label: str
+    key: str
+    variant: ButtonVariant = "default"
+
+
+class AnswerQuestion(Question[A]):
+    """A question with a row of answers below its text. The first answer has the focus, so Enter gives it.
+
+    A subclass yields what a person fills in in ``fields``, and closes the dialog in ``action_answer``.
+
+    Parameters
+    ----------
+    title, text : str
+        What is asked, and what a person must know to answer it.
+    answers : sequence of Answer
+    """
+
+    AUTO_FOCUS = ".answers Button"
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("left,up", "app.focus_previous", show=False),
+        Binding("right,down", "app.focus_next", show=False),
+    ]
+
+    def __init__(self, title: str, text: str, answers: Sequence[Answer]) -> None:
+        super().__init__()
+        self._title, self._text, self._answers = title, text, tuple(answers)
+
+    def body(self) -> ComposeResult:
+        yield Static(self._title, classes="title", markup=False)
+        yield Static(self._text, classes="text", markup=False)
+        yield from self.fields()
+        why = Static("", id="why", classes="danger", markup=False)
+        why.display = False
+        yield why
+        with Horizontal(classes="answers"):
+            for answer in self._answers:
+                label = f"{answer.label} ({answer.key})"
+                yield Button(label, id=answer.value, variant=answer.variant, compact=True)
+
+    def fields(self) -> ComposeResult:
+        """The widgets between text and answers."""
+        return iter(())
+
+    def on_mount(self) -> None:
+        """Let each answer be given by its key; a field that has the focus takes letters itself."""
+        for answer in self._answers:
+            self._bindings.bind(answer.key, f"answer('{answer.value}')", answer.label)
+
+    def action_answer(self, value: str) -> None:
+        """Take an answer by its value."""
+        raise NotImplementedError
+
+    def explain(self, sentence: str) -> None:
+        """Say above the answers what is wrong with the fields."""
+        why = self.query_one("#why", Static)
+        why.update(sentence)
+        why.display = True
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Take the answer of the button."""
+        event.stop()
+        self.action_answer(event.button.id or "")
+
+    @on(Input.Submitted)
+    def leave_field(self, event: Input.Submitted) -> None:
+        """Enter in a field goes to the answers: nothing begins by it."""
+        event.stop()
+        self.query(Button).first().focus()
+
+
+class Choice(AnswerQuestion[str]):
+    """Ask for one of a few answers. Returns its value."""
+
+    def action_answer(self, value: str) -> None:
+        """Close with an answer."""
+        self.dismiss(value)
+
+
+class Reading(Question[None]):
+    """A Markdown text to read and to scroll through."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("q,question_mark,enter", "dismiss(None)", "Close")]
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self._text = text
+
+    def body(self) -> ComposeResult:
+        with VerticalScroll(classes="reading"):
+            yield Static(Markdown(self._text))  # Textual's own makes a widget of each line, which takes seconds
+        yield Static(f"Up, down, Page Up, Page Down scroll; {self.closing_key} closes.", classes="text", markup=False)

@@ -1,0 +1,315 @@
+"""What is known of the present job: events of its thread, reduced to what screens draw."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from itertools import islice
+from typing import Literal
+
+from cellapp.commands.view.progress_words import detail_words
+from cellapp.ground.progress import (
+    AirReport,
+    CellLive,
+    Detail,
+    HaltState,
+    JobState,
+    LogReport,
+    MeasurementBegun,
+    MotionBegun,
+    MotionEnded,
+    PointMeasured,
+    PointMissed,
+    Progress,
+    ReferenceReport,
+    StateChange,
+    StopReport,
+    Suspicion,
+)
+from cellapp.interfaces.tui.live_words import halt_of, without_data
+
+Level = Literal["debug", "info", "warning", "error"]
+LEVELS: tuple[Level, ...] = ("debug", "info", "warning", "error")
+MOST_LINES = 5000
+"""Lines of the log that the screen keeps; the run file keeps all."""
+
+Activity = (
+    Literal["unknown", "moving", "settling", "measuring", "measured", "not measured", "resting", "stopped"] | HaltState
+)
+
+
+def level_of(word: str) -> Level:
+    """The level of a word that a run's log uses; ``note`` and unknown words count as info."""
+    return next((level for level in LEVELS if level == word), "info")
+
+
+@dataclass(frozen=True)
+class LogRow:
+    """One line of the log: when it was heard, how important it is, what it says."""
+
+    at: datetime
+    level: Level
+    text: str
+
+
+@dataclass(frozen=True)
+class ArmRecord:
+    """The newest that is known of one arm.
+
+    Attributes
+    ----------
+    activity : str
+        What it does; ``settling`` is at rest at a stop and not measured yet.
+    stop : int or None
+        Number of the stop, from 0, to which it moves or at which it is; None on other ways.
+    reason : str
+        Why its SMR was not measured; empty otherwise.
+    q : tuple or None
+        Joint positions (N) from the controller, at its last rest [rad].
+    joint_temperature_c : tuple or None
+        Joint temperatures (N) [degC]; None if not reported.
+    expected_s : float or None
+        Expected duration of the present motion [s].
+    report : StopReport or None
+        Error of the newest stop and standard error so far.
+    """
+
+    activity: Activity = "unknown"
+    stop: int | None = None
+    reason: str = ""
+    q: tuple[float, ...] | None = None
+    joint_temperature_c: tuple[float, ...] | None = None
+    expected_s: float | None = None
+    report: StopReport | None = None
+
+
+@dataclass(frozen=True)
+class TrackerRecord:
+    """The newest that is known of the tracker and of the air.
+
+    Attributes
+    ----------
+    arm : str or None
+        Arm whose SMR it measures or has measured.
+    measuring : bool
+        Whether it measures now.
+    point : PointMeasured or None
+        The newest point.
+    air : AirReport or None
+        The newest state of the air, from the weather station or else from the tracker.
+    """
+
+    arm: str | None = None
+    measuring: bool = False
+    point: PointMeasured | None = None
+    air: AirReport | None = None
+
+
+@dataclass
+class JobRecord:
+    """The events of one job, reduced. Only the thread of the screens writes and reads it.
+
+    What it holds of arms and tracker is replaced and never changed, so that a screen sees by ``is`` what to draw again.
+
+    Attributes
+    ----------
+    name : str
+        What was started, in a word or two; empty before the first job.
+    attached : bool
+        Whether another process runs it.
+    state : JobState or None
+        None while no job runs.
+    reason : str
+        Why the job came into its state, in a sentence; may be empty.
+    progress : dict
+        The newest event of each part, by its name; the part that reported last is the last one.
+    arms : dict
+        Arm -> the newest that is known of it.
+    tracker : TrackerRecord
+    stops : dict
+        Arm -> reports of its stops, oldest first.
+    references : list
+        Reports of reference measurements, oldest first.
+    suspicions : list
+        What the measurements made doubtful.
+    log : deque
+        Lines, oldest first.
+    log_written : int
+        Number of lines that were ever written.
+    causes : tuple of str
+        Why the arms were stopped, as the open cell says it, whether the job's thread has noticed or not.
+    lost : tuple of str
+        Devices of the open cell of which no data come.
+    changes : int
+        Grows with every event, so that a screen knows whether to draw again.
+    """
+
+    name: str = ""
+    state: JobState | None = None
+    reason: str = ""
+    attached: bool = False
+    progress: dict[str, Progress] = field(default_factory=dict)
+    arms: dict[str, ArmRecord] = field(default_factory=dict)
+    tracker: TrackerRecord = field(default_factory=TrackerRecord)
+    stops: dict[str, list[StopReport]] = field(default_factory=dict)
+    references: list[ReferenceReport] = field(default_factory=list)
+    suspicions: list[Suspicion] = field(default_factory=list)
+    log: deque[LogRow] = field(default_factory=lambda: deque(maxlen=MOST_LINES))
+    log_written: int = 0
+    causes: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
+    changes: int = 0
+
+    @property
+    def latest(self) -> Progress | None:
+        """The newest event; None before the first."""
+        return next(reversed(self.progress.values()), None)
+
+    @property
+    def is_replay(self) -> bool:
+        """Whether a stored run is played back: nothing moves."""
+        return self.name.split(" ")[0] == "replay"
+
+    def newest_lines(self, written: int) -> list[LogRow]:
+        """The lines that were written since ``log_written`` had a value, as far as they are kept; oldest first."""
+        count = min(self.log_written - written, len(self.log))
+        return list(islice(reversed(self.log), count))[::-1]
+
+    def begin(self, name: str, *, attached: bool = False) -> None:
+        """Forget the job before, but not its log."""
+        self.attached = attached
+        self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
+        for kept in (self.progress, self.arms, self.stops, self.references, self.suspicions):
+            kept.clear()
+        self.causes, self.lost = (), ()
+        self.changes += 1
+
+    def end(self) -> None:
+        """The job has ended; what it reported stays."""
+        self.state, self.reason = None, ""
+        self.causes, self.lost = (), ()
+        self._rest_arms("resting")
+        self.changes += 1
+
+    def look(self, live: CellLive | None) -> None:
+        """Take in what is known of the open cell now; no event of the job is needed for it."""
+        causes, lost = ((), ()) if live is None else (live.causes, tuple(without_data(live)))
+        if (causes, lost) != (self.causes, self.lost):
+            self.causes, self.lost = causes, lost
+            self.changes += 1
+        for name, arm in () if live is None else live.arms.items():
+            halt, before = halt_of(arm), self._arm(name)
+            if halt is not None and halt != before.activity:
+                self.arms[name] = replace(before, activity=halt, expected_s=None)
+                self.changes += 1
+                if halt == "not seen at rest":
+                    self.note(f"arm {name}: NOT SEEN AT REST, treat it as moving", "error")
+
+    def note(self, text: str, level: Level = "info") -> None:
+        """Add a line to the log."""
+        self.log.append(LogRow(datetime.now(), level, text))
+        self.log_written += 1
+        self.changes += 1
+
+    def add(self, event: Progress) -> None:
+        """Take in one event."""
+        before = self.progress.pop(event.job, None)  # the newest part is the last one
+        if before is not None and event.detail is not None and not event.note:
+            self.progress[event.job] = replace(event, note=before.note)  # the note of a step stands until the next
+        else:
+            self.progress[event.job] = event
+        self.changes += 1
+        if event.detail is None:
+            self.note(f"{event.job} {event.done}/{event.total} {event.note}".rstrip(), "debug")
+        else:
+            self._take(event.detail)
+            self._log_detail(event.job, event.detail)
+
+    # -- details -------------------------------------------------------------------------------------------------------
+
+    def _take(self, detail: Detail) -> None:
+        match detail:
+            case StateChange():
+                self._change_state(detail)
+            case Suspicion():
+                self.suspicions.append(detail)
+            case ReferenceReport():
+                self.references.append(detail)
+            case AirReport():
+                self.tracker = replace(self.tracker, air=detail)
+            case MotionBegun() | MotionEnded():
+                self._take_motion(detail)
+            case StopReport() | MeasurementBegun() | PointMeasured() | PointMissed():
+                self._take_measurement(detail)
+
+    def _arm(self, name: str) -> ArmRecord:
+        return self.arms.get(name, ArmRecord())
+
+    def _take_motion(self, motion: MotionBegun | MotionEnded) -> None:
+        if isinstance(motion, MotionBegun):
+            for name, q in motion.q_start.items():
+                moving = replace(self._arm(name), activity="moving", stop=motion.stop, reason="", q=q)
+                self.arms[name] = replace(moving, expected_s=motion.expected_s)
+            return
+        activity: Activity = "resting" if motion.stop is None else "settling"
+        for name, q in motion.q.items():
+            arm = replace(self._arm(name), activity=activity, stop=motion.stop, q=q, expected_s=None)
+            warm = motion.joint_temperature_c.get(name, arm.joint_temperature_c)
+            self.arms[name] = replace(arm, joint_temperature_c=warm)
+
+    def _take_measurement(self, detail: StopReport | MeasurementBegun | PointMeasured | PointMissed) -> None:
+        name, arm = detail.arm, self._arm(detail.arm)
+        match detail:
+            case StopReport():
+                self.stops.setdefault(name, []).append(detail)
+                self.arms[name] = replace(arm, report=detail)
+            case MeasurementBegun(stop=stop):
+                self.arms[name] = replace(arm, activity="measuring", stop=stop)
+                self.tracker = replace(self.tracker, arm=name, measuring=True)
+            case PointMissed(stop=stop, reason=reason):
+                self.arms[name] = replace(arm, activity="not measured", stop=stop, reason=reason)
+                self.tracker = replace(self.tracker, arm=name, measuring=False)
+            case PointMeasured():
+                measured = replace(arm, activity="measured", stop=detail.stop, reason="", q=detail.q)
+                warm = detail.joint_temperature_c or arm.joint_temperature_c
+                self.arms[name] = replace(measured, joint_temperature_c=warm)
+                self.tracker = TrackerRecord(name, False, detail, self._air_of(detail))
+
+    def _air_of(self, point: PointMeasured) -> AirReport | None:
+        """The air at a point; pressure and humidity are those of the weather station, whose temperature it repeats."""
+        air = self.tracker.air
+        if point.temperature_c is None or (air is not None and air.temperature_c == point.temperature_c):
+            return air
+        return AirReport(point.temperature_c)
+
+    def _change_state(self, change: StateChange) -> None:
+        self.state, self.reason = change.state, change.reason
+        if change.state in ("stopped", "aborted"):
+            self._rest_arms("stopped")
+
+    def _rest_arms(self, activity: Activity) -> None:
+        """Arms that moved or waited to be measured do so no more."""
+        for name, arm in self.arms.items():
+            if arm.activity in ("moving", "settling", "measuring", "stopped", "asked", "braking", "at rest"):
+                self.arms[name] = replace(arm, activity=activity, expected_s=None)
+        self.tracker = replace(self.tracker, measuring=False)
+
+    def _log_detail(self, job: str, detail: Detail) -> None:
+        """Write a line, where the job writes none of its own for this detail."""
+        match detail:
+            case LogReport(level, text):
+                self.note(text, level_of(level))
+            case StopReport():
+                self.note(f"{job}: {detail_words(detail)}", "debug")
+            case StateChange(state):
+                self.note(f"{job}: {detail_words(detail)}", "info" if state == "running" else "warning")
+            case Suspicion():
+                self.note(f"{job}: {detail_words(detail)}", "warning")
+            case ReferenceReport():
+                self.note(f"{job}: {detail_words(detail)}", "info" if within_limit(detail) else "warning")
+
+
+def within_limit(report: ReferenceReport) -> bool:
+    """Whether no reference moved farther than the limit."""
+    return max(report.drift_mm.values(), default=0.0) <= report.limit_mm

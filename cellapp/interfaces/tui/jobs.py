@@ -1,0 +1,160 @@
+"""One job at a time, in a thread of its own: it calls a verb of the pipeline; its events wait in a queue.
+
+Keys and signals reach the brakes through ``control`` without passing the queue.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, TypeVar
+
+from textual.message import Message
+
+from cellapp.ground.control import JobControl
+from cellapp.ground.progress import Listener, Progress
+
+if TYPE_CHECKING:
+    from cellapp.ground.results import Result
+
+Ask = Callable[[str], bool]
+"""Shows a person the first motion in words and returns whether it is allowed."""
+Work = Callable[[Listener, JobControl, Ask], "Result | None"]
+"""A verb of the pipeline with its inputs bound; it runs in the thread of the job."""
+M = TypeVar("M", bound=Message)
+
+_MOST_WAITING = 2000
+"""Events that wait to be drawn; a faster job loses the oldest ones here, the run file has all."""
+_ANSWER_S = 0.1
+"""How often a job that waits for an answer looks whether it is to end."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be done.
+
+    Attributes
+    ----------
+    name : str
+        A word or two for people: "collect".
+    work : callable
+        What does it.
+    folder : Path or None
+        The run that it reads or adds to; its error log is written there.
+    moves : bool
+        Whether it may move arms; a replay and a calculation do not.
+    process : int or None
+        The other process that runs it; here it is only watched and commanded. None: this one.
+    """
+
+    name: str
+    work: Work
+    folder: Path | None = None
+    moves: bool = False
+    process: int | None = None
+
+
+class MotionAsked(Message):
+    """The job asks before its first motion; ``answer`` takes what the person decides."""
+
+    def __init__(self, words: str, answer: Callable[[bool], None]) -> None:
+        super().__init__()
+        self.words, self.answer = words, answer
+
+
+class JobEnded(Message):
+    """The thread of the job ended, with a result or an exception."""
+
+    def __init__(self, job: Job, ending: Result | BaseException | None) -> None:
+        super().__init__()
+        self.job, self.ending = job, ending
+
+
+class JobRunner:
+    """Runs one job at a time.
+
+    Parameters
+    ----------
+    post : callable
+        Takes messages from any thread and hands them to the screens.
+    """
+
+    def __init__(self, post: Callable[[Message], object]) -> None:
+        self._post = post
+        self._events: deque[Progress] = deque(maxlen=_MOST_WAITING)
+        self._thread: threading.Thread | None = None
+        self.control = JobControl(holds=True)
+        self.job: Job | None = None
+
+    @property
+    def running(self) -> bool:
+        """Whether a job was started and has not reported its end yet."""
+        return self.job is not None
+
+    @property
+    def attached(self) -> bool:
+        """Whether the present job is one of another process: leaving it does not stop it."""
+        return self.job is not None and self.job.process is not None
+
+    def start(self, job: Job, control: JobControl | None = None) -> None:
+        """Start a job; the one before must have reported its end. ``control`` is that of a job of another process."""
+        if self.job is not None:
+            raise RuntimeError(f"{self.job.name} is still running")
+        self.control = control or JobControl(holds=True)  # first: whoever sees the job, in any thread, stops this one
+        self.job = job
+        self._events.clear()
+        # a daemon thread: a device that never answers cannot keep the program from ending
+        self._thread = threading.Thread(target=self._run, args=(job, self.control), name=job.name, daemon=True)
+        self._thread.start()
+
+    def ended(self) -> None:
+        """Take note of the end that ``JobEnded`` reported."""
+        self.job = None
+
+    def events(self, most: int | None = None) -> list[Progress]:
+        """Take the oldest events that nobody took yet, at most ``most``."""
+        count = len(self._events) if most is None else min(len(self._events), most)
+        return [self._events.popleft() for _ in range(count)]
+
+    def possible(self, verb: str) -> bool:
+        """Whether ``stop``, ``pause``, ``resume`` or ``abort`` can be asked of the present job."""
+        request = self.control.request
+        return self.running and {
+            "stop": True,  # again and again: braking twice does no harm
+            "pause": request != "abort",
+            "resume": request in ("pause", "stop"),
+            "abort": request != "abort",
+        }.get(verb, False)
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait, for a bounded time, until a job that was left has brought its arms to rest."""
+        if self._thread is not None:
+            self._thread.join(timeout_s)
+
+    # -- in the thread of the job --------------------------------------------------------------------------------------
+
+    def _run(self, job: Job, control: JobControl) -> None:
+        def ask(words: str) -> bool:
+            answers: queue.SimpleQueue[bool] = queue.SimpleQueue()
+            self._post(MotionAsked(words, answers.put))
+            while control.request in ("none", "pause"):
+                with contextlib.suppress(queue.Empty):
+                    return answers.get(timeout=_ANSWER_S)
+            return False
+
+        def report_failure(
+            kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        ) -> bool:
+            if error is not None:
+                self._post(JobEnded(job, error))
+            return True
+
+        with contextlib.ExitStack() as stack:
+            stack.push(report_failure)  # whatever ends the job is reported to the screens
+            self._post(JobEnded(job, job.work(self._events.append, control, ask)))

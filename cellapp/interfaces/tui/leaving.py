@@ -1,0 +1,82 @@
+"""Leaving because the system says so: the terminal was closed, the program is to end. Ctrl-Z pauses instead."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from cellapp.ground.signals import TERMINAL_CLOSED, available, ended_by, watch_signals
+from cellapp.interfaces.tui.endings import STOPPED, forget_terminal
+from cellapp.interfaces.tui.messages import LeaveAsked
+
+if TYPE_CHECKING:
+    from cellapp.interfaces.tui.app import CellApp
+
+LEFT = "a person left the application"
+ENDED = "the terminal application ended"
+"""What a run records as the cause of the stop."""
+_ENDING = available("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+_CLOSED = available("SIGHUP")
+_PAUSING = available("SIGTSTP")
+_LAST_WORDS_S = 5.0
+"""After the end of the job, for leaving the screen; usually some 0.1 s."""
+_LAST_WRITES_S = 0.5
+"""The same where the terminal is gone: nobody reads last words, and the next start waits for what this one holds."""
+
+
+class Leaving:
+    """Stops the job, then ends the application.
+
+    Parameters
+    ----------
+    app : CellApp
+    ends_process : bool
+        Whether a signal that ends the program ends the process even where the screen cannot be left.
+    """
+
+    def __init__(self, app: CellApp, *, ends_process: bool) -> None:
+        self._app, self._ends_process = app, ends_process
+        self._signals = contextlib.ExitStack()
+
+    def watch(self) -> None:
+        """Listen to signals, in the main thread, after Textual has set its own: Ctrl-Z would freeze the program."""
+        if threading.current_thread() is threading.main_thread():
+            self._signals.enter_context(watch_signals((*_ENDING, *_PAUSING), self._react, lambda *_: None))
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._signals.close()
+
+    def _react(self, number: int) -> None:
+        """In the thread that watches the signals."""
+        control = self._app.jobs.control
+        if number in _CLOSED:
+            self.close_terminal()
+        elif number in _ENDING:
+            control.leave(ended_by(number))
+            self._end(_LAST_WORDS_S)
+        elif control.request == "pause":
+            control.resume()
+        else:
+            control.pause()
+
+    def close_terminal(self) -> None:
+        """Leave because the terminal is gone; from any thread."""
+        self._app.jobs.control.leave(TERMINAL_CLOSED)
+        forget_terminal()
+        self._end(_LAST_WRITES_S)
+
+    def _end(self, after_s: float) -> None:
+        self._app.post_message(LeaveAsked())
+        if self._ends_process:
+            threading.Thread(target=self._end_process, args=(after_s,), name="end", daemon=True).start()
+
+    def _end_process(self, after_s: float) -> None:
+        """End the program where Textual cannot: once a write to a closed terminal failed, it waits for ever."""
+        running = self._app.jobs.running and not self._app.jobs.attached
+        self._app.wait_for_job()
+        time.sleep(after_s)
+        os._exit(STOPPED if running else self._app.code)

@@ -1,0 +1,130 @@
+"""Questions that the application asks before it begins something larger, or ends. Each begins nothing by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui.dialogs.follow_path import FollowPath, FollowRequest
+from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
+from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
+
+if TYPE_CHECKING:
+    from cellapp.commands.runs.result import RunSummary
+    from cellapp.interfaces.tui.app import CellApp
+
+BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
+USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
+"""Answers where the model is out of date; the first one has the focus."""
+_SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
+"""Speeds of a replay and their keys."""
+
+
+def arms_words(workspace: Workspace) -> str:
+    """Which arms a job would move."""
+    return "REAL ARMS WILL MOVE" if workspace.kind == "real" else f"the arms are {workspace.kind}"
+
+
+def offer_whole_day(app: CellApp) -> None:
+    """Plan, collect, calibrate, discover, push and verify in a new run."""
+    profile, path = app.workspace.file_profile, app.workspace.profile_path
+    if profile is None or path is None:
+        app.say(NO_PROFILE, "warning")
+        return
+    folder, cell = new_folder(profile), Workspace(path, profile)
+    arms = arms_words(cell)
+    text = f"Plan, collect, calibrate, discover, push and verify with '{profile.name}' into {folder}; {arms}."
+
+    def begin(answer: str | None) -> None:
+        if answer == "begin" and app.start_job(work.whole_day(path, folder, profile), cell):
+            app.action_show("collect")
+
+    app.push_screen(Choice("Everything, unattended?", text, BEGIN), begin)
+
+
+def offer_paths(app: CellApp) -> None:
+    """Plan paths of lines and arcs for the run that is open; drive and measure them where a person asks for that."""
+    from cellapp.commands.compensate.target_list import stale_model
+
+    calibrated, profile = app.day_screen.calibrated_run(), app.workspace.profile
+    if calibrated is None or profile is None:
+        return
+    folder, results, _ = calibrated
+
+    def begin(request: FollowRequest | None) -> None:
+        if request is not None:
+            app.start_job(work.follow(folder, request))
+
+    of_profile = Path("profiles") / "paths" / f"{profile.name}.yaml"
+    proposed = str(of_profile) if of_profile.is_file() else ""
+    stale = stale_model(results) or ""
+    app.push_screen(FollowPath(proposed, tuple(profile.arms), arms_words(app.workspace), stale), begin)
+
+
+def show_paths(app: CellApp, result: object) -> None:
+    """Show the tables of paths that were planned or followed; anything else is shown by its screen."""
+    from cellapp.cell.targets.path_records import PathResult
+    from cellapp.commands.follow.view import path_sentences, path_tables
+    from cellapp.commands.view.table import markdown
+
+    if isinstance(result, PathResult):
+        app.push_screen(Reading(markdown(path_tables(result), path_sentences(result))))
+
+
+def offer_to_quit(app: CellApp, leave: Callable[[bool], None]) -> None:
+    """Ask whether to stop the job that is in progress and quit; ``leave`` takes the answer."""
+    if app.jobs.attached:
+        text = f"'{app.record.name}' runs in another process and goes on; quitting here does not stop its arms."
+        stay = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, it goes on", "y", "warning"))
+        app.push_screen(Choice("Quit?", text, stay), lambda answer: leave(answer == "leave"))
+        return
+    brake = "Brake all arms, end it" if app.jobs.control.has_brakes else "End it"
+    answers = (Answer("stay", "Continue", "n"), Answer("leave", "Stop and quit", "y", "error"))
+    question = Choice("Quit?", f"'{app.record.name}' is in progress. {brake} and quit?", answers)
+    app.push_screen(question, lambda answer: leave(answer == "leave"))
+
+
+def offer_to_resume(app: CellApp, run: RunSummary) -> None:
+    """Open a run that was interrupted while collecting, or one in which another process works now."""
+    folder, title = Path(run.run), "Go on with the last run?"
+    text = f"{folder} was interrupted with {run.stops_left} stops left. Open it? Nothing moves yet."
+    if run.in_use:
+        title = "Watch the job that runs now?"
+        text = f"Another process works in {folder}. Open it? Its job goes on; Escape here stops its arms."
+
+    def open_it(answer: str | None) -> None:
+        if answer == "open":
+            app.open_run(folder, app.workspace.profile_path)
+            app.action_show("collect")
+
+    answers = (Answer("open", "Open", "o", "success"), Answer("later", "Later", "l"))
+    app.push_screen(Choice(title, text, answers), open_it)
+
+
+def offer_at_rest(app: CellApp, arm: str) -> None:
+    """Record that a person has seen an arm at rest that counts as moving."""
+    folder = app.workspace.folder
+    if folder is None:
+        return
+
+    def record(answer: str | None) -> None:
+        if answer == "seen":
+            app.start_job(work.at_rest(folder, arm))
+
+    answers = (Answer("no", "No", "n"), Answer("seen", "I see it at rest", "s", "warning"))
+    text = f"Its stop was not confirmed: {app.workspace.unseen.get(arm, '')}. Say so only if you look at it now."
+    app.push_screen(Choice(f"Is arm {arm} at rest?", text, answers), record)
+
+
+def offer_replay(app: CellApp, folder: Path) -> None:
+    """Play back a run through the screen Collect."""
+
+    def play(answer: str | None) -> None:
+        if answer is not None and app.start_job(work.replay(folder, float(answer[1:]))):
+            app.action_show("collect")
+
+    answers = [Answer(f"x{speed}", f"{speed} times", key) for speed, key in _SPEEDS]
+    text = f"Play back {folder} through the screen Collect. Nothing moves."
+    app.push_screen(Choice("How fast?", text, answers), play)

@@ -1,0 +1,164 @@
+"""Pictures of the terminal application: its first question and every screen of the day, drawn without a terminal."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import chdir, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellapp.cell.profile.files import write_new
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+
+if TYPE_CHECKING:
+    from textual.pilot import Pilot
+
+    from cellapp.interfaces.tui.app import CellApp
+
+SIZE = (120, 40)
+"""Columns and lines of a usual terminal."""
+REPLAY_SPEED = 100.0
+"""The greatest there is."""
+_WAIT_S = 300.0
+_LOOK_S = 0.05
+"""How often it is looked whether a replay is far enough."""
+FIRST_RUN = "first-run"
+"""What the application asks in a folder without profiles; drawn beside the screens."""
+_FONT = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
+_PLOTS_S = 1.0
+"""The screen Collect draws its plots one after the other, so that keys are answered between them."""
+_PLAN_TAB = "tab-design"
+"""The tab of the screen Plan that shows most."""
+_SETTLED = 3
+"""Screens that read something in a thread draw it a message later, and that may begin another reading."""
+
+
+def screen_file(step: str) -> str:
+    """Name of the picture of a step's screen."""
+    return f"screen-{step}.svg"
+
+
+def write_screens(
+    profile: Path, run: Path | None, folder: Path, size: tuple[int, int] = SIZE, outputs: Outputs = NEW_ONLY
+) -> list[Path]:
+    """Draw every screen as an SVG file, with a run or without one; their paths. Nothing is changed in the run.
+
+    The first picture is that of the first start, in a folder without profiles.
+
+    Parameters
+    ----------
+    profile : Path
+        A profile; where ``run`` is given, that from which it was planned.
+    run : Path or None
+        Folder of the run.
+    folder : Path
+        Folder of the pictures.
+    size : tuple
+        Columns and lines.
+    outputs : Outputs
+        What may be replaced; left out, nothing.
+
+    Raises
+    ------
+    InputError
+        If profile or run cannot be read, or the folder cannot be written.
+    """
+    from cellapp.cell.profile import load_profile
+    from cellapp.cell.run import RunFile
+
+    load_profile(profile)
+    if run is not None:
+        with RunFile.open(run):
+            pass
+    pictures = asyncio.run(_pictures(profile, run, size))
+    return list(write_new({folder / name: svg for name, svg in pictures.items()}, outputs))
+
+
+async def _pictures(profile: Path, run: Path | None, size: tuple[int, int]) -> dict[str, str]:
+    """Name and SVG text of the picture of every screen."""
+    from textual.widgets import TabbedContent
+
+    from cellapp.interfaces.tui.app import CellApp
+    from cellapp.interfaces.tui.screens import SCREENS
+
+    pictures = {screen_file(FIRST_RUN): await _first_run(size)}
+    with _runs_of(run) as runs:
+        app = CellApp(profile.parent, runs)
+        async with app.run_test(size=size) as pilot:
+            await settle(pilot)
+            if run is None:
+                app.open_profile(profile)
+            else:
+                app.open_run(run, profile)
+            for entry in sorted(SCREENS, key=lambda entry: entry.step == "collect"):  # a replay leaves a message
+                app.action_show(entry.step)
+                await settle(pilot)
+                if run is not None and entry.step == "collect":
+                    await _replay_half(app, pilot, run)
+                if run is not None and entry.step == "plan":
+                    app.screen.query_one(TabbedContent).active = _PLAN_TAB
+                    await settle(pilot)
+                svg = app.export_screenshot(title=f"cellapp: {entry.title}")
+                pictures[screen_file(entry.step)] = _without_fonts(svg)
+                await _end_job(app, pilot)
+    return {screen_file(step): pictures[screen_file(step)] for step in (FIRST_RUN, *(entry.step for entry in SCREENS))}
+
+
+async def _first_run(size: tuple[int, int]) -> str:
+    """SVG text of what the application asks in an empty folder."""
+    from cellapp.interfaces.tui.app import CellApp
+
+    with tempfile.TemporaryDirectory() as name, chdir(name):  # the question names the folder as people see it
+        app = CellApp(Path("profiles"), Path("logs"))
+        async with app.run_test(size=size) as pilot:
+            await settle(pilot)
+            return _without_fonts(app.export_screenshot(title="cellapp"))
+
+
+async def _replay_half(app: CellApp, pilot: Pilot[None], run: Path) -> None:
+    """Play back the first half of the stops, and pause: the screen as people see it while arms move."""
+    from cellapp.interfaces.tui import work
+
+    stops = app.workspace.stops
+    half = 0 if stops is None else sum(stop.measured for stop in stops.stops) // 2
+    app.start_job(work.replay(run, REPLAY_SPEED))
+    async with asyncio.timeout(_WAIT_S):
+        while app.jobs.running and min(map(len, app.record.stops.values()), default=0) < half:
+            await asyncio.sleep(_LOOK_S)
+    app.action_pause()
+    await asyncio.sleep(_PLOTS_S)
+    await settle(pilot)
+
+
+async def _end_job(app: CellApp, pilot: Pilot[None]) -> None:
+    async with asyncio.timeout(_WAIT_S):
+        app.action_abort()
+        while app.jobs.running:
+            await asyncio.sleep(_LOOK_S)
+    await settle(pilot)
+
+
+@contextmanager
+def _runs_of(run: Path | None) -> Iterator[Path]:
+    """The folder that the screen Runs lists: only the run itself, or none."""
+    if run is not None:
+        yield run
+        return
+    with tempfile.TemporaryDirectory() as name:
+        yield Path(name)
+
+
+async def settle(pilot: Pilot[None]) -> None:
+    """Wait until the threads that read for the screens have ended and what they read is drawn."""
+    async with asyncio.timeout(_WAIT_S):
+        for _ in range(_SETTLED):
+            await pilot.app.workers.wait_for_complete()
+            await pilot.pause()
+
+
+def _without_fonts(svg: str) -> str:
+    """The picture without fonts of the network: any fixed-width font does, the width of each text is stated."""
+    return _FONT.sub("", svg).replace("font-family: Fira Code, monospace", "font-family: monospace")

@@ -1,0 +1,300 @@
+"""A chart drawn into the cells of a terminal, as characters and inks; colours are the widget's."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.commands.view.charts import Array, Chart, Series
+from cellapp.interfaces.tui.plots.raster import (
+    DOT_COLUMNS,
+    DOT_ROWS,
+    as_steps,
+    braille,
+    no_dots,
+    occupied_cells,
+    set_bars,
+    set_line,
+    set_points,
+)
+from cellapp.interfaces.tui.plots.scale import Scale, equal_scales, scale_of, tick_texts
+
+TEXT, HEADING, SOFT = -1, -2, -3
+"""Inks that are no series: words and axes, title, limits."""
+MARKS = "●▲■◆+×"
+"""One mark for each style; further styles repeat them."""
+LIMIT = {"y": "╌", "x": "╎"}
+_BAND = "░"
+_LEAST_ROWS, _LEAST_COLUMNS = 3, 16
+"""Cells of data below which a plot says less than its message."""
+_TICK_ROWS = 2
+"""Rows for one tick of the y axis."""
+_TICK_COLUMNS = 7
+"""Columns for one tick of the x axis: a label of up to five characters and a gap."""
+_MOST_TICKS = 8
+"""Ticks of an axis, however long it is: more tell no more."""
+_MARK_EVERY = 10
+"""Columns between two marks of a line: near enough to be found, far enough to see the line."""
+_CELLS_A_MARK = 8
+"""Cells for each mark of a cloud in which every point has one; in a denser one, marks would hide each other."""
+_MARKED_SHARE = 5
+"""One of so many cells of a dense cloud shows its mark."""
+_LEAST_BAR = 6
+"""Cells for the longest bar, however long the names are."""
+_EIGHTHS = " ▏▎▍▌▋▊▉"
+
+Run = tuple[str, int]
+"""A text and its ink: the style of a series, or one of those above."""
+Line = list[Run]
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Characters and inks (rows, columns) of a drawing."""
+
+    characters: NDArray[np.str_]
+    inks: NDArray[np.int64]
+
+    @classmethod
+    def blank(cls, rows: int, columns: int) -> Cells:
+        """Blank cells."""
+        return cls(np.full((rows, columns), " "), np.full((rows, columns), TEXT))
+
+    def put(self, where: NDArray[np.bool_], characters: NDArray[np.str_] | str, ink: int) -> None:
+        """Set characters where ``where`` (rows, columns) is true."""
+        self.characters[where] = characters if isinstance(characters, str) else characters[where]
+        self.inks[where] = ink
+
+    def write(self, row: int, column: int, text: str, ink: int = TEXT) -> None:
+        """Write a text that fits into a row."""
+        self.characters[row, column : column + len(text)] = list(text)
+        self.inks[row, column : column + len(text)] = ink
+
+    def lines(self) -> Iterator[Line]:
+        """The rows as runs of one ink."""
+        for characters, inks in zip(self.characters, self.inks, strict=True):
+            begin = [0, *(np.flatnonzero(np.diff(inks)) + 1).tolist()]
+            text = "".join(characters.tolist())
+            yield [(text[a:b], int(inks[a])) for a, b in pairwise([*begin, len(text)])]
+
+
+def draw(chart: Chart, width: int, height: int) -> list[Line]:
+    """Title, plot, key and message in at most ``height`` lines of ``width`` cells.
+
+    Where the room is too small, the words of the axes go first, then sentences after the first and the key, last the
+    plot: its message says as much.
+    """
+    if width < 1:
+        return []
+    title, message = _wrapped(chart.title, width, HEADING), _wrapped(chart.message, width)
+    room = height - len(title)
+    if chart.categories and room > len(message) and width >= _LEAST_COLUMNS:
+        return [*title, *_category_lines(chart, width, room - len(message)), *message]
+    if not chart.is_empty and not chart.categories:
+        for above, below in _words(chart, width, message):
+            plot = _plot(chart, width, room - len(above) - len(below))
+            if plot is not None:
+                return [*title, *above, *plot.lines(), *below]
+    return title + message if len(message) <= room else message[:height]
+
+
+def _words(chart: Chart, width: int, message: list[Line]) -> Iterator[tuple[list[Line], list[Line]]]:
+    """Lines above and below a plot: first all of them, then fewer and fewer."""
+    axes, key = _wrapped(f"↑ {chart.y.words}   → {chart.x.words}", width), _key_lines(chart, width)
+    sentence = _wrapped(chart.message.partition(". ")[0], width)
+    yield axes, key + message
+    yield [], key + message
+    yield [], key + sentence
+    yield [], message
+    yield [], sentence
+
+
+def _wrapped(text: str, width: int, ink: int = TEXT) -> list[Line]:
+    return [[(line, ink)] for line in textwrap.wrap(text, width)]
+
+
+# -- axes -------------------------------------------------------------------------------------------------------------
+
+
+def _plot(chart: Chart, width: int, height: int) -> Cells | None:
+    """Axes and data; None where the room is too small."""
+    rows = height - 2  # the axis and its labels
+    if rows < _LEAST_ROWS:
+        return None
+    margin = max((len(text) for text in _row_labels(_scales(chart, width, rows)[1], rows).values()), default=0) + 1
+    columns = width - margin
+    if columns < _LEAST_COLUMNS:
+        return None
+    x, y = _scales(chart, columns, rows)
+    # the range of a map depends on its width: a label that became longer has no room
+    labels = {row: text for row, text in _row_labels(y, rows).items() if len(text) < margin}
+    cells = Cells.blank(height, width)
+    for row in range(rows):
+        text = labels.get(row)
+        cells.write(row, 0, f"{text or '':>{margin - 1}}{'│' if text is None else '┤'}")
+    cells.write(rows, margin - 1, "└" + "─" * columns)
+    _write_column_labels(cells, x, margin)
+    _draw_data(chart, Cells(cells.characters[:rows, margin:], cells.inks[:rows, margin:]), x, y)
+    return cells
+
+
+def _scales(chart: Chart, columns: int, rows: int) -> tuple[Scale, Scale]:
+    """Scales of both axes that show all series and limits, for a plot of some cells."""
+    at_x = [limit.value for limit in chart.limits if limit.axis == "x"]
+    at_y = [limit.value for limit in chart.limits if limit.axis == "y"]
+    ys = [edge for one in chart.series for edge in _edges(one)] if chart.y_range is None else [np.array(chart.y_range)]
+    fill = any(one.kind == "bars" for one in chart.series)
+    x = scale_of(chart.x, np.concatenate([*(one.x for one in chart.series), at_x]), DOT_COLUMNS * columns)
+    y = scale_of(chart.y, np.concatenate([*ys, at_y]), DOT_ROWS * rows, zero=fill)
+    return equal_scales(x, y) if chart.equal else (x, y)
+
+
+def _edges(one: Series) -> list[Array]:
+    return [one.y] if one.band is None else [one.y - one.band, one.y + one.band]
+
+
+def _row_labels(y: Scale, rows: int) -> dict[int, str]:
+    """Row -> text of its tick."""
+    ticks = y.ticks(min(max(rows // _TICK_ROWS, 2), _MOST_TICKS))
+    at = (DOT_ROWS * rows - 1 - np.rint(y.place(np.array(ticks)))) // DOT_ROWS
+    return dict(zip(at.astype(int).tolist(), tick_texts(ticks, logarithmic=y.axis.logarithmic), strict=True))
+
+
+def _write_column_labels(cells: Cells, x: Scale, margin: int) -> None:
+    """Ticks of the x axis on the last two rows; a label that would touch the one before is left out."""
+    columns = cells.characters.shape[1] - margin
+    ticks = x.ticks(min(max(columns // _TICK_COLUMNS, 2), _MOST_TICKS))
+    free = 0
+    for at, text in zip(x.place(np.array(ticks)), tick_texts(ticks, logarithmic=x.axis.logarithmic), strict=True):
+        column = margin + round(float(at)) // DOT_COLUMNS
+        begin = min(max(column - len(text) // 2, 0), margin + columns - len(text))
+        if begin >= free:
+            cells.write(-2, column, "┬")
+            cells.write(-1, begin, text)
+            free = begin + len(text) + 1
+
+
+# -- data -------------------------------------------------------------------------------------------------------------
+
+
+def _draw_data(chart: Chart, cells: Cells, x: Scale, y: Scale) -> None:
+    for limit in chart.limits:
+        scale = x if limit.axis == "x" else y
+        at = round(float(scale.place(np.array([limit.value]))[0]))
+        if 0 <= at < scale.dots:
+            rows, columns = _places(*cells.characters.shape)
+            line = rows == (y.dots - 1 - at) // DOT_ROWS if limit.axis == "y" else columns == at // DOT_COLUMNS
+            cells.put(np.broadcast_to(line, cells.characters.shape), LIMIT[limit.axis], SOFT)
+    for one in chart.series:
+        _draw_band(one, cells, x, y)
+    for one in chart.series:
+        _draw_series(one, cells, x, y, several=len(chart.series) > 1)
+
+
+def _places(rows: int, columns: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Numbers of the rows (rows, 1) and of the columns (columns,) of some cells."""
+    return np.arange(rows)[:, np.newaxis], np.arange(columns)
+
+
+def _draw_band(one: Series, cells: Cells, x: Scale, y: Scale) -> None:
+    """Shade the cells whose middle is between both edges of a band."""
+    if one.band is None:
+        return
+    at = x.place(one.x) / DOT_COLUMNS
+    low, high = ((y.dots - 1 - y.place(edge)) / DOT_ROWS for edge in _edges(one))
+    seen = np.argsort(at)
+    seen = seen[np.isfinite(at + low + high)[seen]]
+    if len(seen) == 0:
+        return
+    rows, columns = _places(*cells.characters.shape)
+    middle = columns + 0.5
+    top, bottom = (np.interp(middle, at[seen], edge[seen], left=np.nan, right=np.nan) for edge in (high, low))
+    cells.put((rows + 0.5 >= top) & (rows + 0.5 <= bottom), _BAND, one.style)
+
+
+def _draw_series(one: Series, cells: Cells, x: Scale, y: Scale, *, several: bool) -> None:
+    column, row = x.place(one.x), y.dots - 1 - y.place(one.y)
+    dots = no_dots(*cells.characters.shape)
+    if one.kind == "line":
+        set_line(dots, column, row)
+    elif one.kind == "steps":
+        set_line(dots, *as_steps(column, row))
+    elif one.kind == "bars":
+        set_bars(dots, column, row, y.dots - 1 - float(y.place(np.zeros(1))[0]))
+    else:
+        set_points(dots, column, row)
+    occupied = occupied_cells(dots)
+    cells.put(occupied, braille(dots), one.style)
+    cells.put(_marked(one, occupied, column, row, several=several), mark_of(one), one.style)
+
+
+def mark_of(one: Series) -> str:
+    """The character by which a series is told apart without colour."""
+    return one.mark or MARKS[one.style % len(MARKS)]
+
+
+def _marked(one: Series, occupied: NDArray[np.bool_], column: Array, row: Array, *, several: bool) -> NDArray[np.bool_]:
+    """The cells (rows, columns) in which a series shows its mark: every point where they are few, else some cells."""
+    rows, columns = _places(*occupied.shape)
+    few = len(one.x) <= (occupied.size // _CELLS_A_MARK if one.kind == "points" else occupied.shape[1] // 4)
+    if one.mark or (few and one.kind in ("points", "line")):
+        at_points = no_dots(*occupied.shape)
+        set_points(at_points, column, row)
+        return occupied_cells(at_points)
+    if not several:
+        return np.zeros_like(occupied)
+    if one.kind == "points":
+        shares: NDArray[np.bool_] = (columns + 3 * rows) % _MARKED_SHARE == one.style % _MARKED_SHARE
+        return occupied & shares
+    topmost: NDArray[np.bool_] = np.cumsum(occupied, axis=0) == 1
+    turns: NDArray[np.bool_] = columns % _MARK_EVERY == (2 + 3 * one.style) % _MARK_EVERY
+    return occupied & topmost & turns
+
+
+# -- words ------------------------------------------------------------------------------------------------------------
+
+
+def _key_lines(chart: Chart, width: int) -> list[Line]:
+    """Marks and names of the series and limits, if there are several."""
+    entries = [(mark_of(one), one.name, one.style) for one in chart.series] if len(chart.series) > 1 else []
+    for limit in chart.limits:
+        unit = (chart.x if limit.axis == "x" else chart.y).unit
+        entries.append((LIMIT[limit.axis], f"{limit.name} {limit.value:.3g} {unit}".rstrip(), SOFT))
+    entries += [(_BAND, "uncertainty", one.style) for one in chart.series if one.band is not None][:1]
+    lines: list[Line] = []
+    used = width
+    for mark, name, ink in entries:
+        text = _cut(name, width - 2)
+        if used + 4 + len(text) > width:
+            lines.append([])
+            used = -2
+        lines[-1] += [("  " if lines[-1] else "", TEXT), (mark, ink), (f" {text}", TEXT)]
+        used += 4 + len(text)
+    return lines
+
+
+def _category_lines(chart: Chart, width: int, rows: int) -> list[Line]:
+    """One bar a line: name, bar, value."""
+    values = np.nan_to_num(chart.series[0].y)
+    number = max(map(len, chart.bar_texts))
+    names = [_cut(name, width - number - 2 - _LEAST_BAR) for name in chart.categories]
+    label = max(map(len, names))
+    room = max(width - label - number - 2, 1)
+    lines: list[Line] = []
+    for name, value, text in zip(names, values, chart.bar_texts, strict=True):
+        eighths = round(8 * room * max(float(value), 0.0) / (float(values.max()) or 1.0))
+        bar = "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
+        lines.append([(f"{name:>{label}} ", TEXT), (f"{bar:<{room}}", 0), (f" {text:>{number}}", TEXT)])
+    if len(lines) > rows:
+        lines = [*lines[: rows - 1], [(f"and {len(lines) - rows + 1} more", SOFT)]]
+    return lines
+
+
+def _cut(text: str, width: int) -> str:
+    """A text that is cut to a width, with an ellipsis where something is missing."""
+    return text if len(text) <= width else f"{text[: max(width - 1, 0)]}…"

@@ -1,0 +1,62 @@
+"""The widget that draws a chart."""
+
+from __future__ import annotations
+
+from rich.segment import Segment
+from rich.style import Style
+from textual.reactive import reactive
+from textual.strip import Strip
+from textual.widget import Widget
+
+from cellapp.commands.view.charts import Chart
+from cellapp.interfaces.tui.plots.drawing import HEADING, SOFT, TEXT, draw
+
+ON_DARK = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#d55e00")
+ON_LIGHT = ("#0072b2", "#b64f00", "#00795a", "#a8447c", "#000000", "#7a6a00")
+"""Colours of the styles on dark and on light backgrounds: those of Okabe and Ito (2008), which people who are colour
+blind tell apart; on light ones darkened until they have a contrast of 3 to 1."""
+
+
+class ChartPlot(Widget):
+    """A chart with its title, key and message. Set ``chart`` to draw another one; None is blank."""
+
+    DEFAULT_CSS = """
+    ChartPlot {
+        width: 1fr;
+        height: 1fr;
+    }
+    """
+
+    chart: reactive[Chart | None] = reactive(None)
+
+    def __init__(self, chart: Chart | None = None, *, id: str | None = None, classes: str | None = None) -> None:
+        super().__init__(id=id, classes=classes)
+        self._strips: list[Strip] = []
+        self._drawn_as: tuple[object, ...] = ()
+        self.set_reactive(ChartPlot.chart, chart)
+
+    def render_line(self, y: int) -> Strip:
+        """One line of the drawing, which is made once for a chart, a size and a background."""
+        width, height = self.content_size
+        drawn_as = (self.chart, width, height, self.rich_style, self.app.current_theme.dark)
+        if drawn_as != self._drawn_as:
+            lines = [] if self.chart is None else draw(self.chart, width, height)
+            styles = {ink: self._style(ink) for ink in {ink for line in lines for _, ink in line}}
+            self._strips = [
+                Strip([Segment(text, styles[ink]) for text, ink in line]).adjust_cell_length(width, self.rich_style)
+                for line in lines
+            ]
+            self._drawn_as = drawn_as
+        return self._strips[y] if y < len(self._strips) else Strip.blank(width, self.rich_style)
+
+    def _style(self, ink: int) -> Style:
+        """Style of an ink on the present background."""
+        own = self.rich_style
+        if ink == TEXT:
+            return own
+        if ink == HEADING:
+            return own + Style(bold=True)
+        if ink == SOFT:
+            return own + Style(italic=True)
+        colours = ON_DARK if self.app.current_theme.dark else ON_LIGHT
+        return own + Style(color=colours[ink % len(colours)])

@@ -1,0 +1,65 @@
+"""Presses of STOP that brake before the event loop gets them, and what must not be taken for a later press."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from textual.driver import Driver
+from textual.geometry import Region
+
+from cellapp.interfaces.tui.messages import StopGiven
+
+if TYPE_CHECKING:
+    from cellapp.interfaces.tui.jobs import JobRunner
+
+_RESUME_AFTER_S = 0.3
+"""A key that resumes and is handled sooner after a stop may have been pressed before it."""
+
+
+class StopPresses:
+    """Stops given in the thread that reads the terminal.
+
+    Attributes
+    ----------
+    region : Region
+        Where STOP is, on every screen and every dialog [cells].
+    """
+
+    def __init__(self, jobs: JobRunner) -> None:
+        self._jobs = jobs
+        self.region = Region()
+        self._given = self._said = 0
+        self._said_s = -_RESUME_AFTER_S
+
+    def give(self) -> StopGiven | None:
+        """Brake all arms now; None if no job runs, and nothing was done. In the thread that read the press."""
+        if not self._jobs.possible("stop"):
+            return None
+        control = self._jobs.control
+        arms = control.has_brakes
+        self._given += 1  # first: from now on an earlier key does not resume
+        control.stop()
+        return StopGiven(arms)
+
+    def said(self) -> None:
+        """Take note that the screens have handled the oldest press."""
+        self._said += 1
+        self._said_s = time.monotonic()
+
+    @property
+    def just_given(self) -> bool:
+        """Whether what is handled now may have been pressed before the last STOP."""
+        return self._given != self._said or time.monotonic() < self._said_s + _RESUME_AFTER_S
+
+
+def driver_that_stops(usual: type[Driver]) -> type[Driver]:
+    """The driver whose thread gives a stop itself, in place of the usual one of a POSIX terminal."""
+    if sys.platform == "win32":
+        return usual
+    from textual.drivers.linux_driver import LinuxDriver
+
+    from cellapp.interfaces.tui.urgent_keys import UrgentDriver
+
+    return UrgentDriver if usual is LinuxDriver else usual

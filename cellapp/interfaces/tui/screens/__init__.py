@@ -1,0 +1,42 @@
+"""The screens in the order of the day: the one registry. A screen's module is loaded when it is first shown."""
+
+from __future__ import annotations
+
+import importlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from cellapp.interfaces.tui.workspace import STEPS, Step
+
+if TYPE_CHECKING:
+    from cellapp.interfaces.tui.screens.base import DayScreen
+
+
+@dataclass(frozen=True)
+class ScreenEntry:
+    """One screen: its step, the key that shows it, its title, its class in the module of its name."""
+
+    step: Step
+    key: str
+    title: str
+    class_name: str
+    purpose: str
+
+    def make(self) -> DayScreen:
+        """Load the module and make the screen."""
+        module = importlib.import_module(f"cellapp.interfaces.tui.screens.{self.step}")
+        screen: DayScreen = getattr(module, self.class_name)()
+        return screen
+
+
+SCREENS: tuple[ScreenEntry, ...] = (
+    ScreenEntry("cell", "1", "Cell", "CellScreen", "profile, devices, doctor"),
+    ScreenEntry("plan", "2", "Plan", "PlanScreen", "stops that the arms will visit"),
+    ScreenEntry("collect", "3", "Collect", "CollectScreen", "drive and measure"),
+    ScreenEntry("calibrate", "4", "Calibrate", "CalibrateScreen", "identify, errors by stage"),
+    ScreenEntry("discover", "5", "Discover", "DiscoverScreen", "name the missing effect"),
+    ScreenEntry("targets", "6", "Targets", "TargetsScreen", "compensate, push, verify"),
+    ScreenEntry("accept", "7", "Accept", "AcceptScreen", "verdict, check, ISO 9283, certificate, report"),
+    ScreenEntry("runs", "8", "Runs", "RunsScreen", "history, compare, fleet, replay"),
+)
+assert tuple(entry.step for entry in SCREENS) == STEPS

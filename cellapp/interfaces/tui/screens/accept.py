@@ -1,0 +1,253 @@
+"""The screen Accept: the verdict on a run, the check of its calibration, ISO 9283, its certificate and its report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+from textual import on
+from textual import work as in_thread
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.message import Message
+from textual.widgets import Static, TabbedContent, TabPane
+from textual.worker import get_current_worker
+
+from cellapp.commands.certificate.result import CertificateCheckResult, SignKeyResult
+from cellapp.commands.certificate.view import certificate_sentences, certificate_tables, sign_key_sentences
+from cellapp.commands.certificate.view import check_sentences as check_file_sentences
+from cellapp.commands.check.view import check_sentences, check_tables
+from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
+from cellapp.commands.run_results import RunResults
+from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, Result, StageName
+from cellapp.interfaces.tui import work_acceptance
+from cellapp.interfaces.tui.dialogs.question import Reading
+from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.screens import accept_jobs
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
+from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
+from cellapp.interfaces.tui.widgets.tabs import show_next_tab
+from cellapp.interfaces.tui.workspace import NO_RUN, Step, Workspace
+
+if TYPE_CHECKING:
+    from cellapp.commands.report.verdict_view import RunVerdict
+    from cellapp.commands.view.table import Table
+
+_NOT_JUDGED = "Nothing is judged yet."
+_NOT_CHECKED = "The calibration was not checked yet. k measures a few stops: does it still hold?"
+_NOT_TESTED = "Nothing was tested yet. i measures by ISO 9283: pose accuracy and repeatability, and more."
+_NO_CERTIFICATE = "No certificate was written yet. s writes and signs it; f checks the file of one."
+_READING = "reading the run ..."
+_UNREADABLE = "The run cannot be judged; the message line says what is wrong with it."
+
+
+class VerdictRead(Message):
+    """The run of a workspace was judged; None where it cannot be read."""
+
+    def __init__(self, workspace: Workspace, verdict: RunVerdict | None) -> None:
+        super().__init__()
+        self.workspace, self.verdict = workspace, verdict
+
+
+class AcceptScreen(DayScreen):
+    """Verdict, check, ISO 9283, certificate, report."""
+
+    AUTO_FOCUS = "#verdict-tables"
+    STEP: ClassVar[Step] = "accept"
+    HELP: ClassVar[str] = """\
+# Accept
+
+Is the cell good, by which norm, is it still good, who says so. The first lines hold the verdict against the tolerances
+of the profile, and in red whatever is out of date.
+
+- *Verdict*: each judged error with its uncertainty and its tolerance, and what comes next.
+- *Check*: **k** drives to about 20 stops that tell most, compares them with the calibration and ends as soon as it is
+  sure: still valid, tracker or base moved, or what changed on the arm. It changes no model.
+- *ISO 9283*: **i** asks for tests, cycles and speed, drives and measures, commanded by the nominal model, the
+  calibrated one, or both.
+- *Certificate*: **s** writes the certificate and signs it with a key file, **g** makes such a key, **f** checks the
+  file of a certificate. What nobody gave stands there as not given; the profile's section *traceability* takes it.
+- **o** writes the report: the page, and on request its print as PDF.
+
+The check and the tests ask first, and real arms ask again with the first path. While they run, the line above the
+message shows how far they are; Collect (key 3) shows arms and tracker. **t** goes from tab to tab; **y** copies tables,
+**w** saves them, arrows scroll. The handbook's chapters *check*, *iso9283* and *certificate* explain the figures.
+"""
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("k", "check", "Check", tooltip="does the calibration still hold? THE ARMS MOVE"),
+        Binding("i", "iso9283", "ISO 9283", tooltip="measure by ISO 9283: THE ARMS MOVE"),
+        Binding("s", "certificate", "Certificate", tooltip="write and sign the certificate; nothing moves"),
+        Binding("f", "check_file", "Check file", tooltip="check signature and data of a certificate; nothing moves"),
+        Binding("g", "sign_key", "Make key", show=False, tooltip="make a key that signs certificates"),
+        Binding("o", "report", "Report", tooltip="write the page, and its PDF if asked to"),
+        Binding("t", "next_tab", "Next tab"),
+    ]
+    DEFAULT_CSS = """
+    AcceptScreen #decision { height: auto; max-height: 3; text-style: bold; padding-left: 1; }
+    AcceptScreen #decision.conforms { color: $text-success; }
+    AcceptScreen #decision.does-not-conform { color: $text-error; }
+    AcceptScreen #decision.cannot-say { color: $text-warning; }
+    AcceptScreen #outdated { height: auto; max-height: 5; padding-left: 1; background: $error; color: white; }
+    AcceptScreen #outdated { text-style: bold; }
+    AcceptScreen TablesView { overflow-x: auto; }
+    AcceptScreen .table DataTable { width: auto; }
+    AcceptScreen #certificate-tables .table { min-width: 110; }
+    AcceptScreen #evidence { height: auto; max-height: 3; padding-left: 1; }
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._drawn: Workspace | None = None
+        self._checked: CertificateCheckResult | None = None
+        self.key_file = ""
+        """Private key that signed last; its passphrase is not kept."""
+
+    def body(self) -> ComposeResult:
+        yield Static("", id="decision", markup=False)
+        yield Static("", id="outdated", markup=False)
+        with TabbedContent(id="accept"):
+            with TabPane("Verdict", id="verdict-pane"):
+                yield WrappedTables(_NOT_JUDGED, id="verdict-tables")
+            with TabPane("Check", id="check-pane"):
+                yield TablesView(_NOT_CHECKED, id="check-tables")
+            with TabPane("ISO 9283", id="iso9283-pane"):
+                yield TablesView(_NOT_TESTED, id="iso9283-tables")
+            with TabPane("Certificate", id="certificate-pane"):
+                yield WrappedTables(_NO_CERTIFICATE, id="certificate-tables")
+        yield ProgressBars()
+        yield Static("", id="evidence", classes="muted", markup=False)
+
+    # -- keys ----------------------------------------------------------------------------------------------------------
+
+    def action_check(self) -> None:
+        """Ask, then measure a few stops against the calibration."""
+        accept_jobs.ask_check(self)
+
+    def action_iso9283(self) -> None:
+        """Ask for tests, then measure by ISO 9283."""
+        accept_jobs.ask_iso9283(self)
+
+    def action_certificate(self) -> None:
+        """Ask for number, data and key, then write the certificate."""
+        accept_jobs.ask_certificate(self, self.key_file)
+
+    def action_check_file(self) -> None:
+        """Ask for a certificate, then check its signature and its data."""
+        accept_jobs.ask_check_file(self)
+
+    def action_sign_key(self) -> None:
+        """Ask where a new key for signing goes, then make it."""
+        accept_jobs.ask_sign_key(self)
+
+    def action_report(self) -> None:
+        """Ask for page or page and PDF, then write."""
+        accept_jobs.ask_report(self)
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        tabs = self.query_one("#accept", TabbedContent)
+        show_next_tab(tabs)
+        self._scroll(tabs.active)
+
+    def show_tab(self, stage: StageName) -> None:
+        """Show the tab of a stage."""
+        self.query_one("#accept", TabbedContent).active = f"{stage}-pane"
+        self._scroll(f"{stage}-pane")
+
+    def _scroll(self, pane: str) -> None:
+        """Let the keys scroll the tables of a tab."""
+        self.call_after_refresh(self.query_one(f"#{pane}").query_one(TablesView).focus)
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def show_result(self, result: Result) -> None:
+        """Show the check of a certificate's file, or a new key: no run holds them."""
+        if isinstance(result, CertificateCheckResult):
+            self._checked = result
+            self._draw_certificate()
+        elif isinstance(result, SignKeyResult) and self.app.screen is self:
+            self.app.push_screen(Reading("\n\n".join(["# A new key", *sign_key_sentences(result)])))
+
+    def show_job(self, record: JobRecord) -> None:
+        """Draw how far the job is, and what it has found so far."""
+        runs = record.state is not None
+        self.query_one(ProgressBars).parts = parts_of(record) if runs else ()
+        found = record.latest.note if runs and record.latest is not None else ""
+        self.query_one("#evidence", Static).update(found)
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw what the run holds, and judge it in a thread."""
+        if workspace is self._drawn:
+            return
+        if self._drawn is None or self._drawn.folder != workspace.folder:
+            self._checked = None
+        self._drawn = workspace
+        marks = () if workspace.overview is None else workspace.overview.complaints
+        outdated = self.query_one("#outdated", Static)
+        outdated.update("\n".join(f"! OUT OF DATE: {mark}" for mark in marks))
+        outdated.display = bool(marks)
+        self._draw_measured(workspace.results)
+        self._draw_certificate()
+        if workspace.folder is None:
+            self._draw_verdict(None, NO_RUN)
+        else:
+            self._draw_decision("", _READING)
+            self._judge(workspace)
+
+    @in_thread(thread=True, exclusive=True, group="verdict")
+    def _judge(self, workspace: Workspace) -> None:
+        assert workspace.folder is not None
+        read = VerdictRead(workspace, work_acceptance.verdict(workspace.folder))
+        if not get_current_worker().is_cancelled:  # else another run is being read
+            self.post_message(read)
+
+    @on(VerdictRead)
+    def show_verdict(self, event: VerdictRead) -> None:
+        """Draw the judgements, unless something else was opened meanwhile."""
+        if event.workspace is self._drawn:
+            self._draw_verdict(event.verdict, _UNREADABLE)
+
+    def _draw_verdict(self, verdict: RunVerdict | None, why_not: str) -> None:
+        from cellapp.commands.report.verdict_view import verdict_sentences, verdict_tables
+
+        tables = self.query_one("#verdict-tables", TablesView)
+        if verdict is None:
+            self._draw_decision("", why_not)
+            tables.show([])
+            return
+        self._draw_decision(verdict.state or "", f"{verdict.title}. {verdict.sentence}")
+        tables.show(verdict_tables(verdict), after=verdict_sentences(verdict))
+
+    def _draw_decision(self, state: str, sentence: str) -> None:
+        decision = self.query_one("#decision", Static)
+        decision.update(sentence)
+        decision.set_classes(state.replace(" ", "-"))
+
+    def _draw_measured(self, results: RunResults | None) -> None:
+        check, tests = (None, None) if results is None else (results.check, results.iso9283)
+        self._draw_stage(CHECK, "k", check_tables(check) if check else [], check_sentences(check) if check else [])
+        self._draw_stage(
+            ISO9283, "i", iso9283_tables(tests) if tests else [], iso9283_sentences(tests) if tests else []
+        )
+
+    def _draw_stage(self, stage: StageName, key: str, tables: Sequence[Table], sentences: Sequence[str]) -> None:
+        """Draw a result with its outcome, the first sentence, before the tables."""
+        marks = self._outdated(stage, key)
+        self.query_one(f"#{stage}-tables", TablesView).show(tables, [*marks, *sentences[:1]], sentences[1:])
+
+    def _draw_certificate(self) -> None:
+        result = None if self.workspace.results is None else self.workspace.results.certificate
+        view = self.query_one("#certificate-tables", TablesView)
+        checked = [] if self._checked is None else check_file_sentences(self._checked)
+        if result is None:
+            view.show([], [*checked, _NO_CERTIFICATE] if checked else [])
+        else:
+            words = [*checked, *self._outdated(CERTIFICATE, "s"), *certificate_sentences(result)]
+            view.show(certificate_tables(result), words)
+
+    def _outdated(self, stage: StageName, key: str) -> list[str]:
+        """The mark of a result that no longer holds."""
+        results = self.workspace.results
+        reason = None if results is None else results.out_of_date.get(stage)
+        return [] if reason is None else [f"! OUT OF DATE: {reason}; {key} does it again"]

@@ -1,0 +1,109 @@
+"""What all screens of the day share: the header with STOP in its corner, the steps, the message, the footer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, cast
+
+from textual.app import ComposeResult
+from textual.containers import Vertical
+from textual.events import Resize
+from textual.screen import Screen
+from textual.widgets import Static
+
+from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
+from cellapp.interfaces.tui.widgets.key_line import KeyLine
+from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
+from cellapp.interfaces.tui.workspace import NO_RUN, NOT_CALIBRATED, Step, Workspace
+
+if TYPE_CHECKING:
+    from cellapp.commands.run_results import RunResults
+    from cellapp.estimation.calibration.records import CalibrateResult
+    from cellapp.ground.results import Result
+    from cellapp.interfaces.tui.app import CellApp
+    from cellapp.interfaces.tui.jobs import Job
+    from cellapp.interfaces.tui.messages import Severity
+
+_LEAST = (60, 16)
+"""Columns and lines of a terminal below which tables and plots cannot be read."""
+_TOO_SMALL = "Make the terminal larger, at least 80x24. Jobs go on; STOP and all keys work."
+
+
+class DayScreen(Screen[None]):
+    """One step of the day. Subclasses compose ``body`` and draw in ``show_workspace`` and ``show_job``.
+
+    Both are called when the screen is shown and whenever what they draw has changed meanwhile; never while the screen
+    is hidden.
+    """
+
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (100, "-medium"), (160, "-wide")]  # noqa: RUF012 - as Textual declares it
+    STEP: ClassVar[Step]
+    HELP: ClassVar[str] = ""
+    """Markdown for the key ``?``: what the screen shows and what one does here."""
+
+    @property
+    def cell_app(self) -> CellApp:
+        """The application with its workspace and its job."""
+        return cast("CellApp", self.app)
+
+    @property
+    def workspace(self) -> Workspace:
+        """What is open."""
+        return self.cell_app.workspace
+
+    def compose(self) -> ComposeResult:
+        yield DayHeader()
+        yield StepLine()
+        yield LiveStrip()
+        yield Static(_TOO_SMALL, classes="too-small", markup=False)
+        with Vertical(classes="body"):
+            yield from self.body()
+        yield Static("", classes="message", markup=False)
+        yield KeyLine()
+
+    def body(self) -> ComposeResult:
+        """The widgets between header and message."""
+        raise NotImplementedError
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw the profile and the run that are open."""
+
+    def show_job(self, record: JobRecord) -> None:
+        """Draw the present or the last job."""
+
+    def show_result(self, result: Result) -> None:
+        """Draw the result of a job that this screen asked for, or that ended while it is shown."""
+
+    def start(self, job: Job) -> None:
+        """Start a job; a sentence says why where that is not possible."""
+        if self.cell_app.start_job(job):
+            self.cell_app.asked_by = self
+
+    def open_folder(self) -> Path | None:
+        """Folder of the run that is open; without one, a sentence says what to do."""
+        if self.workspace.folder is None:
+            self.say(NO_RUN, "warning")
+        return self.workspace.folder
+
+    def calibrated_run(self) -> tuple[Path, RunResults, CalibrateResult] | None:
+        """The run that is open with what it holds, if it is calibrated; else a sentence says what to do."""
+        folder, results = self.open_folder(), self.workspace.results
+        if folder is None:
+            return None
+        if results is None or results.calibrate is None:
+            self.say(NOT_CALIBRATED, "warning")
+            return None
+        return folder, results, results.calibrate
+
+    def say(self, text: str, severity: Severity = "information") -> None:
+        """Show a sentence in the message line of every screen."""
+        self.cell_app.say(text, severity)
+
+    def on_resize(self, event: Resize) -> None:
+        """Draw a sentence instead of the body where the terminal is too small; a subclass's method runs, too."""
+        self.set_class(event.size.width < _LEAST[0] or event.size.height < _LEAST[1], "-too-small")
+
+    def on_screen_resume(self) -> None:
+        """Draw what changed while another screen was shown."""
+        self.call_after_refresh(self.cell_app.draw_all)

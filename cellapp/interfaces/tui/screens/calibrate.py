@@ -1,0 +1,226 @@
+"""The screen Calibrate: errors by stage as tables and bars, residuals per joint and in space, parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+from textual import work as in_thread
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal
+from textual.message import Message
+from textual.widgets import TabbedContent, TabPane
+
+from cellapp.cell.exports.records import ExportResult
+from cellapp.cell.run.sqlite_file import FILE_NAME
+from cellapp.commands.calibrate.charts_accuracy import (
+    error_histogram_chart,
+    pair_histogram_chart,
+    residual_joint_chart,
+    residual_space_chart,
+    stage_chart,
+)
+from cellapp.commands.calibrate.view import calibration_tables, parameter_tables, tracker_sentences
+from cellapp.commands.report.data import ReportData
+from cellapp.commands.show.tables import merged_sentences
+from cellapp.commands.view.charts import Chart
+from cellapp.ground.results import CALIBRATE, Result
+from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui.dialogs.question import Reading
+from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.tables import TablesView
+from cellapp.interfaces.tui.widgets.tabs import show_next_tab
+from cellapp.interfaces.tui.workspace import Step, Workspace
+
+_EMPTY = "Not calibrated yet. Collect first (key 3), then b calibrates."
+
+
+class DataRead(Message):
+    """The readings and models of the run of a workspace were read; None where there is nothing to draw."""
+
+    def __init__(self, workspace: Workspace, data: ReportData | None) -> None:
+        super().__init__()
+        self.workspace, self.data = workspace, data
+
+
+class CalibrateScreen(DayScreen):
+    """Errors by stage, residuals, parameters; calibrate again."""
+
+    STEP: ClassVar[Step] = "calibrate"
+    HELP: ClassVar[str] = """\
+# Calibrate
+
+**b** identifies the geometry of both arms, trains the residual network and evaluates every stage at stops that were
+held out. Nothing moves.
+
+- *Stages*: held-out errors of the nominal model, of the identified geometry, with the network, with named effects.
+- *Errors*: how many held-out stops have which error, by stage.
+- *Joints*: the error over the angle of one joint: a wave there is an effect without a name. **,** and **.** change the
+  joint.
+- *Space*: where in the cell the errors are large. **v** looks from above or from the side.
+- *Parameters*: what was identified, with standard errors.
+
+**p** calibrates with an earlier run of the same arms as prior: base and tool are found anew, the arms are believed as
+far as they were certain then. What has changed on them since stands below the errors. The handbook's chapter
+*signature* describes it.
+
+**e** writes the calibrated arms for other programs: UR controllers, ROS, URDF, tables. The handbook's chapter *exports*
+describes the formats.
+
+**a** shows the other arm. **t** goes from tab to tab. In a table, **y** copies and **w** saves.
+The step after this one is Discover (5).
+"""
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("b", "begin", "Calibrate", tooltip="identify and evaluate; nothing moves"),
+        Binding("p", "begin_with_prior", "With prior", show=False, tooltip="calibrate with an earlier run as prior"),
+        Binding("a", "other_arm", "Other arm", tooltip="show the plots of the other arm"),
+        Binding("comma", "joint(-1)", "Joint before", key_display=",", show=False),
+        Binding("full_stop", "joint(1)", "Next joint", key_display="."),
+        Binding("v", "turn", "View", tooltip="errors in space from above or from the side"),
+        Binding("t", "next_tab", "Next tab"),
+        Binding("e", "export", "Export", tooltip="write the calibrated arms for other programs"),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._arm, self._joint, self._from_above = 0, 0, True
+        self._data: ReportData | None = None
+        self._drawn: Workspace | None = None
+
+    def body(self) -> ComposeResult:
+        with TabbedContent(id="calibration"):
+            with TabPane("Stages", id="stages"):
+                yield TablesView(_EMPTY, id="stage-tables")
+                yield ChartPlot(id="stage-plot")
+            with TabPane("Errors", id="errors"), Horizontal():
+                yield ChartPlot(id="arm-errors")
+                yield ChartPlot(id="pair-errors")
+            with TabPane("Joints", id="joints"):
+                yield ChartPlot(id="joint-plot")
+            with TabPane("Space", id="space"):
+                yield ChartPlot(id="space-plot")
+            with TabPane("Parameters", id="parameters"):
+                yield TablesView(_EMPTY, id="parameter-tables")
+
+    # -- keys ----------------------------------------------------------------------------------------------------------
+
+    def action_begin(self) -> None:
+        """Calibrate the run that is open."""
+        if folder := self.open_folder():
+            self.start(work.calibrate(folder))
+
+    def action_begin_with_prior(self) -> None:
+        """Ask for an earlier run, and calibrate the run that is open with it as prior."""
+        if (folder := self.open_folder()) is None:
+            return
+        from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+
+        def begin(path: Path | None) -> None:
+            if path is not None:
+                self.start(work.calibrate(folder, path.parent))
+
+        title = f"{FILE_NAME} of the earlier run of the same arms"
+        self.app.push_screen(FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME), begin)
+
+    def action_other_arm(self) -> None:
+        """Show the next arm."""
+        self._arm, self._joint = self._arm + 1, 0
+        self._draw_plots()
+
+    def action_joint(self, step: int) -> None:
+        """Show the errors over another joint."""
+        self._joint += step
+        self.query_one("#calibration", TabbedContent).active = "joints"
+        self._draw_plots()
+
+    def action_turn(self) -> None:
+        """Look from above or from the side."""
+        self._from_above = not self._from_above
+        self.query_one("#calibration", TabbedContent).active = "space"
+        self._draw_plots()
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        show_next_tab(self.query_one("#calibration", TabbedContent))
+
+    def action_export(self) -> None:
+        """Ask for format and file, then write the calibrated arms."""
+        folder, results = self.open_folder(), self.workspace.results
+        if folder is None:
+            return
+        if results is None or results.calibrate is None:
+            self.say(_EMPTY, "warning")
+            return
+        from cellapp.interfaces.tui.dialogs.export_arms import ExportArms, ExportRequest
+
+        def write(request: ExportRequest | None) -> None:
+            if request is not None:
+                self.start(work.export_arms(folder, request))
+
+        self.app.push_screen(ExportArms(folder, tuple(results.calibrate.arms)), write)
+
+    def show_result(self, result: Result) -> None:
+        """Show what was exported, and what the files do not hold."""
+        if isinstance(result, ExportResult) and self.app.screen is self:
+            from cellapp.cell.exports.words import export_lines
+
+            lines = export_lines(result)
+            self.app.push_screen(Reading("\n".join(["# Exported", "", "```text", *lines, "```"])))
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw the calibration of the run."""
+        if workspace is self._drawn:
+            return
+        self._drawn = workspace
+        result = None if workspace.results is None else workspace.results.calibrate
+        tables, parameters = (
+            self.query_one("#stage-tables", TablesView),
+            self.query_one("#parameter-tables", TablesView),
+        )
+        if result is None or workspace.results is None:
+            tables.show([])
+            parameters.show([])
+            self._data = None
+            self._draw_plots()
+            return
+        reason = workspace.results.out_of_date.get(CALIBRATE)
+        outdated = [] if reason is None else [f"! out of date: {reason}; b calibrates again"]
+        tables.show(calibration_tables(result), outdated, (*tracker_sentences(result), *result.notes))
+        parameters.show(parameter_tables(result), outdated, merged_sentences(result))
+        self._read(workspace)
+
+    @in_thread(thread=True, exclusive=True)
+    def _read(self, workspace: Workspace) -> None:
+        self.post_message(DataRead(workspace, work.report_data(workspace.folder)))
+
+    def on_data_read(self, event: DataRead) -> None:
+        """Draw the plots of what was read, unless something else was opened meanwhile."""
+        if event.workspace is self._drawn:
+            self._data = event.data
+            self._draw_plots()
+
+    def _draw_plots(self) -> None:
+        if self._data is None or not self._data.held_out:
+            for plot in self.query(ChartPlot):
+                plot.chart = None
+            return
+        data = self._data
+        names = list(data.held_out)
+        name = names[self._arm % len(names)]
+        arm = data.held_out[name]
+        joint = self._joint % arm.readings.q.shape[1] + 1
+        shown = data.calibrate if data.discover is None else data.calibrate.with_effects(data.discover)
+        stage = list(arm.errors_mm)[-1]
+        charts: dict[str, Chart] = {
+            "stage-plot": stage_chart(name, shown.arms[name]),
+            "arm-errors": error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm),
+            "pair-errors": pair_histogram_chart(shown),
+            "joint-plot": residual_joint_chart(name, arm, joint),
+            "space-plot": residual_space_chart(name, arm, stage, "above" if self._from_above else "side"),
+        }
+        for place, chart in charts.items():
+            self.query_one(f"#{place}", ChartPlot).chart = chart

@@ -1,0 +1,367 @@
+"""The screen Cell: which profile, what it says, what its devices say, what would be refused."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from rich.text import Text
+from textual import on, work
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.message import Message
+from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
+
+from cellapp.ground.errors import CellappError
+from cellapp.interfaces.tui import work as verbs
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.cell_findings import (
+    DevicesTable,
+    DeviceState,
+    FindingsTable,
+    age_words,
+    device_state,
+    devices_of,
+)
+from cellapp.interfaces.tui.widgets.cell_map import CellMap
+from cellapp.interfaces.tui.widgets.tabs import explain_tabs, show_next_tab
+from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.workspace import Step, Workspace
+
+if TYPE_CHECKING:
+    from cellapp.commands.doctor.result import DoctorResult
+    from cellapp.commands.run_results import StopsResult
+    from cellapp.ground.profile import Profile
+    from cellapp.ground.results import Result
+
+_REFRESH_S = 5.0
+"""Time between two questions to the devices: slow enough for any controller, fast enough to see a stop released."""
+_OLD = timedelta(minutes=10)
+"""Age from which the doctor's findings are shown as old: in that time somebody may have pressed a stop."""
+
+HELP = """
+# Cell
+
+Which cell is calibrated, what the profile says of it, what its devices say, and what would be refused.
+
+- Choose a profile in the list (Enter while a run is open), or press `o` and give its path.
+- `d` asks the doctor: every device, every check, nothing moves. The line above the tables is its verdict; failed checks
+  come first, and the sentence below the table is that of the selected row, in full.
+- *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs; `r` asks all.
+- *Profile* is the profile in words, *Map* shows where bases and tracker stand.
+- `w` edits the profile in a form, `+` writes a new one; `t` shows the next tab.
+
+Next: a plan (`2`).
+"""
+
+
+class DevicesProbed(Message):
+    """Devices of a profile have answered."""
+
+    def __init__(self, profile: Profile, result: DoctorResult) -> None:
+        super().__init__()
+        self.profile, self.result = profile, result
+
+
+class CellScreen(DayScreen):
+    """Choose a profile, read what it says, see its devices, ask the doctor."""
+
+    STEP: ClassVar[Step] = "cell"
+    HELP: ClassVar[str] = HELP
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("d", "doctor", "Doctor", tooltip="check devices and placement; nothing moves"),
+        Binding("r", "refresh_devices", "Ask devices", tooltip="ask every device for its state; nothing moves"),
+        Binding("o", "open", "Open profile", tooltip="open a profile by its path"),
+        Binding("w", "edit", "Edit profile", tooltip="change the profile in a form"),
+        Binding(
+            "i", "own_readings", "Own readings", show=False, tooltip="calibrate readings that were recorded elsewhere"
+        ),
+        Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
+        Binding("plus", "write", "New profile", key_display="+", tooltip="write a profile in a form"),
+    ]
+    DEFAULT_CSS = """
+    #profiles { width: 22; height: 1fr; }
+    CellScreen.-wide #profiles { width: 32; }
+    #cell-verdict { height: auto; max-height: 3; }
+    #cell-verdict.old { color: $text-warning; }
+    #cell-verdict.failed { color: $text-error; }
+    #cell-verdict.ready { color: $text-success; }
+    #cell-detail { height: auto; max-height: 5; background: $panel; padding: 0 1; }
+    #cell-tabs { height: 1fr; }
+    #cell-tabs DataTable { height: 1fr; scrollbar-size-horizontal: 0; }
+    #cell-side-map { display: none; width: 1fr; }
+    CellScreen.-wide #cell-side-map { display: block; }
+    CellScreen.-wide #cell-middle { width: 2fr; }
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._found: list[Path] = []
+        self._profile: Profile | None = None
+        self._doctor: DoctorResult | None = None
+        self._doctor_path: Path | None = None
+        self._asked_path: Path | None = None
+        self._doctor_at = datetime.now()
+        self._written_ns = 0
+        self._states: dict[str, DeviceState] = {}
+        self._probing = False
+        self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
+
+    def body(self) -> ComposeResult:
+        with Horizontal():
+            yield _tipped(OptionList(id="profiles", markup=False, compact=True), "Profiles of the folder; Enter opens")
+            with Vertical(id="cell-middle"):
+                yield Static("", id="cell-verdict", markup=False)
+                with TabbedContent(id="cell-tabs", initial="tab-profile"):
+                    with TabPane("Profile", id="tab-profile"):
+                        yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
+                    with TabPane("Devices", id="tab-devices"):
+                        yield _tipped(DevicesTable(id="devices"), "What each device said last; r asks again")
+                    with TabPane("Doctor", id="tab-doctor"):
+                        yield _tipped(FindingsTable(id="findings"), "Checks, failed ones first; d asks again")
+                    with TabPane("Map", id="tab-map"):
+                        yield CellMap("above", id="cell-map")
+                yield Static("", id="cell-detail", markup=False)
+            yield CellMap("above", id="cell-side-map")
+
+    def on_mount(self) -> None:
+        """List the profiles; the first one is opened."""
+        self._found = sorted(self.cell_app.profiles.glob("*.yaml"), key=lambda path: path.stem)
+        profiles = self.query_one("#profiles", OptionList)
+        profiles.add_options([path.stem for path in self._found])
+        self.query_one("#cell-words", DataTable).add_columns("what", "in the profile")
+        explain_tabs(self.query_one("#cell-tabs", TabbedContent))
+        if self._found:
+            profiles.highlighted = 0
+        else:
+            self.say(f"No profile is in {self.cell_app.profiles}: o opens one by its path, + writes one.", "warning")
+        profiles.focus()
+        self.set_interval(_REFRESH_S, self._tick)
+
+    # -- profiles ------------------------------------------------------------------------------------------------------
+
+    @on(OptionList.OptionHighlighted, "#profiles")
+    def look_at(self, event: OptionList.OptionHighlighted) -> None:
+        """Open the highlighted profile; not where that would close a run, which needs Enter."""
+        if self.workspace.folder is None:
+            self._open(self._found[event.option_index])
+
+    @on(OptionList.OptionSelected, "#profiles")
+    def choose(self, event: OptionList.OptionSelected) -> None:
+        """Open the chosen profile, without a run."""
+        self._open(self._found[event.option_index])
+
+    def action_open(self) -> None:
+        """Ask for the path of a profile."""
+        picker = FilePicker("Which profile?", self.cell_app.profiles, lambda path: path.suffix == ".yaml")
+        self.app.push_screen(picker, lambda path: None if path is None else self._open_listed(path))
+
+    def _open_listed(self, path: Path) -> None:
+        """Open a profile from anywhere; it joins the list."""
+        self._list(path)
+        self._open(path)
+
+    def _list(self, path: Path) -> None:
+        """Highlight a profile in the list; it joins the list where it is not there yet."""
+        profiles = self.query_one("#profiles", OptionList)
+        if path not in self._found:
+            self._found.append(path)
+            profiles.add_option(path.stem)
+        profiles.highlighted = self._found.index(path)
+
+    def _open(self, path: Path) -> None:
+        if path != self.workspace.profile_path or self.workspace.folder is not None:
+            self.cell_app.open_profile(path)
+
+    def action_edit(self) -> None:
+        """Edit the profile in a form."""
+        path = self.workspace.profile_path
+        if path is None:
+            self.say("No profile is open: + writes a new one.", "warning")
+        else:
+            from cellapp.interfaces.tui.dialogs.first_run import edit_profile
+
+            edit_profile(self.cell_app, path)
+
+    def action_write(self) -> None:
+        """Write a new profile in a form."""
+        from cellapp.interfaces.tui.dialogs.first_run import write_profile
+
+        write_profile(self.cell_app)
+
+    def action_own_readings(self) -> None:
+        """Make a profile and a run of readings that were recorded elsewhere."""
+        from cellapp.interfaces.tui.dialogs.first_run import take_own_readings
+
+        take_own_readings(self.cell_app)
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        show_next_tab(self.query_one("#cell-tabs", TabbedContent))
+
+    # -- doctor and devices --------------------------------------------------------------------------------------------
+
+    def action_doctor(self) -> None:
+        """Check the cell."""
+        path = self.workspace.profile_path
+        if path is None:
+            self.say("No profile is open: choose one in the list.", "warning")
+            return
+        self._asked_path = path
+        self.start(verbs.doctor(path))
+
+    def action_refresh_devices(self) -> None:
+        """Ask every device for its state."""
+        profile = self.workspace.profile
+        if profile is None:
+            self.say("No profile is open: choose one in the list.", "warning")
+        elif self.cell_app.jobs.running:
+            self.say("A job uses the devices; they are asked again when it has ended.", "warning")
+        elif not self._probing:
+            self.query_one("#cell-tabs", TabbedContent).active = "tab-devices"
+            self._ask(profile, devices_of(profile))
+
+    def _tick(self) -> None:
+        """Draw ages anew; ask the devices that may be asked again and again, while no job uses them."""
+        if not self.is_current:
+            return
+        self._draw_doctor()
+        self._draw_devices()
+        profile = self.workspace.profile
+        if profile is None or self._probing or self.cell_app.jobs.running:
+            return
+        from cellapp.commands.doctor.doctor import repeatable_devices
+
+        if names := repeatable_devices(profile):
+            self._ask(profile, names)
+
+    def _ask(self, profile: Profile, names: Collection[str]) -> None:
+        self._probing = True
+        self._probe(profile, names)
+
+    @work(thread=True, group="probe")
+    def _probe(self, profile: Profile, names: Collection[str]) -> None:
+        from cellapp.commands.doctor.doctor import probe_devices
+        from cellapp.commands.doctor.result import DoctorResult, Finding
+
+        try:
+            result = probe_devices(profile, names)
+        except (CellappError, OSError, ValueError) as error:  # an answer that no driver foresees must not end all
+            failed = [Finding(subject=name, status="failed", text=f"could not be asked: {error}") for name in names]
+            result = DoctorResult(findings=tuple(failed))
+        self.post_message(DevicesProbed(profile, result))
+
+    @on(DevicesProbed)
+    def show_probed(self, event: DevicesProbed) -> None:
+        """Draw what the devices said, unless another profile was opened meanwhile."""
+        self._probing = False
+        if event.profile is self._profile:
+            self._take_states(event.result)
+            self._draw_devices()
+
+    def show_result(self, result: Result) -> None:
+        """Draw the doctor's findings."""
+        from cellapp.commands.doctor.result import DoctorResult
+
+        if isinstance(result, DoctorResult):
+            self._doctor, self._doctor_path, self._doctor_at = result, self._asked_path, datetime.now()
+            self._written_ns = _written_ns(self._doctor_path)
+            self.query_one(FindingsTable).show(result)
+            self.query_one("#cell-tabs", TabbedContent).active = "tab-doctor"
+            self._take_states(result)
+
+    def _take_states(self, result: DoctorResult) -> None:
+        now = datetime.now()
+        for name in self._states:
+            state = device_state(name, result.findings, now)
+            if state is not None:
+                self._states[name] = state
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw the profile."""
+        if workspace.profile_path is not None:
+            self._list(workspace.profile_path)
+        if workspace.profile is not self._profile:
+            self._show_profile(workspace.profile)
+        drawn = (workspace.profile, workspace.stops)
+        if drawn != self._drawn:
+            self._drawn = drawn
+            for plot in self.query(CellMap):
+                plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
+        self._draw_doctor()
+        self._draw_devices()
+        self._draw_detail()
+
+    def _show_profile(self, profile: Profile | None) -> None:
+        from cellapp.commands.doctor.profile_view import cell_words, constraint_words
+
+        changed = profile is None or self._profile is None or profile != self._profile
+        self._profile = profile
+        words = self.query_one("#cell-words", DataTable)
+        words.clear()
+        for row in () if profile is None else (*cell_words(profile), *constraint_words(profile)):
+            words.add_row(*map(Text, row))
+        if changed:
+            names = () if profile is None else devices_of(profile)
+            self._states = {name: DeviceState(name) for name in names}
+            if self._doctor is not None and self.workspace.profile_path != self._doctor_path:
+                self._doctor = None
+                self.query_one(FindingsTable).show(None)
+
+    def _draw_doctor(self) -> None:
+        verdict, kind = self._verdict()
+        line = self.query_one("#cell-verdict", Static)
+        line.update(verdict)
+        line.set_classes(kind)
+
+    def _verdict(self) -> tuple[str, str]:
+        """The doctor's verdict in words, and the class that colours them."""
+        from cellapp.commands.doctor.profile_view import doctor_verdict
+
+        if self.workspace.profile is None:
+            return self.workspace.problem or "No profile is open: choose one in the list, or press o.", "failed"
+        if self._doctor is None:
+            return "Not checked yet: d asks the doctor; nothing moves.", "old"
+        words, age = doctor_verdict(self._doctor), datetime.now() - self._doctor_at
+        if _written_ns(self._doctor_path) != self._written_ns:
+            return f"Old, the profile was edited since: {words} d checks again.", "old"
+        if age > _OLD:
+            return f"Old, from {age_words(age.total_seconds())}: {words} d checks again.", "old"
+        return words, "failed" if self._doctor.failed else "ready"
+
+    def _draw_devices(self) -> None:
+        self.query_one(DevicesTable).show(list(self._states.values()), datetime.now())
+
+    @on(DataTable.RowHighlighted)
+    @on(TabbedContent.TabActivated)
+    def _draw_detail(self) -> None:
+        """The selected row of the table in front, in full."""
+        active = self.query_one("#cell-tabs", TabbedContent).active
+        words: DataTable[Text] = self.query_one("#cell-words", DataTable)
+        text = ""
+        if active == "tab-doctor":
+            text = self.query_one(FindingsTable).selected_text
+        elif active == "tab-devices":
+            text = self.query_one(DevicesTable).selected_text
+        elif active == "tab-profile" and words.row_count:
+            text = ": ".join(str(cell) for cell in words.get_row_at(words.cursor_row))
+        self.query_one("#cell-detail", Static).update(text)
+
+
+def _tipped(widget: OptionList | DataTable[Text], tooltip: str) -> OptionList | DataTable[Text]:
+    widget.tooltip = tooltip
+    return widget
+
+
+def _written_ns(path: Path | None) -> int:
+    """When a file was last written; 0 where there is none."""
+    try:
+        return 0 if path is None else path.stat().st_mtime_ns
+    except OSError:
+        return 0

@@ -1,0 +1,408 @@
+"""The screen Collect: both arms, the tracker, progress, errors, drift and the log, while arms move and afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from textual import on, work
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Container, Horizontal
+from textual.content import Content
+from textual.events import Resize
+from textual.message import Message
+from textual.widgets import Static
+
+from cellapp.cell.run import RunFile
+from cellapp.commands.collect.charts import drift_chart, live_drift_chart, live_residual_chart, standard_error_chart
+from cellapp.commands.collect.view import collection_tables
+from cellapp.commands.show.overview import run_log
+from cellapp.commands.view.charts import Chart
+from cellapp.ground.errors import CellappError
+from cellapp.interfaces.tui import work as jobs
+from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.job_record import ArmRecord, JobRecord, LogRow, level_of
+from cellapp.interfaces.tui.jobs import Job
+from cellapp.interfaces.tui.offers import BEGIN, arms_words
+from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.screens.collect_state import (
+    Headline,
+    drift_exceeded,
+    headline,
+    holds_for_drift,
+    stops_left,
+    stops_measured,
+)
+from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
+from cellapp.interfaces.tui.widgets.log_view_pane import LogPane
+from cellapp.interfaces.tui.widgets.log_view_rows import as_text
+from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
+from cellapp.interfaces.tui.widgets.tables import WrappedTables
+from cellapp.interfaces.tui.workspace import Step, Workspace
+
+View = Literal["log", "plots", "collected"]
+_NOT_COLLECTED = "Nothing was collected yet in this run: b begins."
+_PLOTS = ("residuals", "errors", "drift")
+_TALL = 50
+"""Lines of a terminal that has room for one line for each part of a day."""
+_PLOTTING_S = 0.2
+"""Time between the drawings of two plots: a stop takes seconds, and a plot of a large screen some 10 ms."""
+
+
+class StoredLog(Message):
+    """The log that a run stores was read, or the sentence why not."""
+
+    def __init__(self, folder: Path, rows: Sequence[LogRow], problem: str = "") -> None:
+        super().__init__()
+        self.folder, self.rows, self.problem = folder, rows, problem
+
+
+class CollectScreen(DayScreen):
+    """Drive and measure; watch it; resume it."""
+
+    STEP: ClassVar[Step] = "collect"
+    HELP: ClassVar[str] = """\
+# Collect
+
+The arms visit the planned stops, and the tracker measures both at each. The large line says in which state the job is
+and what you can do now.
+
+**Escape** or a click on STOP brakes all arms, always. **p** pauses after the present stop, **c** resumes, **x** ends
+the job.
+
+- **b** begins to measure the run that is open; real arms ask before they move.
+- **e** resumes a run that was interrupted. **a** accepts a drift of the references that you understand, and resumes.
+- Each arm: joint positions, joint temperatures, distance of the newest point from the model, standard error so far.
+- **g** shows the plots (again: the next one), **t** what the run has stored so far, **l** the log.
+
+Log: **/** searches, **m** and **M** go to the next match and to the one before, **f** filters by a text; **D I W E**
+show from debug, info, warning or error upwards. Up and down choose a line, with Shift more; **y** copies, **w** saves.
+**End** follows the newest line. **o** goes from the log of this session to the one that the run stores, and back.
+"""
+    VERTICAL_BREAKPOINTS = [(0, "-low"), (34, "-tall")]  # noqa: RUF012 - as Textual declares it
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("b", "begin", "Begin", tooltip="measure the planned stops: THE ARMS MOVE"),
+        Binding("e", "resume_run", "Resume run", tooltip="measure the stops that are left: THE ARMS MOVE"),
+        Binding("a", "accept_drift", "Accept drift", tooltip="count drift from new first measurements, and resume"),
+        Binding("l", "view('log')", "Log", tooltip="show the log"),
+        Binding("g", "view('plots')", "Plots", tooltip="show the plots; again: the next one"),
+        Binding("t", "view('collected')", "Tables", tooltip="show what the run has stored so far"),
+        Binding("slash", "search", "Search", key_display="/", tooltip="search in the log"),
+        Binding("f", "filter", "Filter", tooltip="show only lines of the log with a text", show=False),
+        Binding("w", "save", "Save log", tooltip="save the lines that are shown, or the marked ones", show=False),
+        Binding("o", "other_log", "Other log", tooltip="log of this session, or the stored one", show=False),
+        Binding("m", "next_match(1)", "Next match", show=False),
+        Binding("M", "next_match(-1)", "Match before", show=False),
+        Binding("D", "least('debug')", "Log: all levels", show=False),
+        Binding("I", "least('info')", "Log: info and above", show=False),
+        Binding("W", "least('warning')", "Log: warnings and errors", show=False),
+        Binding("E", "least('error')", "Log: errors", show=False),
+    ]
+    DEFAULT_CSS = """
+    CollectScreen #state { height: auto; max-height: 4; padding: 0 1; background: $panel; }
+    CollectScreen.-tall #state { padding: 1 1; max-height: 6; }
+    CollectScreen.-low #suspicions { max-height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
+    CollectScreen #state.running { background: $success-muted; color: $foreground; }
+    CollectScreen #state.waiting { background: $warning-muted; color: $foreground; }
+    CollectScreen #state.halted { background: $error; color: white; text-style: bold; }
+    CollectScreen #state.replay { background: $accent-muted; color: $foreground; }
+    CollectScreen #arms { height: auto; }
+    CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
+    CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
+    CollectScreen #suspicions.any { display: block; }
+    CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
+    CollectScreen #log, CollectScreen #collected { height: 4fr; display: none; }
+    CollectScreen.-low.-narrow #plots ChartPlot, CollectScreen.-low.-medium #plots ChartPlot { display: none; }
+    CollectScreen.-low #plots ChartPlot.chosen { display: block; }
+    CollectScreen.-tall #plots { display: block; }
+    CollectScreen #plots ChartPlot { padding-right: 1; }
+    CollectScreen.-wide #plots {
+        layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1;
+    }
+    CollectScreen.-wide #plots ChartPlot { display: block; }
+    CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
+    CollectScreen.-wide.plots #plots { width: 65%; }
+    CollectScreen.-wide.plots #log { display: block; }
+    CollectScreen.unplotted #plots { display: none; }
+    CollectScreen.unplotted.plots #plots { display: block; }
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.add_class("log")
+        self._plot = 0
+        self._plotted: dict[str, tuple[object, ...]] = {}
+        self._plot_waits = False
+        self._tabled: Workspace | None = None
+        self._opened: Path | None = None
+        self._job: Job | None = None
+        self._headline: Headline | None = None
+        self._suspicions = 0
+
+    def body(self) -> ComposeResult:
+        yield Static("", id="state", markup=False)
+        yield Horizontal(id="arms")
+        yield TrackerPanel()
+        yield ProgressBars()
+        yield Static("", id="suspicions", markup=False)
+        with Container(id="plots"):
+            for name in _PLOTS:
+                yield ChartPlot(id=name)
+        yield LogPane(id="log")
+        yield WrappedTables(_NOT_COLLECTED, id="collected")
+
+    def on_mount(self) -> None:
+        """Begin with the log."""
+        self.query_one("#state").tooltip = "The state of the job, and what can be done now."
+        self.query_one("#suspicions").tooltip = "What the measurements made doubtful: look at it before you go on."
+        for plot in self.query(ChartPlot):
+            plot.tooltip = "Errors of the newest points, standard errors, drift of the references."
+        self.query_one(f"#{_PLOTS[0]}").add_class("chosen")
+        self.query_one(LogPane).view.focus()
+
+    def on_resize(self, event: Resize) -> None:
+        """One line for all parts, where lines are scarce."""
+        self.query_one(ProgressBars).compact = event.size.height < _TALL
+
+    # -- begin, resume, accept -----------------------------------------------------------------------------------------
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Offer only what is possible now."""
+        idle, workspace, left = not self.cell_app.jobs.running, self.workspace, stops_left(self.workspace)
+        free = idle and left > 0 and not workspace.in_use
+        possible = {
+            "begin": free and stops_measured(workspace) == 0,
+            "resume_run": free and stops_measured(workspace) > 0,
+            "accept_drift": free and drift_exceeded(workspace) if idle else holds_for_drift(self.cell_app.record),
+        }
+        return possible.get(action, True)
+
+    def action_begin(self) -> None:
+        """Collect the planned run that is open."""
+        self._collect("Begin to collect?", f"{stops_left(self.workspace)} stops", resume=False)
+
+    def action_resume_run(self) -> None:
+        """Collect what an interrupted run lacks."""
+        left, measured = stops_left(self.workspace), stops_measured(self.workspace)
+        self._collect("Resume?", f"the {left} stops that are left; {measured} are measured", resume=True)
+
+    def action_accept_drift(self) -> None:
+        """Let drift count from new first measurements."""
+        if self.cell_app.jobs.running:
+            self.cell_app.action_resume()  # the job measures its references anew
+            return
+        what = f"{stops_left(self.workspace)} stops; drift of the references counts from new first measurements"
+        self._collect("Accept the drift and resume?", what, resume=True, accept_drift=True)
+
+    def _collect(self, title: str, what: str, *, resume: bool, accept_drift: bool = False) -> None:
+        """Ask, then start. Real arms ask themselves, with the first path, before they move."""
+        folder, kind = self.workspace.folder, self.workspace.kind
+        if folder is None:
+            return
+        job = jobs.collect(folder, resume=resume, accept_drift=accept_drift)
+        if kind == "real" and not accept_drift:
+            self.start(job)
+            return
+        moves = arms_words(self.workspace) + (", after one more question" if kind == "real" else "")
+        text = f"Measure {what}. In {folder}; {moves}. Escape stops at any time; what is measured is kept."
+
+        def begin(answer: str | None) -> None:
+            if answer == "begin":
+                self.start(job)
+
+        self.app.push_screen(Choice(title, text, BEGIN), begin)
+
+    # -- views ---------------------------------------------------------------------------------------------------------
+
+    def action_view(self, view: View) -> None:
+        """Show log, plots or what is stored; plots that are shown already, the next one."""
+        if view == "plots" and self.has_class("plots"):
+            self._plot = (self._plot + 1) % len(_PLOTS)
+        for number, name in enumerate(_PLOTS):
+            self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
+        for one in ("log", "plots", "collected"):
+            self.set_class(one == view, one)
+        focus = {"log": self.query_one(LogPane).view, "collected": self.query_one(WrappedTables)}.get(view)
+        self.set_focus(focus)
+
+    def action_search(self) -> None:
+        """Search in the log."""
+        self.action_view("log")
+        self.query_one(LogPane).ask("search")
+
+    def action_filter(self) -> None:
+        """Show only lines of the log with a text."""
+        self.action_view("log")
+        self.query_one(LogPane).ask("filter")
+
+    def action_next_match(self, step: int) -> None:
+        """Go to the next match in the log, or to the one before."""
+        self.query_one(LogPane).next_match(step)
+
+    def action_least(self, level: str) -> None:
+        """Show a level of the log and the more important ones."""
+        self.query_one(LogPane).show_from(level_of(level))
+
+    def action_save(self) -> None:
+        """Save the lines of the log that are marked, else those that are shown."""
+        rows = self.query_one(LogPane).view.chosen()
+        proposed = (self.workspace.folder or Path()) / "log.txt"
+
+        def saved(path: Path | None) -> None:
+            if path is not None:
+                self.notify(f"{len(rows)} lines saved as {path}")
+
+        self.app.push_screen(SaveAs(f"{len(rows)} lines of the log", as_text(rows), proposed), saved)
+
+    # -- the stored log ------------------------------------------------------------------------------------------------
+
+    def action_other_log(self) -> None:
+        """Go from the log of this session to the stored one, and back."""
+        pane, folder = self.query_one(LogPane), self.workspace.folder
+        if not pane.shows_session:
+            pane.show_session(self.cell_app.record)
+        elif folder is None:
+            self.say("No run is open, so there is no stored log.", "warning")
+        else:
+            self._read_log(folder)
+
+    @work(thread=True, exclusive=True, group="stored log")
+    def _read_log(self, folder: Path) -> None:
+        try:
+            with RunFile.open(folder) as run:
+                lines = run_log(run).lines
+        except CellappError as error:
+            self.post_message(StoredLog(folder, (), str(error)))
+            return
+        rows = [
+            LogRow(datetime.fromisoformat(line.written).astimezone(), level_of(line.level), line.text) for line in lines
+        ]
+        self.post_message(StoredLog(folder, rows))
+
+    @on(StoredLog)
+    def show_stored(self, event: StoredLog) -> None:
+        """Draw the log that a run stores, where it is still wanted."""
+        pane = self.query_one(LogPane)
+        if event.folder != self.workspace.folder or self.cell_app.jobs.running:
+            return
+        if event.problem:
+            self.say(event.problem, "warning")
+        elif event.rows:
+            pane.show_stored(f"Log stored in {event.folder.name}", event.rows)
+        else:
+            pane.show_session(self.cell_app.record)
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw what the run has stored."""
+        if workspace is not self._tabled:
+            self._tabled = workspace
+            state = workspace.collection
+            self.query_one(WrappedTables).show([] if state is None else collection_tables(state))
+        if workspace.folder != self._opened and not self.cell_app.jobs.running:
+            self._opened = workspace.folder
+            self.action_view("log" if workspace.collection is None else "collected")
+            if workspace.folder is not None:
+                self._read_log(workspace.folder)
+
+    def show_job(self, record: JobRecord) -> None:
+        """Draw what has changed."""
+        running, job = record.state is not None, self.cell_app.jobs.job
+        if job is not None and job is not self._job:
+            self._begin_to_watch(job, record)
+        elif self.query_one(LogPane).shows_session:
+            self.query_one(LogPane).show_session(record)
+        self._draw_state(record)
+        if not running and (self._job is None or self._job.folder != self.workspace.folder):
+            record = JobRecord()  # the job was about another run
+        self._draw_arms(record)
+        self.query_one(TrackerPanel).tracker = record.tracker
+        self.query_one(ProgressBars).parts = parts_of(record)
+        self._draw_suspicions(record)
+        self._draw_plots(record)
+
+    def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
+        """A job was begun: its log is what people look at."""
+        self.query_one(LogPane).show_session(record)
+        if self.has_class("collected"):
+            self.action_view("log")
+        self._job = job
+        self._opened = job.folder or self._opened  # what it stores is heard already
+
+    def _draw_state(self, record: JobRecord) -> None:
+        now = headline(self.workspace, record, self.cell_app.jobs.control.request)
+        if now != self._headline:
+            self._headline = now
+            state = self.query_one("#state", Static)
+            state.update(Content.assemble((now.word, "bold"), f"  {now.sentence}"))
+            state.set_classes(now.look)
+
+    def _draw_arms(self, record: JobRecord) -> None:
+        panels = {panel.arm_name: panel for panel in self.query(ArmPanel)}
+        names = self._arm_names(record)
+        if list(panels) != names:
+            box = self.query_one("#arms")
+            box.remove_children()
+            panels = {name: ArmPanel(name) for name in names}
+            box.mount(*panels.values())
+        for name, panel in panels.items():
+            panel.arm = record.arms.get(name, ArmRecord())
+        self.set_class(record.state is None and not record.arms, "unheard")
+
+    def _arm_names(self, record: JobRecord) -> list[str]:
+        profile = self.workspace.profile
+        known: Iterable[str] = () if profile is None else profile.arms
+        return list(dict.fromkeys((*known, *record.arms)))
+
+    def _draw_suspicions(self, record: JobRecord) -> None:
+        """The newest suspicion in words, and how many there were."""
+        if len(record.suspicions) == self._suspicions:
+            return
+        self._suspicions = len(record.suspicions)
+        box = self.query_one("#suspicions", Static)
+        box.set_class(bool(record.suspicions), "any")
+        if record.suspicions:
+            newest = record.suspicions[-1]
+            before = len(record.suspicions) - 1
+            more = f" ({before} before: W shows them)" if before else ""
+            arm = "" if newest.arm is None else f", arm {newest.arm}"
+            box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
+
+    def _draw_plots(self, record: JobRecord) -> None:
+        """Draw the plots whose data are new; while a job runs, one at a time, because drawing delays keys."""
+        if self._plot_waits:
+            return
+        state = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace)
+        oldest_first = (*(name for name in _PLOTS if name not in self._plotted), *self._plotted)
+        for name in (name for name in oldest_first if self._plotted.get(name) != state):
+            self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
+            self._plotted.pop(name, None)
+            self._plotted[name] = state  # now the newest
+            if record.state is not None:
+                self._plot_waits = True
+                self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
+                break
+        empty = all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot))
+        self.set_class(empty, "unplotted")
+
+    def _draw_next_plot(self, record: JobRecord) -> None:
+        self._plot_waits = False
+        self._draw_plots(record)
+
+    def _chart(self, name: str, record: JobRecord) -> Chart:
+        """A chart of the job; drift, where it measured no reference, of what the run stores."""
+        collection = self.workspace.collection
+        if name == "drift":
+            if record.references or collection is None:
+                return live_drift_chart(record.references)
+            return drift_chart(collection.references, collection.drift_limit_mm)
+        reports = [report for arm in record.stops.values() for report in arm]
+        draw = live_residual_chart if name == "residuals" else standard_error_chart
+        return draw(reports, self._arm_names(record))

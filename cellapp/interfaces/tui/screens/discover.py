@@ -1,0 +1,170 @@
+"""The screen Discover: how the gap shrinks, names with their probabilities, pictures, what to check, proposed stops."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.widgets import Static, TabbedContent, TabPane
+
+from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
+from cellapp.commands.discover.proposal_view import proposal_lines
+from cellapp.commands.discover.tables import discovery_tables
+from cellapp.commands.discover.view import explanation_text, verdict_sentence
+from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.ground.results import DISCOVER
+from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.offers import BEGIN, arms_words
+from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.screens.collect_state import stops_left
+from cellapp.interfaces.tui.widgets.tables import WrappedTables
+from cellapp.interfaces.tui.widgets.tabs import show_next_tab
+from cellapp.interfaces.tui.workspace import Step, Workspace
+
+_EMPTY = "Nothing was searched yet. Calibrate first (key 4), then b searches for missing effects."
+_NO_PROPOSAL = "No stops are proposed. m proposes stops that best settle what these data leave open."
+_PROPOSED = 20
+"""Stops that are proposed at a time: about a quarter of an hour of measuring."""
+
+
+class DiscoverScreen(DayScreen):
+    """Search for missing effects; see what was found and what to do about it."""
+
+    STEP: ClassVar[Step] = "discover"
+    HELP: ClassVar[str] = f"""\
+# Discover
+
+**b** searches for physical effects that the calibrated model lacks, names them, adds them to the model, and shows how
+the error at held-out stops shrinks. Nothing moves.
+
+- *Gap*: the error after each step of the search, down to the tracker's noise, and the verdict.
+- *Names*: what was accepted, with its probability, its evidence and its size at each joint.
+- *Pictures*: each effect as these data show it. **,** and **.** go from one to the next.
+- *Check*: the cause of each effect, how large it usually is, what to check on the machine, what would settle it.
+- *Proposed stops*: **m** plans {_PROPOSED} further stops that best settle what is open; **e** collects them. Real arms
+  ask before they move.
+
+**a** shows the other arm. **t** goes from tab to tab. In a table, **y** copies and **w** saves.
+The handbook explains each effect: key **h**.
+"""
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("b", "begin", "Discover", tooltip="search for missing effects; nothing moves"),
+        Binding("m", "propose", "Propose stops", tooltip="plan further stops that settle what is open; nothing moves"),
+        Binding("e", "collect", "Collect them", tooltip="measure the proposed stops: THE ARMS MOVE"),
+        Binding("a", "other_arm", "Other arm", tooltip="show the plots of the other arm"),
+        Binding("comma", "picture(-1)", "Picture before", key_display=",", show=False),
+        Binding("full_stop", "picture(1)", "Next picture", key_display="."),
+        Binding("t", "next_tab", "Next tab"),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._arm, self._picture = 0, 0
+        self._drawn: Workspace | None = None
+
+    def body(self) -> ComposeResult:
+        with TabbedContent(id="discovery"):
+            with TabPane("Gap", id="gap"), Vertical():
+                yield Static("", id="verdict", markup=False)
+                with Horizontal():
+                    yield ChartPlot(id="gap-plot")
+                    yield ChartPlot(id="candidates-plot")
+            with TabPane("Names", id="names"):
+                yield WrappedTables(_EMPTY, id="name-tables")
+            with TabPane("Pictures", id="pictures"):
+                yield ChartPlot(id="picture-plot")
+            with TabPane("Check", id="check"), VerticalScroll():
+                yield Static(_EMPTY, id="meaning", markup=False)
+            with TabPane("Proposed stops", id="proposed"), VerticalScroll():
+                yield Static(_NO_PROPOSAL, id="proposal", markup=False)
+
+    # -- keys ----------------------------------------------------------------------------------------------------------
+
+    def action_begin(self) -> None:
+        """Search the run that is open."""
+        if folder := self.open_folder():
+            self.start(work.discover(folder))
+
+    def action_propose(self) -> None:
+        """Search, then plan further stops."""
+        if folder := self.open_folder():
+            self.start(work.discover(folder, _PROPOSED))
+
+    def action_collect(self) -> None:
+        """Ask, then measure what is planned and not measured yet."""
+        folder, left = self.workspace.folder, stops_left(self.workspace)
+        if folder is None or left == 0:
+            self.say("No stop is left to measure: m proposes further ones.", "warning")
+            return
+        text = f"{left} stops are left to measure in {folder}; {arms_words(self.workspace)}."
+
+        def begin(answer: str | None) -> None:
+            if answer == "begin":
+                self.start(work.collect(folder, resume=True))
+                self.cell_app.action_show("collect")
+
+        self.app.push_screen(Choice("Collect?", text, BEGIN), begin)
+
+    def action_other_arm(self) -> None:
+        """Show the next arm."""
+        self._arm, self._picture = self._arm + 1, 0
+        self._draw_plots()
+
+    def action_picture(self, step: int) -> None:
+        """Show another picture."""
+        self._picture += step
+        self.query_one("#discovery", TabbedContent).active = "pictures"
+        self._draw_plots()
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        show_next_tab(self.query_one("#discovery", TabbedContent))
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    @property
+    def _result(self) -> DiscoverResult | None:
+        results = self.workspace.results
+        return None if results is None else results.discover
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw the discovery of the run."""
+        if workspace is self._drawn:
+            return
+        self._drawn = workspace
+        found = self._result
+        tables = self.query_one("#name-tables", WrappedTables)
+        if found is None or workspace.results is None:
+            tables.show([])
+            self.query_one("#meaning", Static).update(_EMPTY)
+            self.query_one("#proposal", Static).update(_NO_PROPOSAL)
+            self.query_one("#verdict", Static).update(_EMPTY)
+        else:
+            reason = workspace.results.out_of_date.get(DISCOVER)
+            outdated = [] if reason is None else [f"! out of date: {reason}; b searches again"]
+            tables.show(discovery_tables(found), outdated, [arm.sentence for arm in found.arms.values()])
+            self.query_one("#meaning", Static).update(explanation_text(found))
+            proposal = _NO_PROPOSAL if found.proposal is None else "\n".join(proposal_lines(found.proposal))
+            self.query_one("#proposal", Static).update(proposal)
+            verdicts = [f"Arm {name}: {arm.verdict}. {verdict_sentence(name, arm)}" for name, arm in found.arms.items()]
+            self.query_one("#verdict", Static).update("\n".join([*outdated, *verdicts]))
+        self._draw_plots()
+
+    def _draw_plots(self) -> None:
+        found = self._result
+        if found is None or not found.arms:
+            for plot in self.query(ChartPlot):
+                plot.chart = None
+            return
+        names = list(found.arms)
+        name = names[self._arm % len(names)]
+        arm = found.arms[name]
+        self.query_one("#gap-plot", ChartPlot).chart = gap_chart(name, arm)
+        self.query_one("#candidates-plot", ChartPlot).chart = candidates_chart(name, arm)
+        pictures = arm.pictures
+        picture = self.query_one("#picture-plot", ChartPlot)
+        picture.chart = picture_chart(name, pictures[self._picture % len(pictures)]) if pictures else None

@@ -1,0 +1,387 @@
+"""The screen Plan: what constrains it, where its stops are, how long it takes, what it can show, whether it is safe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from rich.text import Text
+from textual import on, work
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, Vertical
+from textual.message import Message
+from textual.widgets import DataTable, Static, TabbedContent, TabPane
+
+from cellapp.interfaces.tui import work as verbs
+from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
+from cellapp.interfaces.tui.screens.plan_edits import NO_PLANNED_RUN, PlanEdits
+from cellapp.interfaces.tui.widgets.cell_map import CellMap
+from cellapp.interfaces.tui.widgets.charts_view import ChartsView
+from cellapp.interfaces.tui.widgets.plan_tables import (
+    AccuracyTable,
+    CoverageTable,
+    EffectsTable,
+    PairsTable,
+    StopsTable,
+)
+from cellapp.interfaces.tui.widgets.tabs import explain_tabs, show_next_tab
+from cellapp.interfaces.tui.workspace import NO_PROFILE, Step, Workspace, new_folder
+
+if TYPE_CHECKING:
+    from cellapp.cell.planning.design_records import ViewResult
+    from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
+    from cellapp.commands.run_results import StopsResult
+    from cellapp.commands.view.charts import Chart
+    from cellapp.commands.view.table import Table
+    from cellapp.ground.profile import Profile
+    from cellapp.ground.results import Result
+
+HELP = """
+# Plan
+
+Which stops the arms will visit, before anything moves.
+
+- `v` looks at what the tracker sees of each arm's workspace, before anything is planned.
+- `g` makes a new run with a plan of the profile; you may change the proposed folder.
+- `k` runs the safety gate again over every stop and every way of the open run's plan.
+- `f` foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect whether the
+  plan can show it and from which size on.
+- *Limits* is what the profile demands, *Design* what the stops tell beside random ones; *Stops* lists them, *Above* and
+  *Tracker* show them with obstacles and what these hide. The sentence below a table is that of the selected row; `t`
+  shows the next tab.
+
+Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 0.1 mm, what gravity and backlash leave
+in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
+
+Next: collect (`3`).
+"""
+_NO_VIEW = "v looks at what the tracker sees of each arm's workspace; nothing is planned."
+_NO_FORECAST = "Not foreseen yet: f computes time, expected errors and visible effects."
+
+
+class Drawn(Message):
+    """What one of the views shows was made in a thread: charts, tables and sentences; ``of`` is what they are about."""
+
+    def __init__(
+        self, of: StopsResult | ViewResult, charts: Sequence[Chart], tables: Sequence[Table], sentences: Sequence[str]
+    ) -> None:
+        super().__init__()
+        self.of, self.charts, self.tables, self.sentences = of, charts, tables, sentences
+
+
+class PlanScreen(PlanEdits):
+    """Plan a run, look at its plan, check it, foresee what it gives."""
+
+    STEP: ClassVar[Step] = "plan"
+    HELP: ClassVar[str] = HELP
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("g", "plan", "New plan", tooltip="make a new run with a plan"),
+        Binding("v", "view", "View", tooltip="what the tracker sees of each arm's workspace, before planning"),
+        Binding("k", "check", "Check", tooltip="run the safety gate over all stops and ways again; nothing moves"),
+        Binding("f", "forecast", "Forecast", tooltip="time, joint ranges, expected errors, effects that can be seen"),
+        Binding("space", "mark", "Mark", tooltip="mark the selected stop"),
+        Binding("z", "freeze", "Freeze", tooltip="let later designs leave the marked stops"),
+        Binding("a", "add", "Add", tooltip="append stops to the open run's plan"),
+        Binding("r", "replan", "Replan", tooltip="design what is not measured again"),
+        Binding("w", "write", "Write", tooltip="write the plan as a table that can be edited"),
+        Binding("i", "read", "Read", tooltip="check a plan that was edited, and use it"),
+        Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
+    ]
+    DEFAULT_CSS = """
+    #plan-state, #plan-time, #plan-safety { height: auto; max-height: 3; }
+    #plan-safety.safe { color: $text-success; }
+    #plan-safety.unsafe { color: $text-error; }
+    #plan-tabs { height: 1fr; }
+    #plan-tabs DataTable { height: 1fr; scrollbar-size-horizontal: 0; }
+    #plan-detail { height: auto; max-height: 4; background: $panel; padding: 0 1; }
+    #plan-side { display: none; width: 1fr; }
+    PlanScreen.-wide #plan-side { display: block; }
+    PlanScreen.-wide #plan-middle { width: 2fr; }
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._profile: Profile | None = None
+        self._stops: StopsResult | None = None
+        self._folder: Path | None = None
+        self._check: PlanCheckResult | None = None
+        self._forecast: PlanForecastResult | None = None
+        self._file_check: PlanCheckResult | None = None
+        self._view: ViewResult | None = None
+
+    def body(self) -> ComposeResult:
+        with Horizontal():
+            with Vertical(id="plan-middle"):
+                yield Static("", id="plan-state", markup=False)
+                yield Static("", id="plan-safety", markup=False)
+                yield Static("", id="plan-time", markup=False)
+                with TabbedContent(id="plan-tabs", initial="tab-constraints"):
+                    with TabPane("Limits", id="tab-constraints"):
+                        yield PairsTable(id="constraints")
+                    with TabPane("Design", id="tab-design"):
+                        yield ChartsView(NO_PLANNED_RUN, id="plan-design")
+                    with TabPane("Stops", id="tab-stops"):
+                        yield StopsTable(id="stops")
+                    with TabPane("Joints", id="tab-joints"):
+                        yield CoverageTable(id="coverage")
+                    with TabPane("Effects", id="tab-effects"):
+                        yield EffectsTable(id="effects")
+                    with TabPane("Errors", id="tab-errors"):
+                        yield AccuracyTable(id="accuracy")
+                    with TabPane("Check", id="tab-check"):
+                        yield PairsTable(id="refusals")
+                    with TabPane("Above", id="tab-above"):
+                        yield CellMap("above", id="plan-above")
+                    with TabPane("Tracker", id="tab-tracker"):
+                        yield CellMap("tracker", id="plan-tracker")
+                    with TabPane("View", id="tab-view"):
+                        yield ChartsView(_NO_VIEW, id="plan-view")
+                yield Static("", id="plan-detail", markup=False)
+            with Vertical(id="plan-side"):
+                yield CellMap("above", id="side-above")
+                yield CellMap("tracker", id="side-tracker")
+
+    def on_mount(self) -> None:
+        """Explain the tabs."""
+        explain_tabs(self.query_one("#plan-tabs", TabbedContent))
+
+    # -- actions -------------------------------------------------------------------------------------------------------
+
+    def action_plan(self) -> None:
+        """Ask for the folder, then make a new run."""
+        profile, path = self.workspace.file_profile, self.workspace.profile_path
+        if profile is None or path is None:
+            self.say(NO_PROFILE, "warning")
+            return
+        if self.cell_app.jobs.running:
+            self.say("A job is running; plan when it has ended.", "warning")
+            return
+        reserve = f" and {profile.plan.reserve} in reserve" if profile.plan.reserve else ""
+        text = f"{profile.plan.stops} stops{reserve} of the cell '{profile.name}', read from {path}. Nothing moves."
+
+        def begin(folder: Path | None) -> None:
+            if folder is not None:
+                self.start(verbs.plan(path, folder))
+
+        self.app.push_screen(NewRunQuestion(text, new_folder(profile)), begin)
+
+    def action_view(self) -> None:
+        """Look at what the tracker sees."""
+        if self.workspace.file_profile is None or self.workspace.profile_path is None:
+            self.say(NO_PROFILE, "warning")
+            return
+        self.start(verbs.view(self.workspace.profile_path))
+
+    def action_check(self) -> None:
+        """Check the plan of the open run."""
+        if folder := self.planned_folder():
+            self.start(verbs.check_plan(folder))
+
+    def action_forecast(self) -> None:
+        """Foresee what the plan of the open run gives."""
+        if folder := self.planned_folder():
+            self.start(verbs.forecast_plan(folder))
+
+    def action_mark(self) -> None:
+        """Mark the selected stop."""
+        self.query_one(StopsTable).mark()
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Stops can be marked where they are listed."""
+        if action not in ("mark", "freeze"):
+            return True
+        return any(tabs.active == "tab-stops" for tabs in self.query("#plan-tabs").results(TabbedContent))
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        tabs = self.query_one("#plan-tabs", TabbedContent)
+        show_next_tab(tabs)
+        if tabs.active_pane is not None:
+            for content in tabs.active_pane.query("DataTable, ChartsView"):
+                content.focus()
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def show_result(self, result: Result) -> None:
+        """Draw a view, a check or a forecast."""
+        from cellapp.cell.planning.design_records import ViewResult
+        from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
+
+        if isinstance(result, ViewResult):
+            self._view = result
+            if self.workspace.file_profile is not None:
+                self._make_view(self.workspace.file_profile, result)
+            return
+        tabs = self.query_one("#plan-tabs", TabbedContent)
+        if isinstance(result, PlanCheckResult) and result.file is not None:
+            self._file_check = result
+            tabs.active = "tab-check"
+            self._draw_results()
+            if result.is_safe:
+                self.offer_file(Path(result.file))
+            return
+        if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self._folder:
+            return  # another run was opened meanwhile
+        if isinstance(result, PlanCheckResult):
+            self._check, self._file_check = result, None
+            if result.refused:
+                tabs.active = "tab-check"
+        elif isinstance(result, PlanForecastResult):
+            self._forecast = result
+            if tabs.active in ("tab-constraints", "tab-check"):
+                tabs.active = "tab-effects"
+        self._draw_results()
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw the constraints, the plan and its maps."""
+        self._profile = workspace.profile
+        stops = workspace.stops
+        same_plan = workspace.folder == self._folder and _planned(stops) == _planned(self._stops)
+        if not same_plan:
+            self._check = self._forecast = None
+        if stops is not self._stops or not same_plan or workspace.folder is None:
+            self._folder, self._stops = workspace.folder, stops
+            self._draw_maps(workspace)
+        self.query_one("#plan-state", Static).update(_state_words(workspace))
+        self._draw_results()
+
+    def _draw_constraints(self) -> None:
+        from cellapp.commands.doctor.profile_view import constraint_words
+
+        rows = [] if self._profile is None else constraint_words(self._profile)
+        if self._forecast is not None:
+            from cellapp.commands.plan.view import TIME_RESTS_ON, time_sentence
+
+            rows += [("time", time_sentence(self._forecast.time)), ("time rests on", TIME_RESTS_ON)]
+            rows += [("note", note) for note in self._forecast.notes]
+        self.query_one("#constraints", PairsTable).show(rows)
+
+    def _draw_maps(self, workspace: Workspace) -> None:
+        stops = () if workspace.stops is None else workspace.stops.stops
+        for drawn in self.query(CellMap):
+            drawn.show_cell(workspace.profile, stops)
+        self._draw_stops()
+        self._make_charts(workspace)
+
+    def _draw_stops(self) -> None:
+        """List the stops where they are seen: thousands take half a second."""
+        if self.query_one("#plan-tabs", TabbedContent).active == "tab-stops":
+            stops = () if self._stops is None else self._stops.stops
+            self.query_one(StopsTable).show(stops, self.workspace.ways)
+
+    @work(thread=True, exclusive=True, group="charts")
+    def _make_charts(self, workspace: Workspace) -> None:
+        """Draw the design: the mathematics that this needs takes half a second to load."""
+        from cellapp.interfaces.page.plan_section import design_charts_of, design_tables_of
+
+        profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
+        if profile is not None and ways is not None and stops is not None and stops.stops:
+            charts = design_charts_of(profile, stops.stops, ways, design)
+            self.post_message(Drawn(stops, charts, design_tables_of(design), ()))
+
+    @work(thread=True, exclusive=True, group="view")
+    def _make_view(self, profile: Profile, view: ViewResult) -> None:
+        from cellapp.commands.plan.charts_view import view_charts
+        from cellapp.commands.plan.tracker_view import view_sentences, view_tables
+
+        self.post_message(Drawn(view, view_charts(profile, view), view_tables(view), view_sentences(view)))
+
+    @on(Drawn)
+    async def show_drawn(self, event: Drawn) -> None:
+        """Show the design, unless another run was opened meanwhile; or what the tracker sees."""
+        if event.of is self._stops:
+            await self.query_one("#plan-design", ChartsView).show(event.charts, event.tables, event.sentences)
+        elif event.of is self._view:
+            view = self.query_one("#plan-view", ChartsView)
+            await view.show(event.charts, event.tables, event.sentences)
+            self.query_one("#plan-tabs", TabbedContent).active = "tab-view"
+            view.focus()
+
+    def _draw_results(self) -> None:
+        """Draw check and forecast, or what to press for them."""
+        has_plan = self._stops is not None and bool(self._stops.stops)
+        self._draw_constraints()
+        self._draw_check(has_plan=has_plan)
+        forecast = self._forecast
+        for table in self.query("#coverage, #effects, #accuracy").results():
+            assert isinstance(table, CoverageTable | EffectsTable | AccuracyTable)
+            if forecast is None:
+                table.draw([])
+            else:
+                table.show(forecast.arms)
+        words = _NO_FORECAST if has_plan else ""
+        if forecast is not None:
+            from cellapp.commands.plan.view import time_sentence
+
+            words = " ".join([time_sentence(forecast.time), *forecast.notes])
+        line = self.query_one("#plan-time", Static)
+        line.update(words)
+        line.display = bool(words)
+        self._draw_detail()
+
+    def _draw_check(self, *, has_plan: bool) -> None:
+        """The verdict on the open run's plan; what is refused of it, or of the edited plan that was checked last."""
+        line, check = self.query_one("#plan-safety", Static), self._check
+        line.update("Checked when it was planned; k checks it again." if has_plan else "")
+        line.display = has_plan
+        line.set_classes("")
+        if check is not None:
+            line.update(_check_rows(check)[0])
+            line.set_classes("safe" if check.is_safe else "unsafe")
+        listed = self._file_check or check
+        self.query_one("#refusals", PairsTable).show([] if listed is None else _check_rows(listed)[1])
+
+    @on(DataTable.RowHighlighted)
+    @on(TabbedContent.TabActivated)
+    def _draw_detail(self) -> None:
+        """The selected row of the table in front, in full."""
+        self._draw_stops()
+        pane = self.query_one("#plan-tabs", TabbedContent).active_pane
+        text = ""
+        if pane is not None:
+            for table in pane.query(PairsTable).results():
+                text = table.selected_text
+            for stops in pane.query(StopsTable).results():
+                text = stops.selected_text
+            for other in pane.query("CoverageTable, EffectsTable, AccuracyTable").results():
+                assert isinstance(other, CoverageTable | EffectsTable | AccuracyTable)
+                text = other.selected_text or _NO_FORECAST
+        self.query_one("#plan-detail", Static).update(Text(text))
+
+
+def _planned(stops: StopsResult | None) -> tuple[object, ...]:
+    """What a check and a forecast rest on: the joint positions of all stops."""
+    return () if stops is None else tuple(stop.q for stop in stops.stops)
+
+
+def _check_rows(check: PlanCheckResult) -> tuple[str, list[tuple[str, str]]]:
+    """The verdict of a check, and what it refuses as rows."""
+    from cellapp.commands.plan.view import check_sentences
+
+    verdict, *refusals = check_sentences(check)
+    kinds = ["detour" if one.is_avoided else "refused" for one in check.refused]
+    rows = list(zip(kinds, refusals, strict=True))
+    if check.file is not None:  # the line above the tabs is about the open run
+        rows.insert(0, ("safe" if check.is_safe else "not safe", f"{check.file}: {verdict}"))
+    return verdict, rows or [("safe", verdict)]
+
+
+def _state_words(workspace: Workspace) -> str:
+    """How much is planned and measured, or what to do."""
+    if workspace.profile is None:
+        return workspace.problem or NO_PROFILE
+    overview = workspace.overview
+    if workspace.folder is None or overview is None:
+        return workspace.problem or NO_PLANNED_RUN
+    stops = () if workspace.stops is None else workspace.stops.stops
+    if not stops:
+        return "This run has no plan: its readings were imported. g plans a new run."
+    parts = []
+    for name, arm in overview.arms.items():
+        reserves = len(stops) - arm.planned
+        more = f" and {reserves} in reserve" if reserves else ""
+        parts.append(f"arm {name}: {arm.planned} stops{more}, {arm.measured} measured")
+    edited = " The profile was edited since; g plans with the present one." if workspace.edited else ""
+    return "; ".join(parts) + "." + edited

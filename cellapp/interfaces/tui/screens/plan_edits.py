@@ -1,0 +1,124 @@
+"""Keys of the screen Plan that change a plan: freeze, add, design again, write and read a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cellapp.interfaces.tui import work as verbs
+from cellapp.interfaces.tui.dialogs.count import CountQuestion
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
+from cellapp.interfaces.tui.dialogs.question import Answer, Choice
+from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.plan_tables import StopsTable
+from cellapp.interfaces.tui.workspace import NO_PROFILE, new_folder
+
+NO_PLANNED_RUN = "No run is open: plan one with g, or open one on the screen Runs (8)."
+_PLAN_FILE = "plan.csv"
+"""What a plan as a table is called unless a person says otherwise."""
+_FURTHER, _MOST_FURTHER = 50, 100_000
+"""Stops that are appended unless a person says otherwise, and the most."""
+
+
+class PlanEdits(DayScreen):
+    """A screen with the stops of the open run's plan; subclasses show them."""
+
+    def planned_folder(self) -> Path | None:
+        """Folder of the open run with a plan; None with a sentence why there is none."""
+        workspace = self.workspace
+        if workspace.folder is None:
+            self.say(NO_PLANNED_RUN, "warning")
+        elif workspace.stops is None or not workspace.stops.stops:
+            self.say("This run has no plan: its readings were imported. Plan a new run with g.", "warning")
+        else:
+            return workspace.folder
+        return None
+
+    def action_freeze(self) -> None:
+        """Let later designs leave the marked stops; without marks, none."""
+        if folder := self.planned_folder():
+            self.start(verbs.freeze_stops(folder, sorted(self.query_one(StopsTable).marked)))
+
+    def action_add(self) -> None:
+        """Ask how many stops to append."""
+        folder = self.planned_folder()
+        if folder is None:
+            return
+
+        def begin(count: int | None) -> None:
+            if count is not None:
+                self.start(verbs.extend_plan(folder, count))
+
+        text = "They tell most beside those that are planned or measured already. Nothing moves."
+        self.app.push_screen(CountQuestion("How many further stops?", text, _FURTHER, _MOST_FURTHER), begin)
+
+    def action_replan(self) -> None:
+        """Ask, then design again what is not measured."""
+        folder = self.planned_folder()
+        if folder is None:
+            return
+
+        def begin(answer: str | None) -> None:
+            if answer == "replan":
+                self.start(verbs.replan(folder))
+
+        text = (
+            "Stops that are measured, proposed by discovery or frozen stay, as far as they could be reached; all others"
+            " of this run are replaced. Nothing moves."
+        )
+        answers = (Answer("no", "Leave the plan", "l"), Answer("replan", "Design again", "d", "warning"))
+        self.app.push_screen(Choice("Design the rest again?", text, answers), begin)
+
+    def action_write(self) -> None:
+        """Ask where to write the plan."""
+        folder = self.planned_folder()
+        if folder is None:
+            return
+
+        def begin(path: Path | None) -> None:
+            if path is not None:
+                self.start(verbs.write_plan(folder, path))
+
+        self.app.push_screen(SaveAs("the plan", None, folder / _PLAN_FILE), begin)
+
+    def action_read(self) -> None:
+        """Ask for an edited plan, and check it."""
+        profile = self.workspace.profile_path
+        if self.workspace.file_profile is None or profile is None:
+            self.say(NO_PROFILE, "warning")
+            return
+
+        def begin(path: Path | None) -> None:
+            if path is not None:
+                self.start(verbs.check_plan_file(profile, path))
+
+        start = self.workspace.folder or Path()
+        self.app.push_screen(FilePicker("A plan as CSV", start, lambda path: path.suffix == ".csv"), begin)
+
+    def offer_file(self, file: Path) -> None:
+        """Ask what to do with a plan that is safe."""
+        profile, path = self.workspace.file_profile, self.workspace.profile_path
+        if profile is None or path is None:
+            return
+
+        def into(around: bool) -> None:
+            def begin(folder: Path | None) -> None:
+                if folder is not None:
+                    self.start(verbs.plan_with_file(path, file, folder, around=around))
+
+            how = "with other stops designed around these" if around else "exactly as it is written"
+            self.app.push_screen(
+                NewRunQuestion(f"The plan of {file}, {how}. Nothing moves.", new_folder(profile)), begin
+            )
+
+        def answered(answer: str | None) -> None:
+            if answer in ("from", "keep"):
+                into(answer == "keep")
+
+        answers = (
+            Answer("look", "Only look", "l"),
+            Answer("from", "New run with it", "n"),
+            Answer("keep", "New run around it", "a"),
+        )
+        self.app.push_screen(Choice("This plan is safe", f"{file} holds at every stop and way.", answers), answered)

@@ -1,0 +1,390 @@
+"""The screen Runs: every run in the folder of runs; open, compare, fleet, report, resume, replay.
+
+Runs are read and compared in threads; packages for that are loaded there, too.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from rich.text import Text
+from textual import on, work
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import VerticalScroll
+from textual.message import Message
+from textual.widgets import DataTable, Input, Static
+from textual.worker import get_current_worker
+
+from cellapp.commands.run_results import ReportResult
+from cellapp.commands.runs.result import RunsResult
+from cellapp.commands.runs.view import run_lines, runs_sentences
+from cellapp.commands.show.columns import contains, run_cells, run_columns
+from cellapp.commands.view.charts import enumerated
+from cellapp.estimation.monitoring.fleet.records import FleetResult
+from cellapp.ground.errors import CellappError
+from cellapp.ground.results import Result
+from cellapp.interfaces.tui import work as jobs_of_verbs
+from cellapp.interfaces.tui.browser import open_page
+from cellapp.interfaces.tui.endings import REPORT_FILE
+from cellapp.interfaces.tui.offers import offer_replay, offer_to_resume
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.workspace import Step, Workspace
+
+if TYPE_CHECKING:
+    from cellapp.commands.runs.result import RunComparison, RunSummary
+
+_MARK, _OPEN = "●", "▸"
+_MARKS = "marks"
+"""Key of the column that shows which runs are open and marked; the others have their place as key."""
+_PAIR = 2
+"""Two runs are compared in every value; of more, the history of each arm is shown."""
+_BEGAN = 1
+"""Column by which the list is sorted at first."""
+HELP = """\
+# Runs
+
+Every run in the folder of runs, newest first. Nothing here changes a run.
+
+- **Enter** opens the run under the cursor (▸); **n** then goes to the step that comes next.
+- **Space** marks a run (●), **c** compares the marked ones: two in profile, parameters, errors, effects, verification;
+  more of them by the history of each arm.
+- **f** shows the fleet: the history of each arm over all runs of the list, changes with their evidence, trends. The
+  filter chooses the runs.
+- **o** opens the report in a browser; it is written first where there is none.
+- **e** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
+- **y** plays the run back through the screen Collect. Nothing moves.
+- **/** filters while you type, **s** sorts by the next column, **u** reads the folder again.
+
+Whether a result still holds is judged by the number of readings here; opening the run compares the readings themselves.
+"""
+
+
+class RunsListed(Message):
+    """The folder was read, or the sentence why not."""
+
+    def __init__(self, found: RunsResult | str) -> None:
+        super().__init__()
+        self.found = found
+
+
+class RunsCompared(Message):
+    """Two runs or more were compared, or the sentence why not."""
+
+    def __init__(self, found: RunComparison | FleetResult | str) -> None:
+        super().__init__()
+        self.found = found
+
+
+class PageOpened(Message):
+    """A report was opened in a browser, or the sentence says where it is."""
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__()
+        self.sentence = sentence
+
+
+class RunsScreen(DayScreen):
+    """The history of the folder of runs."""
+
+    STEP: ClassVar[Step] = "runs"
+    HELP = HELP
+    AUTO_FOCUS = "#runs"
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("space", "mark", "Mark", tooltip="mark a run to compare it"),
+        Binding("c", "compare", "Compare", tooltip="compare the marked runs"),
+        Binding("f", "fleet", "Fleet", tooltip="the history of each arm over the runs of the list"),
+        Binding("o", "report", "Report", tooltip="open the report in a browser"),
+        Binding("e", "resume_run", "Resume run", tooltip="go on with a run that was interrupted"),
+        Binding("y", "replay", "Replay", tooltip="play the run back; nothing moves"),
+        Binding("slash", "filter", "Filter", key_display="/"),
+        Binding("escape", "clear_filter", show=False),
+        Binding("s", "sort", "Sort", tooltip="sort by the next column"),
+        Binding("u", "read", "Read again", show=False),
+    ]
+    DEFAULT_CSS = """
+    RunsScreen #runs { height: 1fr; }
+    RunsScreen #about-run { height: auto; max-height: 8; }
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._found = RunsResult(folder="", runs=())
+        self._columns = run_columns("")
+        self._shown: dict[str, RunSummary] = {}
+        self._marked: list[str] = []
+        self._sorted, self._reverse = _BEGAN, True
+        self._workspace: Workspace | None = None
+
+    def body(self) -> ComposeResult:
+        yield Input(placeholder="/ to filter: name, cell, effect, ...", id="filter", compact=True)
+        yield TextTable(id="runs", cursor_type="row", zebra_stripes=True)
+        with VerticalScroll(id="about-run", can_focus=False):
+            yield Static("reading the folder of runs ...", id="about", markup=False)
+
+    def on_mount(self) -> None:
+        """Draw the headings."""
+        table = self._table
+        table.add_column("  ", key=_MARKS)
+        for place in range(len(self._columns)):
+            table.add_column(self._heading(place), key=str(place))
+
+    @property
+    def _table(self) -> DataTable[Text]:
+        return self.query_one("#runs", DataTable)
+
+    @property
+    def _run(self) -> RunSummary | None:
+        """The run under the cursor."""
+        table = self._table
+        if not table.row_count:
+            return None
+        return self._shown.get(str(table.ordered_rows[table.cursor_row].key.value))
+
+    def _heading(self, place: int) -> Text:
+        """Title of a column, with the order where the list is sorted by it."""
+        order = ("▾" if self._reverse else "▴") if place == self._sorted else " "
+        return Text(f"{self._columns[place].title} {order}")
+
+    # -- reading -------------------------------------------------------------------------------------------------------
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Read the folder again where a run may have changed."""
+        if workspace is not self._workspace:
+            self._workspace = workspace
+            self._list_runs(self.cell_app.logs)
+
+    def action_read(self) -> None:
+        """Read the folder again."""
+        self._list_runs(self.cell_app.logs)
+
+    @work(thread=True, exclusive=True, group="list of runs")
+    def _list_runs(self, folder: Path) -> None:
+        from cellapp.commands.runs.history import list_runs
+
+        found: RunsResult | str
+        try:
+            found = list_runs(folder) if os.path.isdir(folder) else RunsResult(folder=str(folder), runs=())
+        except CellappError as error:
+            found = str(error)
+        if not get_current_worker().is_cancelled:  # else a later reading is under way
+            self.post_message(RunsListed(found))
+
+    @on(RunsListed)
+    def show_list(self, event: RunsListed) -> None:
+        """Draw the list; what was marked stays marked."""
+        if isinstance(event.found, str):
+            self.say(event.found, "error")
+            return
+        self._found, self._columns = event.found, run_columns(event.found.folder)
+        self._marked = [name for name in self._marked if any(run.run == name for run in self._found.runs)]
+        self._draw()
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        """Draw the rows that pass the filter, in order; the cursor stays on its run."""
+        table, present, wanted = self._table, self._run, self.query_one("#filter", Input).value
+        chosen = [run for run in self._found.runs if contains(run, self._columns, wanted)]
+        chosen.sort(key=self._columns[self._sorted].order, reverse=self._reverse)
+        self._shown = {run.run: run for run in chosen}
+        table.clear()
+        for run in chosen:
+            style = "dim" if run.problem else ""
+            is_open = self.workspace.folder is not None and Path(run.run) == self.workspace.folder
+            mark = Text((_OPEN if is_open else " ") + (_MARK if run.run in self._marked else " "))
+            table.add_row(mark, *(Text(cell, style) for cell in run_cells(run, self._columns)), key=run.run)
+        if present is not None and present.run in self._shown:
+            table.move_cursor(row=table.get_row_index(present.run))
+        self._draw_about()
+
+    def _draw_about(self) -> None:
+        run = self._run
+        if run is not None:
+            lines = run_lines(run)
+        elif self._found.runs:
+            lines = [f"none of {len(self._found.runs)} runs passes the filter; / changes it"]
+        else:
+            lines = runs_sentences(self._found)
+        self.query_one("#about", Static).update("\n".join(lines))
+
+    @on(DataTable.RowHighlighted)
+    def show_run(self) -> None:
+        """Say more about the run under the cursor."""
+        self._draw_about()
+
+    # -- sort and filter -----------------------------------------------------------------------------------------------
+
+    def action_filter(self) -> None:
+        """Type a filter."""
+        self.query_one("#filter").focus()
+
+    @on(Input.Changed, "#filter")
+    def filter_rows(self) -> None:
+        """Filter while a person types."""
+        self._draw()
+
+    @on(Input.Submitted, "#filter")
+    def leave_filter(self) -> None:
+        """Go back to the list."""
+        self._table.focus()
+
+    def action_clear_filter(self) -> None:
+        """Show all runs again; Escape does so while no job runs."""
+        self.query_one("#filter", Input).clear()
+        self._table.focus()
+
+    def action_sort(self) -> None:
+        """Sort by the next column."""
+        self._sort((self._sorted + 1) % len(self._columns), again=False)
+
+    @on(DataTable.HeaderSelected)
+    def sort_by(self, event: DataTable.HeaderSelected) -> None:
+        """Sort by the column whose heading was clicked; a second click turns the order round."""
+        if event.column_key.value != _MARKS:
+            self._sort(int(event.column_key.value or 0), again=True)
+
+    def _sort(self, place: int, *, again: bool) -> None:
+        turned = again and place == self._sorted
+        self._reverse = not self._reverse if turned else self._columns[place].newest_first
+        self._sorted = place
+        for column in self._table.ordered_columns:
+            if column.key.value != _MARKS:
+                column.label = self._heading(int(column.key.value or 0))
+        self._draw()
+        self.say(f"Sorted by {self._columns[place].title}{', largest first' if self._reverse else ''}.")
+
+    # -- what can be done with a run -----------------------------------------------------------------------------------
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Compare marked runs only, and not while a job waits to be resumed, which has the same key."""
+        if action == "compare":
+            return not self.cell_app.jobs.possible("resume") and len(self._marked) >= _PAIR
+        return True
+
+    @on(DataTable.RowSelected)
+    def open_run(self) -> None:
+        """Open the run under the cursor."""
+        self._with_run(lambda run: self.cell_app.open_run(Path(run.run), self.workspace.profile_path))
+
+    def action_mark(self) -> None:
+        """Mark the run under the cursor, or take its mark away."""
+
+        def mark(run: RunSummary) -> None:
+            if run.run in self._marked:
+                self._marked.remove(run.run)
+            else:
+                self._marked.append(run.run)
+            self._draw()
+            self.refresh_bindings()
+            if len(self._marked) >= _PAIR:
+                self.say(f"{len(self._marked)} runs are marked; c compares them.")
+
+        self._with_run(mark)
+
+    def action_compare(self) -> None:
+        """Compare the marked runs."""
+        self.say(f"Comparing {enumerated(self._marked)} ...")
+        self._compare([Path(name) for name in self._marked])
+
+    def action_fleet(self) -> None:
+        """Show the history of each arm over the runs of the list."""
+        listed = [Path(name) for name, run in self._shown.items() if not run.problem]
+        if not listed:
+            self.say("The list has no run that can be read.", "warning")
+            return
+        self.say(f"Reading {len(listed)} runs ...")
+        self._compare(listed, fleet=True)
+
+    @work(thread=True, exclusive=True, group="comparison of runs")
+    def _compare(self, folders: Sequence[Path], *, fleet: bool = False) -> None:
+        try:
+            found = RunsCompared(jobs_of_verbs.compare(folders, fleet=fleet))
+        except CellappError as error:
+            found = RunsCompared(str(error))
+        except (OSError, ValueError, TypeError) as error:  # values that no version of this program stores
+            found = RunsCompared(f"{enumerated(map(str, folders))}: one holds values that cannot be read ({error})")
+        if not get_current_worker().is_cancelled:  # else other runs are being compared
+            self.post_message(found)
+
+    @on(RunsCompared)
+    def show_comparison(self, event: RunsCompared) -> None:
+        """Show what was found, unless another screen or dialog is shown meanwhile."""
+        if isinstance(event.found, str):
+            self.say(event.found, "error")
+        elif self.app.screen is self:
+            from cellapp.interfaces.tui.dialogs.comparison import Comparison
+            from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
+
+            found = event.found
+            self.app.push_screen(
+                FleetHistory(found, self.cell_app.logs) if isinstance(found, FleetResult) else Comparison(found)
+            )
+
+    def action_report(self) -> None:
+        """Open the report; write it first where there is none."""
+
+        def report(run: RunSummary) -> None:
+            page = Path(run.run) / REPORT_FILE
+            if page.is_file():
+                self._open_page(page)
+            elif any(stage.name == "calibrate" for stage in run.stages):
+                self.start(jobs_of_verbs.report(Path(run.run)))
+            else:
+                self.say(f"{run.run} is not calibrated; there is nothing to report yet.", "warning")
+
+        self._with_run(report)
+
+    def show_result(self, result: Result) -> None:
+        """Open the page that was just written."""
+        if isinstance(result, ReportResult):
+            self._open_page(Path(result.page))
+
+    @work(thread=True, group="report in a browser")
+    def _open_page(self, page: Path) -> None:
+        self.post_message(PageOpened(open_page(page)))
+
+    @on(PageOpened)
+    def say_opened(self, event: PageOpened) -> None:
+        """Say it twice: the message line may have news of the job that wrote the page."""
+        self.say(event.sentence)
+        self.notify(event.sentence)
+
+    def action_resume_run(self) -> None:
+        """Offer to go on with the run under the cursor."""
+
+        def resume(run: RunSummary) -> None:
+            if run.resumable:
+                offer_to_resume(self.cell_app, run)
+            else:
+                why = "was not interrupted while collecting; there is nothing to resume"
+                if run.in_use:
+                    why = f"is in use by {run.in_use}; Enter opens it, and watches a job of this computer"
+                self.say(f"{run.run} {why}.", "warning")
+
+        self._with_run(resume)
+
+    def action_replay(self) -> None:
+        """Offer to play back the run under the cursor."""
+
+        def replay(run: RunSummary) -> None:
+            if run.stops_measured:
+                offer_replay(self.cell_app, Path(run.run))
+            else:
+                self.say(f"{run.run} has no readings to play back.", "warning")
+
+        self._with_run(replay)
+
+    def _with_run(self, act: Callable[[RunSummary], None]) -> None:
+        """Do something with the run under the cursor if it can be read."""
+        run = self._run
+        if run is None:
+            self.say("No run is under the cursor.", "warning")
+        elif run.problem:
+            self.say(run.problem, "error")
+        else:
+            act(run)

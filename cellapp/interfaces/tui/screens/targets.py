@@ -1,0 +1,456 @@
+"""The screen Targets: the list with what the run says about each, edited, compensated, pushed and verified."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from rich.text import Text
+from textual import on
+from textual import work as in_thread
+from textual.app import ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal
+from textual.events import Resize
+from textual.message import Message
+from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
+from textual.worker import get_current_worker
+
+from cellapp.cell.programs.records import CorrectResult
+from cellapp.cell.targets.target_text import new_texts, targets_text, typed_texts
+from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.commands.compensate.charts import target_charts
+from cellapp.commands.compensate.details import place_lines, target_details
+from cellapp.commands.compensate.tables import all_measured_tables, stored_tables
+from cellapp.commands.compensate.target_list import (
+    COLUMN_GROUPS,
+    target_list,
+    target_state,
+    target_states,
+    target_words,
+)
+from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
+from cellapp.commands.correct.view import correct_table
+from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.run_results import RunResults
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.results import Result
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
+from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.dialogs.target_form import TargetForm
+from cellapp.interfaces.tui.offers import offer_paths
+from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.screens import targets_jobs
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.screens.targets_state import TargetEdits, listed_path, new_name
+from cellapp.interfaces.tui.widgets.charts_view import ChartsView
+from cellapp.interfaces.tui.widgets.tables import TablesView
+from cellapp.interfaces.tui.widgets.tabs import show_next_tab
+from cellapp.interfaces.tui.widgets.text_table import TextTable
+from cellapp.interfaces.tui.workspace import NO_PROFILE, Step, Workspace
+
+_NO_TARGET = "No target: i opens a list, + adds a target."
+_NOT_MEASURED = "Nothing was computed yet: b compensates, v pushes and verifies."
+_WIDEST = 26
+"""Letters of a cell of the list; the sentence below the list is whole."""
+_BESIDE = 6
+"""Columns of the terminal beside the list: padding and a scroll bar."""
+LIST_SUFFIXES = (".yaml", ".yml", ".csv")
+
+
+class ListRead(Message):
+    """A list was read, or why it cannot be."""
+
+    def __init__(self, path: Path, targets: tuple[Target, ...], problem: str = "") -> None:
+        super().__init__()
+        self.path, self.targets, self.problem = path, targets, problem
+
+
+class TargetGrid(TextTable):
+    """The list, one row for each target."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "select_cursor", "Edit", tooltip="edit the target")]
+
+
+class TargetsScreen(DayScreen):
+    """Targets: list, edit, compensate, push, verify."""
+
+    AUTO_FOCUS = "#grid"
+    STEP: ClassVar[Step] = "targets"
+    HELP: ClassVar[str] = """\
+# Targets
+
+Points to which the calibrated arms are sent. The list that the profile names is opened by itself.
+
+- *List*: **Enter** edits a target, **+** (Insert) adds one, **-** (Delete) removes one, **Ctrl+Z** undoes, **Ctrl+Y**
+  redoes. **w** saves the list, **i** opens another one (YAML or CSV). **s** shows only what needs attention: refused,
+  out of tolerance, undecided; **s** again shows all.
+- **b** compensates: computes the joint positions by the calibrated model. Nothing moves.
+- **g** drives the arms there. **v** drives with the nominal and with the compensated command and measures both; its
+  question takes how often each target is then corrected by measuring it. Each asks first; real arms ask again, with the
+  first path.
+- **l** locates the tracker after it was moved: a few measured points, and the calibration holds again.
+- **f** turns a file of poses with speeds into paths of the calibrated model, drives and measures them if asked to.
+- **c** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true poses.
+- *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
+  the model (in, out, cannot say), or measured; or why the target is refused. *95 %* is the bound that a measured error
+  keeps with that probability.
+- *Target*: all about the target under the cursor: where it is, what its uncertainty is made of, which conditions nobody
+  stated, what was predicted and what was measured.
+- *Measured*: errors before and after, against the stated bounds, of cooperative targets. **a** shows the next chart.
+- *Tables*: joint positions, uncertainties, errors.
+
+**t** goes from tab to tab. An edited list is used as it is shown, saved or not. The handbook's chapter *targets*
+explains frames, conditions and verdicts.
+"""
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("b", "compensate", "Compensate", tooltip="compute commands; nothing moves"),
+        Binding("g", "push", "Push", tooltip="drive to the targets: THE ARMS MOVE"),
+        Binding("v", "verify", "Verify", tooltip="drive to the targets and measure: THE ARMS MOVE"),
+        Binding("plus,insert", "add", "Add", key_display="+", tooltip="add a target"),
+        Binding("minus,delete", "remove", "Remove", key_display="-", tooltip="remove the target"),
+        Binding("ctrl+z", "undo", "Undo", tooltip="take back the last edit"),
+        Binding("ctrl+y", "redo", "Redo", show=False),
+        Binding("i", "open_list", "Open", tooltip="open another list (YAML, CSV)"),
+        Binding("w", "save", "Save", tooltip="save the list (YAML)"),
+        Binding("c", "correct", "Program", tooltip="correct the targets of a UR program; nothing moves"),
+        Binding("l", "locate", "Locate", tooltip="measure where the moved tracker stands: THE ARMS MOVE"),
+        Binding("f", "follow", "Paths", show=False, tooltip="plan, drive or verify paths of lines and arcs"),
+        Binding("a", "next_chart", "Next chart", show=False, tooltip="show the next chart of what was measured"),
+        Binding("s", "attention", "Attention", show=False, tooltip="only targets that need attention, or all"),
+        Binding("t", "next_tab", "Next tab"),
+    ]
+    DEFAULT_CSS = """
+    TargetsScreen #list { padding: 0; }
+    TargetsScreen #about-list { height: auto; }
+    TargetsScreen TargetGrid { height: 1fr; }
+    TargetsScreen #about-target { height: auto; max-height: 4; }
+    TargetsScreen.-narrow #second-plot { display: none; }
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._edits = TargetEdits()
+        self._drawn: Workspace | None = None
+        self._opened_for: Path | None = None
+        self._chart = 0
+        self._attention = False
+        self._rows: list[int] = []
+        self._corrected: CorrectResult | None = None
+
+    def body(self) -> ComposeResult:
+        with TabbedContent(id="targets"):
+            with TabPane("List", id="list"):
+                yield Static("", id="about-list", markup=False)
+                grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
+                grid.tooltip = "Enter edits, + adds, - removes, Ctrl+Z undoes, w saves"
+                yield grid
+                yield Static("", id="about-target", classes="muted", markup=False)
+            with TabPane("Target", id="target"):
+                yield ChartsView(_NO_TARGET, id="details")
+            with TabPane("Measured", id="measured"), Horizontal():
+                yield ChartPlot(id="first-plot")
+                yield ChartPlot(id="second-plot")
+            with TabPane("Tables", id="target-tables-pane"):
+                yield TablesView(_NOT_MEASURED, id="target-tables")
+
+    @property
+    def _grid(self) -> TargetGrid:
+        return self.query_one("#grid", TargetGrid)
+
+    @property
+    def _index(self) -> int:
+        """The place of the target under the cursor; -1 where no target is shown."""
+        return self._rows[min(self._grid.cursor_row, len(self._rows) - 1)] if self._rows else -1
+
+    # -- the list ------------------------------------------------------------------------------------------------------
+
+    def action_open_list(self) -> None:
+        """Ask for a file, and before that about what is not saved."""
+        if self.workspace.profile is None:
+            self.say(NO_PROFILE, "warning")
+        elif not self._edits.edited:
+            self._pick()
+        else:
+            answers = (Answer("stay", "Keep them", "k"), Answer("open", "Open another list", "o", "warning"))
+            text = "Edits are not saved (w saves). Another list replaces them."
+            question = Choice("Leave the edits?", text, answers)
+            self.app.push_screen(question, lambda answer: self._pick() if answer == "open" else None)
+
+    def _pick(self) -> None:
+        known = self._edits.path or self.workspace.profile_path or Path.cwd() / "targets.yaml"
+        picker = FilePicker("A list of targets (YAML, CSV)", known.parent, lambda path: path.suffix in LIST_SUFFIXES)
+        self.app.push_screen(picker, self._open)
+
+    def _open(self, path: Path | None) -> None:
+        if path is not None and self.workspace.profile is not None:
+            self._read(path, self.workspace.profile)
+
+    @in_thread(thread=True, exclusive=True, group="list of targets")
+    def _read(self, path: Path, profile: Profile) -> None:
+        try:
+            read = ListRead(path, load_targets(path, profile))
+        except InputError as error:
+            read = ListRead(path, (), str(error))
+        if not get_current_worker().is_cancelled:  # else another list is being read
+            self.post_message(read)
+
+    @on(ListRead)
+    def show_list(self, event: ListRead) -> None:
+        """Draw the list that was read; a broken one leaves the present list."""
+        if event.problem:
+            self.say(f"{event.problem}. i opens another list.", "error")
+            return
+        self._edits = TargetEdits(event.path, event.targets, event.targets)
+        self._draw_list()
+
+    @on(DataTable.RowSelected, "#grid")
+    def edit(self) -> None:
+        """Edit the target under the cursor in a form."""
+        index = self._index
+        if index >= 0 and self.workspace.profile is not None:
+            target = self._edits.targets[index]
+            others = self._edits.without(index).targets
+            form = TargetForm(f"Target {target.name}", target, typed_texts(target), others, self.workspace.profile)
+            self.app.push_screen(form, lambda typed: self._take(index, typed))
+
+    def action_add(self) -> None:
+        """Type a new target, beginning with the one under the cursor."""
+        profile, targets = self.workspace.profile, self._edits.targets
+        if profile is None:
+            self.say(NO_PROFILE, "warning")
+            return
+        arm = next(iter(profile.arms))
+        texts = new_texts(arm)
+        like = targets[self._index] if self._rows else None
+        if like is not None:
+            texts = {**typed_texts(like), "name": new_name(like.name, targets)}
+        form = TargetForm("New target", like, texts, targets, profile)
+        self.app.push_screen(form, lambda typed: self._take(len(targets), typed))
+
+    def _take(self, index: int, target: Target | None) -> None:
+        if target is not None and self._edits.targets[index : index + 1] != (target,):
+            self._show(self._edits.with_target(index, target), index)
+
+    def action_remove(self) -> None:
+        """Remove the target under the cursor."""
+        index = self._index
+        if index >= 0:
+            name = self._edits.targets[index].name
+            self._show(self._edits.without(index), index)
+            self.notify(f"Target {name} removed; Ctrl+Z brings it back.")
+
+    def action_undo(self) -> None:
+        """Take back the last edit."""
+        self._step(self._edits.undone(), "Nothing to undo.")
+
+    def action_redo(self) -> None:
+        """Make the edit again that was taken back."""
+        self._step(self._edits.redone(), "Nothing to redo.")
+
+    def _step(self, edits: TargetEdits | None, nothing: str) -> None:
+        if edits is None:
+            self.notify(nothing)
+        else:
+            self._show(edits, self._index)
+
+    def _show(self, edits: TargetEdits, index: int) -> None:
+        self._edits, self._attention = edits, False
+        self.query_one("#targets", TabbedContent).active = "list"
+        self._draw_list()
+        self._grid.move_cursor(row=index)
+
+    def action_attention(self) -> None:
+        """Show only the targets that are refused, out of tolerance, undecided or not measured; again: all."""
+        self._attention = not self._attention
+        self.query_one("#targets", TabbedContent).active = "list"
+        self._draw_list()
+
+    def action_save(self) -> None:
+        """Save the list as commented YAML."""
+        targets = self._edits.targets
+        if not targets:
+            self.say("An empty list cannot be saved: + adds a target, Ctrl+Z brings back what was removed.", "warning")
+            return
+        proposed = (self._edits.path or Path("targets.yaml")).with_suffix(".yaml")
+
+        def saved(path: Path | None) -> None:
+            if path is not None:
+                self._edits = self._edits.saved_as(path, targets)
+                self._draw_list()
+                self.say(f"{len(targets)} targets saved as {path}.")
+
+        self.app.push_screen(SaveAs("targets", targets_text(targets), proposed), saved)
+
+    # -- the jobs ------------------------------------------------------------------------------------------------------
+
+    def action_compensate(self) -> None:
+        """Compute commands for the list as it is shown."""
+        targets_jobs.begin_compensate(self, self._edits.targets)
+
+    def action_push(self) -> None:
+        """Ask, then drive to the targets."""
+        targets_jobs.ask_push(self, self._edits.targets)
+
+    def action_verify(self) -> None:
+        """Ask, then drive to the targets and measure."""
+        targets_jobs.ask_verify(self, self._edits.targets)
+
+    def action_locate(self) -> None:
+        """Ask, then measure where the tracker stands after it was moved."""
+        targets_jobs.ask_locate(self)
+
+    def action_follow(self) -> None:
+        """Ask for a path file and whether the arms follow it."""
+        offer_paths(self.cell_app)
+
+    def action_correct(self) -> None:
+        """Ask for a program and where its corrected copy is written."""
+        targets_jobs.ask_correct(self)
+
+    def show_result(self, result: Result) -> None:
+        """Show where the tracker stands, or the targets of a program that was corrected, and why some were not."""
+        if isinstance(result, LocateResult) and self.app.screen is self:
+            from cellapp.commands.locate.view import location_sentences, location_tables
+            from cellapp.commands.view.table import markdown
+
+            said = "\n".join(f"- {line}" for line in location_sentences(result))
+            self.app.push_screen(Reading(f"{said}\n\n{markdown(location_tables(result), ())}"))
+        if isinstance(result, CorrectResult) and self.app.screen is self:
+            from cellapp.cell.programs.words import correct_lines
+
+            self._corrected = result
+            self._draw_tables()
+            tabs = self.query_one("#targets", TabbedContent)
+            tabs.active = "target-tables-pane"
+            tabs.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
+            lines = correct_lines(result)
+            self.app.push_screen(Reading("\n".join(["# Program", "", "```text", *lines, "```"])))
+
+    # -- tabs and plots ------------------------------------------------------------------------------------------------
+
+    def action_next_chart(self) -> None:
+        """Show the next chart: the other arm, cooperative targets, bounds."""
+        self._chart += 1
+        self.query_one("#targets", TabbedContent).active = "measured"
+        self._draw_plots()
+
+    def action_next_tab(self) -> None:
+        """Show the next tab."""
+        tabs = self.query_one("#targets", TabbedContent)
+        show_next_tab(tabs)
+        if tabs.active == "list":
+            self._grid.focus()
+
+    # -- drawing -------------------------------------------------------------------------------------------------------
+
+    @property
+    def _results(self) -> RunResults | None:
+        return self.workspace.results
+
+    def show_workspace(self, workspace: Workspace) -> None:
+        """Draw the list with the results of the run; open the list that the profile names."""
+        if workspace is self._drawn:
+            return
+        self._drawn = workspace
+        path = listed_path(workspace)
+        if path is not None and path != self._opened_for and workspace.profile is not None and not self._edits.edited:
+            self._opened_for = path
+            self._read(path, workspace.profile)
+        self._draw_list()
+        self._draw_tables()
+        self._draw_plots()
+
+    @on(Resize)
+    def draw_for_size(self) -> None:
+        """Draw as many columns as there is room for."""
+        if self._drawn is not None:
+            self._draw_list()
+
+    def _draw_list(self) -> None:
+        """Draw all rows; the cursor stays in its line."""
+        results, edits = self._results, self._edits
+        outdated = [] if results is None else [results.out_of_date.get(name, "") for name in ("compensate", "verify")]
+        reasons = "; ".join(dict.fromkeys(filter(None, outdated)))
+        mark = f"\n! results are out of date: {reasons}; b compensates again" if reasons else ""
+        only = "\nonly targets that need attention; s shows all" if self._attention else ""
+        self.query_one("#about-list", Static).update(edits.heading + mark + only)
+        table, grid = target_list(edits.targets, results), self._grid
+        row = grid.cursor_row
+        grid.clear(columns=True)
+        self._rows = self._shown_rows()
+        texts = table.text_rows()
+        rows = [[_cut(cell) for cell in texts[index]] for index in self._rows]
+        shown = _fitting([max(map(len, column)) for column in zip(table.headings, *rows)], self.size.width - _BESIDE)
+        sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in table.columns]
+        for heading, side in zip(table.headings[:shown], sides):
+            grid.add_column(Text(heading, justify=side))
+        for cells in rows:
+            grid.add_row(*(Text(cell, justify=side) for cell, side in zip(cells[:shown], sides)))
+        grid.move_cursor(row=row)
+        self._draw_target()
+
+    @on(DataTable.RowHighlighted, "#grid")
+    def _draw_target(self) -> None:
+        """What is known about the target under the cursor."""
+        words = target_words(self._edits.targets[self._index], self._results) if self._rows else ""
+        self.query_one("#about-target", Static).update(words)
+        if self.query_one("#targets", TabbedContent).active == "target":
+            self.call_next(self._draw_details)
+
+    @on(TabbedContent.TabActivated, "#targets")
+    async def _draw_details(self) -> None:
+        """All about the target under the cursor, while its tab is shown."""
+        view = self.query_one("#details", ChartsView)
+        if self.query_one("#targets", TabbedContent).active != "target":
+            return
+        if not self._rows:
+            await view.say(_NO_TARGET)
+            return
+        target = self._edits.targets[self._index]
+        details = target_details(target_state(target, self._results))
+        await view.show(details.charts, details.tables, [*place_lines(target), *details.sentences])
+
+    def _shown_rows(self) -> list[int]:
+        """The places of the targets that are shown."""
+        states = target_states(self._edits.targets, self._results)
+        return [row for row, state in enumerate(states) if state.needs_attention or not self._attention]
+
+    def _draw_tables(self) -> None:
+        results, view = self._results, self.query_one("#target-tables", TablesView)
+        program = [] if self._corrected is None else [correct_table(self._corrected)]
+        if results is None:
+            view.show(program)
+            return
+        verify, compensate = results.verify, results.compensate
+        measured = [] if verify is None else all_measured_tables(verify)
+        commands = [] if compensate is None else stored_tables(compensate)
+        words = [] if verify is None else [*verify.complaints(), *verify_summary(verify)]
+        if compensate is not None:
+            words += [*compensate_summary(compensate), *unknown_lines(compensate.targets)]
+        notes = [] if compensate is None else [*compensate.notes]
+        view.show([*program, *measured, *commands], words, notes)
+
+    def _draw_plots(self) -> None:
+        """Draw two of the charts of what was measured, beginning with the present one."""
+        results, profile = self._results, self.workspace.profile
+        calibrated = None if results is None else results.calibrate
+        charts = []
+        if results is not None and calibrated is not None and profile is not None:
+            known = {name: arm.tracker_mm for name, arm in calibrated.arms.items()}
+            charts = target_charts(results.verify, {name: known.get(name) for name in profile.arms})
+        for place, plot in enumerate(self.query(ChartPlot).filter("#measured ChartPlot")):
+            plot.chart = charts[(self._chart + place) % len(charts)] if place < len(charts) else None
+
+
+def _fitting(widths: Sequence[int], room: int) -> int:
+    """How many columns fit whole; the sentence below the list says what the others would."""
+    fitting = [count for count in COLUMN_GROUPS if sum(widths[:count]) + 2 * count <= room]
+    return max(fitting, default=COLUMN_GROUPS[0])
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 3]}..."

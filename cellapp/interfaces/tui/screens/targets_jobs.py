@@ -1,0 +1,118 @@
+"""The jobs of the screen Targets: what is asked before each of them begins."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from cellapp.cell.targets.targets import Target
+from cellapp.commands.compensate.target_list import stale_model
+from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui.dialogs.correct_program import CorrectProgram, CorrectRequest
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.dialogs.locate_tracker import LocateRequest, LocateTracker
+from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.verify_targets import VerifyTargets
+from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.screens.targets_state import why_not
+
+
+def begin_compensate(screen: DayScreen, targets: Sequence[Target]) -> None:
+    """Compute commands for a list."""
+    if (folder := _ready(screen, targets)) is not None:
+        screen.start(work.compensate(folder, targets))
+
+
+def ask_push(screen: DayScreen, targets: Sequence[Target]) -> None:
+    """Ask, then drive to the targets."""
+    folder = _ready(screen, targets)
+    if folder is None:
+        return
+    stale = _stale(screen)
+
+    def begin(answer: str | None) -> None:
+        if answer == "begin":
+            screen.start(work.push(folder, targets, verify=False, out_of_date=bool(stale)))
+
+    text = _push_words(screen, targets, "", stale)
+    screen.app.push_screen(Choice("Push?", text, USE_STALE if stale else BEGIN), begin)
+
+
+def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
+    """Ask, also how often each target is corrected; then drive to the targets and measure."""
+    folder = _ready(screen, targets)
+    if folder is None:
+        return
+    stale = _stale(screen)
+
+    def begin(rounds: int | None) -> None:
+        if rounds is not None:
+            screen.start(work.push(folder, targets, verify=True, iterate=rounds or None, out_of_date=bool(stale)))
+
+    measured = " with the nominal and the compensated command, measured by the tracker"
+    text = _push_words(screen, targets, measured, stale)
+    screen.app.push_screen(VerifyTargets(text, USE_STALE if stale else BEGIN), begin)
+
+
+def ask_locate(screen: DayScreen) -> None:
+    """Ask how, then measure where the tracker stands after it was moved."""
+    if (calibrated := screen.calibrated_run()) is None:
+        return
+    folder, results, _ = calibrated
+
+    def begin(request: LocateRequest | None) -> None:
+        if request is not None:
+            screen.start(work.locate(folder, request))
+
+    workspace = screen.workspace
+    dialog = LocateTracker(arms_words(workspace), simulated=workspace.kind == "simulated", stale=stale_model(results))
+    screen.app.push_screen(dialog, begin)
+
+
+def ask_correct(screen: DayScreen) -> None:
+    """Ask for a program and where its corrected copy is written."""
+    if (calibrated := screen.calibrated_run()) is None:
+        return
+    folder, _, calibration = calibrated
+    arms = tuple(calibration.arms)
+
+    def write(request: CorrectRequest | None) -> None:
+        if request is not None:
+            screen.start(work.correct(folder, request))
+
+    def ask(program: Path | None) -> None:
+        if program is not None:
+            screen.app.push_screen(CorrectProgram(program, arms), write)
+
+    title = "A program of a UR controller (.script, .urp)"
+    screen.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in (".script", ".urp")), ask)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _ready(screen: DayScreen, targets: Sequence[Target]) -> Path | None:
+    """Folder of the run if commands can be computed for a list; else a sentence says why not."""
+    if reason := why_not(screen.workspace, targets):
+        screen.say(reason, "warning")
+        return None
+    return screen.workspace.folder
+
+
+def _stale(screen: DayScreen) -> str:
+    results = screen.workspace.results
+    return "" if results is None else stale_model(results)
+
+
+def _push_words(screen: DayScreen, targets: Sequence[Target], measured: str, stale: str) -> str:
+    """What a push drives to, and what a person must know."""
+    counts = Counter(arm for target in targets for arm in target.arms)
+    where = " and ".join(f"arm {arm} to {n}" for arm, n in counts.items())
+    pairs = any(target.partner is not None for target in targets)
+    others = "the other arm waits at home, except at cooperative targets" if pairs else "the other arm waits at home"
+    text = f"Drive {where} targets{measured}; {others}; {arms_words(screen.workspace)}."
+    if stale:
+        text += f"\nThe model is not up to date: {stale}. Better calibrate or discover again first."
+    return text

@@ -1,0 +1,121 @@
+"""The list of targets that the screen Targets edits, with what is needed to undo. Draws nothing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+from cellapp.cell.targets.targets import Target, list_problems
+from cellapp.ground.profile import Profile
+from cellapp.interfaces.tui.workspace import NO_PROFILE, NO_RUN, NOT_CALIBRATED, Workspace
+
+EMPTY = "No targets: i opens a list (YAML), + adds a target."
+
+
+@dataclass(frozen=True)
+class TargetEdits:
+    """A list, the file that it came from, and the lists before and after it.
+
+    Attributes
+    ----------
+    path : Path or None
+        None for a list that has no file yet.
+    saved, targets : tuple of Target
+        What the file holds, and what it is now.
+    before, after : tuple of lists
+        For undo and redo; the last one is taken first.
+    """
+
+    path: Path | None = None
+    saved: tuple[Target, ...] = ()
+    targets: tuple[Target, ...] = ()
+    before: tuple[tuple[Target, ...], ...] = ()
+    after: tuple[tuple[Target, ...], ...] = ()
+
+    @property
+    def edited(self) -> bool:
+        """Whether something is not saved."""
+        return self.targets != self.saved
+
+    def changed(self, targets: Sequence[Target]) -> Self:
+        """Another list, after an edit."""
+        return replace(self, targets=tuple(targets), before=(*self.before, self.targets), after=())
+
+    def with_target(self, index: int, target: Target) -> Self:
+        """One target replaced; one behind the last is added."""
+        return self.changed((*self.targets[:index], target, *self.targets[index + 1 :]))
+
+    def without(self, index: int) -> Self:
+        """One target removed."""
+        return self.changed((*self.targets[:index], *self.targets[index + 1 :]))
+
+    def undone(self) -> Self | None:
+        """The list before the last edit; None without one."""
+        if not self.before:
+            return None
+        *before, targets = self.before
+        return replace(self, targets=targets, before=tuple(before), after=(*self.after, self.targets))
+
+    def redone(self) -> Self | None:
+        """The edit made again that was undone; None without one."""
+        if not self.after:
+            return None
+        *after, targets = self.after
+        return replace(self, targets=targets, before=(*self.before, self.targets), after=tuple(after))
+
+    def saved_as(self, path: Path, targets: tuple[Target, ...]) -> Self:
+        """After ``targets`` were written to a file."""
+        return replace(self, path=path, saved=targets)
+
+    @property
+    def heading(self) -> str:
+        """File, number of targets, and whether they are saved."""
+        if self.path is None and not self.targets:
+            return EMPTY
+        count = f"{len(self.targets)} target{'' if len(self.targets) == 1 else 's'}"
+        name = "no file yet" if self.path is None else str(self.path)
+        state = " · NOT SAVED (w saves)" if self.edited else ""
+        gone = " · the file is gone, w writes it again" if self.path is not None and not self.path.is_file() else ""
+        return f"{name} · {count}{state}{gone}" + ("" if self.targets else f" · {EMPTY}")
+
+
+def listed_path(workspace: Workspace) -> Path | None:
+    """The target list that the profile names."""
+    if workspace.profile is None or workspace.profile_path is None or workspace.profile.targets is None:
+        return None
+    return workspace.profile_path.parent / workspace.profile.targets
+
+
+def new_name(like: str, targets: Sequence[Target]) -> str:
+    """A name that no target has: the next number after ``like``."""
+    stem, number = re.fullmatch(r"(.*?)(\d*)", like, re.DOTALL).groups()  # type: ignore[union-attr]
+    taken = {target.name for target in targets}
+    count = int(number or 1) + 1
+    while (name := f"{stem}{count:0{len(number)}d}" if number else f"{stem}-{count}") in taken:
+        count += 1
+    return name
+
+
+def why_not(workspace: Workspace, targets: Sequence[Target]) -> str:
+    """Why commands cannot be computed for the list, and what to do; empty if they can."""
+    if workspace.profile is None:
+        return NO_PROFILE
+    if workspace.folder is None or workspace.results is None:
+        return NO_RUN
+    if workspace.results.calibrate is None:
+        return NOT_CALIBRATED
+    if not targets:
+        return EMPTY
+    return _unfit(targets, workspace.profile)
+
+
+def _unfit(targets: Sequence[Target], profile: Profile) -> str:
+    """The first target that does not fit the cell of the run."""
+    first = next(list_problems(targets, profile), None)
+    if first is None:
+        return ""
+    index, problem = first
+    return f"Target '{targets[index].name}'{problem.text}. Enter edits it."

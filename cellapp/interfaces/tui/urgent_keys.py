@@ -1,0 +1,101 @@
+"""STOP in the thread that reads the terminal: the event loop may be busy with drawing, and a stop does not wait for it.
+
+Escape, Ctrl-C and a press of STOP with the mouse brake here, as soon as they are read, in whatever way the terminal
+encodes them. The screens then get ``StopGiven`` in place of the key: one press stops once, and every press stops.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from codecs import getincrementaldecoder
+from typing import TYPE_CHECKING, cast
+
+from textual import constants, events
+from textual._xterm_parser import BRACKETED_PASTE_END, BRACKETED_PASTE_START, XTermParser
+from textual.drivers.linux_driver import LinuxDriver
+from textual.message import Message
+
+if TYPE_CHECKING:
+    from cellapp.interfaces.tui.app import CellApp
+
+_POLL_S = 0.1
+"""How soon the thread notices that the application ends."""
+_PASTE_RESTS_S = 0.5
+"""A pasted text that pauses for so long is over: if its end was lost, keys must not be taken for text for ever."""
+_READ = 4096
+_LEFT_BUTTON = 1
+_ESCAPES = ("escape", "\x1b")
+"""Names of Escape, without modifiers: the second where the terminal encodes it as "modifyOtherKeys" says."""
+_CTRL_C = ("ctrl+c", "ctrl+\u0441")
+"""The second on a Cyrillic layout, where the terminal reports letters and no bytes."""
+
+
+class UrgentDriver(LinuxDriver):
+    """The driver of Textual, with STOP taken out of what is read before the event loop gets it."""
+
+    _pasting = False
+    _newest = ""
+    """The last characters that were read, as many as a mark of a pasted text has."""
+
+    def run_input_thread(self) -> None:
+        """Read keys until the application ends or the terminal is closed.
+
+        After each read the parser is asked again as soon as an escape sequence would have to go on: the loop of Textual
+        looks ten times a second, and a lone Escape waits for that.
+        """
+        parser = XTermParser(self._debug)
+        decode = getincrementaldecoder("utf-8")(errors="replace").decode
+        wait_s, read_s = _POLL_S, time.monotonic()
+        while not self.exit_event.is_set():
+            if select.select([self.fileno], [], [], wait_s)[0]:
+                data = self._read()
+                if not data:
+                    cast("CellApp", self._app).leaving.close_terminal()
+                    return
+                self._parse(parser, decode(data))
+                wait_s, read_s = constants.ESCAPE_DELAY, time.monotonic()
+            else:
+                wait_s = _POLL_S
+                if self._pasting and time.monotonic() - read_s > _PASTE_RESTS_S:
+                    self._parse(parser, BRACKETED_PASTE_END)
+            for message in parser.tick():
+                self.process_message(message)
+
+    def _read(self) -> bytes:
+        """What was typed; empty if the terminal is gone."""
+        try:
+            return os.read(self.fileno, _READ)
+        except OSError:
+            return b""
+
+    def _parse(self, parser: XTermParser, text: str) -> None:
+        """Parse character by character, to know for each key whether it was pressed or pasted."""
+        for character in text:
+            for message in parser.feed(character):
+                self.process_message(message)
+            self._newest = (self._newest + character)[-len(BRACKETED_PASTE_START) :]
+            if self._newest in (BRACKETED_PASTE_START, BRACKETED_PASTE_END):
+                self._pasting = self._newest == BRACKETED_PASTE_START
+
+    def process_message(self, message: Message) -> None:
+        """Stop if the message is a press that stops and a job runs, then hand it on."""
+        if self._pasting and isinstance(message, events.Key):
+            return  # an escape sequence in a pasted text, which is in the event of the paste as well
+        if self._presses_stop(message):
+            given = cast("CellApp", self._app).presses.give()
+            message = message if given is None else given
+        super().process_message(message)
+
+    def _presses_stop(self, message: Message) -> bool:
+        if isinstance(message, events.Key):
+            return presses_stop(message.key)
+        if isinstance(message, events.MouseDown) and message.button == _LEFT_BUTTON:
+            return cast("CellApp", self._app).presses.region.contains(int(message.screen_x), int(message.screen_y))
+        return False
+
+
+def presses_stop(key: str) -> bool:
+    """Whether a key, as Textual names it, is STOP: Escape with any modifier, and Ctrl-C."""
+    return key in _CTRL_C or key.rpartition("+")[2] in _ESCAPES

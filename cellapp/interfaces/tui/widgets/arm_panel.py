@@ -1,0 +1,130 @@
+"""One arm, and the tracker, while a job runs: the newest that is known, in a few lines."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from textual.content import Content
+from textual.reactive import reactive
+from textual.widget import Widget
+
+from cellapp.interfaces.tui.job_record import Activity, ArmRecord, TrackerRecord
+from cellapp.interfaces.tui.live_words import HALT_WORDS
+
+_STYLES: Mapping[Activity, str] = {
+    "unknown": "$text-muted",
+    "moving": "bold $text-warning",
+    "settling": "$text-primary",
+    "measuring": "$text-primary",
+    "measured": "$text-success",
+    "not measured": "bold $text-error",
+    "resting": "$text-muted",
+    "stopped": "bold $text-error",
+    "asked": "bold $text-error",
+    "braking": "bold $text-error",
+    "at rest": "bold $text-warning",
+    "not seen at rest": "bold white on $error",
+}
+_UNKNOWN = "not reported yet"
+
+
+class ArmPanel(Widget):
+    """Name, activity, joint positions, joint temperatures, error of the newest stop, standard error so far."""
+
+    DEFAULT_CSS = """
+    ArmPanel { height: 4; width: 1fr; padding-right: 1; text-wrap: nowrap; text-overflow: ellipsis; }
+    """
+
+    arm: reactive[ArmRecord] = reactive(ArmRecord)
+
+    def __init__(self, name: str) -> None:
+        super().__init__(classes="arm")
+        self.arm_name = name
+        self.tooltip = (
+            f"Arm {name}: what it does; joint positions; joint temperatures; distance of the newest measured point from"
+            " the model; standard error of a predicted position."
+        )
+
+    def render(self) -> Content:
+        """The lines of the panel."""
+        width = self.content_size.width
+        first = Content.assemble((self.arm_name, "bold"), " ", (activity_words(self.arm), _STYLES[self.arm.activity]))
+        return Content("\n").join([first, *(Content(line) for line in arm_lines(self.arm, width))])
+
+
+def activity_words(arm: ArmRecord) -> str:
+    """What an arm does: ``MOVING to stop 13, 4 s``."""
+    stop = "" if arm.stop is None else f" stop {arm.stop + 1}"
+    match arm.activity:
+        case "unknown":
+            return "-"
+        case "moving":
+            seconds = "" if arm.expected_s is None else f", {arm.expected_s:.0f} s"
+            return f"MOVING{' to' if stop else ''}{stop}{seconds}"
+        case "asked" | "braking" | "at rest" | "not seen at rest" as halt:
+            return HALT_WORDS[halt]
+        case "not measured":
+            return f"NOT MEASURED{stop}: {arm.reason}"
+        case activity:
+            return f"{activity.upper()}{stop}"
+
+
+def arm_lines(arm: ArmRecord, width: int) -> list[str]:
+    """Joint positions [deg], joint temperatures [degC] and errors [mm] in lines of at most ``width`` characters."""
+    degrees = None if arm.q is None else [math.degrees(q) for q in arm.q]
+    report = arm.report
+    error = _UNKNOWN
+    if report is not None:
+        error = f"{report.residual_mm:.3f} mm, std. error {report.standard_error_mm:.4f} mm"
+    return [
+        f"q   {_numbers(degrees, '°', width - 4)}",
+        f"T   {_numbers(arm.joint_temperature_c, '°C', width - 4)}",
+        f"err {error}",
+    ]
+
+
+def _numbers(values: Sequence[float] | None, unit: str, width: int) -> str:
+    """Values with one decimal where there is room, else rounded, then the unit."""
+    if values is None:
+        return _UNKNOWN
+    with_decimal = " ".join(f"{value:6.1f}" for value in values) + f" {unit}"
+    return with_decimal if len(with_decimal) <= width else " ".join(f"{value:4.0f}" for value in values) + f" {unit}"
+
+
+class TrackerPanel(Widget):
+    """At which arm the tracker points, the newest point with its uncertainty, the air."""
+
+    DEFAULT_CSS = """
+    TrackerPanel { height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
+    """
+
+    tracker: reactive[TrackerRecord] = reactive(TrackerRecord)
+
+    def __init__(self) -> None:
+        super().__init__(classes="tracker")
+        self.tooltip = (
+            "The tracker: the arm at which it points; the newest point in the tracker frame and its standard"
+            " uncertainty; the air."
+        )
+
+    def render(self) -> Content:
+        """The line of the tracker."""
+        return Content.assemble(("tracker", "bold"), " ", tracker_words(self.tracker))
+
+
+def tracker_words(tracker: TrackerRecord) -> str:
+    """Arm, newest point [mm], uncertainty [mm] and air in one line."""
+    parts = []
+    if tracker.arm is not None:
+        parts.append(f"→ {tracker.arm}{', measuring' if tracker.measuring else ''}")
+    if tracker.point is not None:
+        x, y, z = (1e3 * value for value in tracker.point.p_M)
+        sigma = "" if tracker.point.sigma_mm is None else f" ± {tracker.point.sigma_mm:.3f}"
+        parts.append(f"{tracker.point.arm} at ({x:.3f}, {y:.3f}, {z:.3f}){sigma} mm")
+    if tracker.air is not None:
+        air = tracker.air
+        pressure = "" if air.pressure_hpa is None else f", {air.pressure_hpa:.0f} hPa"
+        humidity = "" if air.humidity_percent is None else f", {air.humidity_percent:.0f} %"
+        parts.append(f"air {air.temperature_c:.2f} °C{pressure}{humidity}")
+    return " · ".join(parts) or "has measured nothing yet"

@@ -1,0 +1,125 @@
+"""Tables of the screen Cell: what the doctor found, and what each device says now."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+from rich.text import Text
+
+from cellapp.interfaces.tui.widgets.text_table import TextTable
+
+if TYPE_CHECKING:
+    from cellapp.commands.doctor.result import DoctorResult, Finding
+    from cellapp.ground.profile import Profile
+
+_ORDER = {"failed": 0, "warning": 1, "ok": 2}
+_MARKS = {"failed": "✗ failed", "warning": "! warning", "ok": "✓ ok"}
+_STYLES = {"failed": "bold red", "warning": "yellow", "ok": "green"}
+
+
+class FindingsTable(TextTable):
+    """The doctor's checks, failed ones first. The text of the row under the cursor is in ``selected_text``."""
+
+    def on_mount(self) -> None:
+        """Make the columns."""
+        self.cursor_type = "row"
+        self._texts: list[str] = []
+        self.add_columns("status", "what", "found")
+
+    def show(self, result: DoctorResult | None) -> None:
+        """Draw what was found; None: nothing yet."""
+        self.clear()
+        findings = sorted(() if result is None else result.findings, key=lambda finding: _ORDER[finding.status])
+        self._texts = [f"{finding.subject}: {finding.text}" for finding in findings]
+        for finding in findings:
+            self.add_row(_mark(finding.status), Text(finding.subject), Text(finding.text))
+
+    @property
+    def selected_text(self) -> str:
+        """The whole sentence of the row under the cursor."""
+        return self._texts[self.cursor_row] if self.cursor_row < len(self._texts) else ""
+
+
+@dataclass(frozen=True)
+class DeviceState:
+    """What one device said, and when; None: it was not asked yet."""
+
+    name: str
+    status: str = ""
+    serial: str = ""
+    state: str = "not asked yet: d asks the doctor, r asks the devices"
+    temperatures: str = ""
+    asked: datetime | None = None
+
+
+def devices_of(profile: Profile) -> tuple[str, ...]:
+    """Devices of a cell, as they are called in findings."""
+    air = () if profile.sensors.air is None else ("sensor air",)
+    return (*(f"arm {name}" for name in profile.arms), "tracker", *air)
+
+
+def device_state(name: str, findings: Sequence[Finding], asked: datetime) -> DeviceState | None:
+    """The state of a device from what was found of it; None where nothing was."""
+    from cellapp.commands.doctor.profile_view import device_words
+
+    own = [finding for finding in findings if finding.subject == name or finding.subject.startswith(f"{name}: ")]
+    own = [finding for finding in own if finding.subject != f"{name}: SMR"]  # a question of placement, not of devices
+    if not own:
+        return None
+    worst = min(own, key=lambda finding: _ORDER[finding.status])
+    told = next((finding for finding in own if finding.device is not None), own[0])
+    _, serial, state, temperatures = device_words(told)
+    if worst.status == "failed":
+        state = worst.text
+    return DeviceState(name, worst.status, serial, state, temperatures, asked)
+
+
+class DevicesTable(TextTable):
+    """The devices of the profile with what they said last, and when."""
+
+    def on_mount(self) -> None:
+        """Make the columns."""
+        self.cursor_type = "row"
+        self._states: list[DeviceState] = []
+        self.add_columns("device", "status", "asked", "serial", "temperatures", "state")
+
+    def show(self, states: Sequence[DeviceState], now: datetime) -> None:
+        """Draw the states; the cursor stays in its row."""
+        row = self.cursor_row
+        self.clear()
+        self._states = list(states)
+        for state in states:
+            mark = _mark(state.status) if state.status else Text("?")
+            asked = "never" if state.asked is None else age_words((now - state.asked).total_seconds())
+            self.add_row(
+                Text(state.name),
+                mark,
+                Text(asked),
+                Text(state.serial),
+                Text(state.temperatures),
+                Text(state.state),
+            )
+        self.move_cursor(row=row)
+
+    @property
+    def selected_text(self) -> str:
+        """All that is known of the device under the cursor."""
+        if self.cursor_row >= len(self._states):
+            return ""
+        state = self._states[self.cursor_row]
+        serial = f"serial {state.serial}" if state.serial else ""
+        return f"{state.name}: " + "; ".join(word for word in (state.state, serial, state.temperatures) if word)
+
+
+def age_words(seconds: float) -> str:
+    """How long ago: "now", "12 s ago", "3 min ago"."""
+    if seconds < 2.0:
+        return "now"
+    return f"{seconds:.0f} s ago" if seconds < 90.0 else f"{seconds / 60.0:.0f} min ago"
+
+
+def _mark(status: str) -> Text:
+    return Text(_MARKS[status], style=_STYLES[status])

@@ -1,0 +1,65 @@
+"""Sentences, tables and charts below one another, to scroll through: what a small terminal cannot show at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from textual.containers import ItemGrid, VerticalScroll
+from textual.geometry import Size
+from textual.widgets import Static
+
+from cellapp.commands.view.charts import Chart
+from cellapp.commands.view.table import Table
+from cellapp.interfaces.render.terminal import rich_table
+from cellapp.interfaces.tui.plots import ChartPlot
+
+_LEAST_COLUMNS = 56
+"""Width of a chart: two stand side by side in a terminal of 120 columns."""
+_ROWS = 16
+"""Lines of a chart with axes: half of a usual terminal."""
+_WORDS = 5
+"""Lines of title and message around bars."""
+
+
+class _Plot(ChartPlot):
+    """A chart as high as it needs."""
+
+    def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
+        """Lines of the drawing."""
+        bars = 0 if self.chart is None else len(self.chart.categories)
+        return bars + _WORDS if bars else _ROWS
+
+
+class ChartsView(VerticalScroll):
+    """Parameters
+    ----------
+    empty : str
+        What it says while there is nothing to show.
+    """
+
+    DEFAULT_CSS = """
+    ChartsView { height: 1fr; }
+    ChartsView ItemGrid { height: auto; grid-rows: auto; grid-gutter: 0 2; }
+    ChartsView ChartPlot { height: auto; }
+    ChartsView .table { height: auto; padding-top: 1; }
+    """
+
+    def __init__(self, empty: str, *, id: str) -> None:
+        super().__init__(Static(empty, classes="muted", markup=False), id=id)
+        self._shown: tuple[object, ...] = ()
+        self.tooltip = "up, down, Page Up, Page Down scroll"
+
+    async def show(self, charts: Sequence[Chart], tables: Sequence[Table] = (), sentences: Sequence[str] = ()) -> None:
+        """Draw sentences, charts and tables in the place of those before."""
+        await self.remove_children()
+        grid = [ItemGrid(*map(_Plot, charts), min_column_width=_LEAST_COLUMNS)] if charts else []
+        await self.mount(
+            *(Static(text, markup=False) for text in sentences),
+            *grid,
+            *(Static(rich_table(table), classes="table") for table in tables),
+        )
+        self.scroll_home(animate=False)
+
+    async def say(self, sentence: str) -> None:
+        """Draw a sentence alone."""
+        await self.show((), (), (sentence,))

@@ -1,0 +1,107 @@
+"""Bars of the parts of a job, each with its count and the time it still takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+from textual.content import Content
+from textual.reactive import reactive
+from textual.widget import Widget
+
+from cellapp.ground.progress import Progress, eta_words
+from cellapp.interfaces.tui.job_record import JobRecord
+
+WHOLE_DAY = ("plan", "collect", "calibrate", "discover", "push")
+"""Parts of a whole day, in their order."""
+_NAME, _COUNT = 10, 9
+"""Columns of the name and of the count."""
+_WIDEST_BAR = 40
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a job; ``progress`` is None before it begins."""
+
+    name: str
+    progress: Progress | None = None
+
+
+def parts_of(record: JobRecord) -> tuple[Part, ...]:
+    """The parts of a job in the order of the day; those that are to come too, where a whole day runs."""
+    expected = WHOLE_DAY if record.name == "run" else ()
+    known = sorted(record.progress, key=lambda name: WHOLE_DAY.index(name) if name in WHOLE_DAY else len(WHOLE_DAY))
+    names = dict.fromkeys((*expected, *known))
+    return tuple(Part(name, record.progress.get(name)) for name in names)
+
+
+def ending_words(eta_s: float | None, now: datetime) -> str:
+    """An estimated time in words and as clock time: ``12 min left, at 14:32``."""
+    if not eta_s:
+        return ""
+    end = now + timedelta(seconds=eta_s)
+    day = "" if end.date() == now.date() else f"{end:%A} "
+    return f"{eta_words(eta_s)}, at {day}{end:%H:%M}"
+
+
+class ProgressBars(Widget):
+    """One line for each part; where ``compact``, one line for the present part."""
+
+    DEFAULT_CSS = """
+    ProgressBars { height: auto; }
+    """
+
+    parts: reactive[tuple[Part, ...]] = reactive(())
+    compact: reactive[bool] = reactive(False, layout=True)
+
+    def __init__(self) -> None:
+        super().__init__(classes="parts")
+        self.tooltip = "The parts of the job: steps done, what is done now, the time that is left, when it will end."
+
+    def watch_parts(self, before: tuple[Part, ...], now: tuple[Part, ...]) -> None:
+        """More parts need more lines; all else is only drawn."""
+        if self._lines(before) != self._lines(now):
+            self.refresh(layout=True)
+
+    def render(self) -> Content:
+        """The bars."""
+        width, now = self.content_size.width, datetime.now()
+        begun = [part for part in self.parts if part.progress is not None]
+        if not self.parts:
+            return Content("")
+        if not self.compact or not begun:
+            return Content("\n").join([_line(part, width, now) for part in self.parts])
+        present = next((part for part in reversed(begun) if not _done(part)), begun[-1])
+        which = f"  part {self.parts.index(present) + 1} of {len(self.parts)}" if len(self.parts) > 1 else ""
+        return Content.assemble(_line(present, width - len(which), now), (which, "$text-muted"))
+
+    def get_content_height(self, container: object, viewport: object, width: int) -> int:
+        """One line, or one for each part."""
+        return self._lines(self.parts)
+
+    def _lines(self, parts: tuple[Part, ...]) -> int:
+        is_one_line = self.compact and any(part.progress is not None for part in parts)
+        return 1 if is_one_line else len(parts)
+
+
+def _done(part: Part) -> bool:
+    return part.progress is not None and part.progress.done >= part.progress.total
+
+
+def _line(part: Part, width: int, now: datetime) -> Content:
+    """Name, bar, count, time left, note; what does not fit is left out from the end."""
+    progress = part.progress
+    if progress is None:
+        return Content.assemble((f"{part.name:<{_NAME}}", "$text-muted"), ("to come", "$text-muted"))
+    count = f"{progress.done}/{progress.total}"
+    length = max(min(_WIDEST_BAR, (width - _NAME - _COUNT) // 3), 6)
+    filled = length if _done(part) else int(length * progress.done / max(progress.total, 1))
+    words = " · ".join(word for word in (ending_words(progress.eta_s, now), progress.note) if word)
+    room = max(width - _NAME - length - _COUNT - 2, 0)
+    return Content.assemble(
+        (f"{part.name:<{_NAME}}", "bold"),
+        ("━" * filled, "$success" if _done(part) else "$primary"),
+        ("─" * (length - filled), "$text-muted"),
+        f" {count:>{_COUNT}} ",
+        words if len(words) <= room else words[: max(room - 1, 0)] + "…",
+    )

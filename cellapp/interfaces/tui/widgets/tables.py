@@ -1,0 +1,100 @@
+"""Tables of the report in the terminal: to read, to scroll, to copy, to save."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from rich.text import Text
+from textual.binding import Binding, BindingType
+from textual.containers import Vertical, VerticalScroll
+from textual.widget import Widget
+from textual.widgets import Static
+
+from cellapp.commands.view.table import Table, markdown
+from cellapp.interfaces.render.terminal import rich_table
+from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.widgets.text_table import TextTable
+
+
+class TablesView(VerticalScroll):
+    """Tables below one another, with sentences before and after them.
+
+    Parameters
+    ----------
+    empty : str
+        What it says while there is nothing to show.
+    """
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("y", "copy", "Copy tables", tooltip="copy the tables as Markdown"),
+        Binding("w", "save", "Save tables", tooltip="save the tables as a Markdown file"),
+    ]
+    DEFAULT_CSS = """
+    TablesView { height: 1fr; }
+    TablesView .table { height: auto; padding-top: 1; }
+    TablesView .table DataTable { height: auto; }
+    """
+
+    def __init__(self, empty: str, *, id: str | None = None) -> None:
+        super().__init__(Static(empty, classes="muted", markup=False), id=id)
+        self._empty = empty
+        self._tables: tuple[Table, ...] = ()
+        self._sentences: tuple[str, ...] = ()
+        self.tooltip = "up, down, Page Up, Page Down scroll; y copies, w saves"
+
+    def show(self, tables: Sequence[Table], before: Sequence[str] = (), after: Sequence[str] = ()) -> None:
+        """Draw tables and sentences in the place of those before."""
+        drawn = (tuple(tables), (*before, *after))
+        if drawn == (self._tables, self._sentences):
+            return
+        self._tables, self._sentences = drawn
+        self.remove_children()
+        if not tables and not self._sentences:
+            self.mount(Static(self._empty, classes="muted", markup=False))
+            return
+        self.mount(
+            *(Static(text, classes="before", markup=False) for text in before),
+            *map(self.draw, tables),
+            *(Static(text, classes="after", markup=False) for text in after),
+        )
+        self.scroll_home(animate=False)
+
+    def draw(self, table: Table) -> Widget:
+        """A widget for one table."""
+        return draw_table(table)
+
+    def action_copy(self) -> None:
+        """Copy all tables to the clipboard."""
+        self.app.copy_to_clipboard(markdown(self._tables, self._sentences))
+        self.notify(f"{len(self._tables)} tables copied")
+
+    def action_save(self) -> None:
+        """Save all tables in a file."""
+        text = markdown(self._tables, self._sentences)
+        self.app.push_screen(SaveAs("tables", text, Path("tables.md")), self._say_saved)
+
+    def _say_saved(self, path: Path | None) -> None:
+        if path is not None:
+            self.notify(f"saved as {path}")
+
+
+class WrappedTables(TablesView):
+    """Tables whose cells hold sentences: these are broken into lines, and no column is cut off."""
+
+    def draw(self, table: Table) -> Widget:
+        """A table as the command line prints it."""
+        return Static(rich_table(table), classes="table")
+
+
+def draw_table(table: Table) -> Vertical:
+    """A table with its title. Cells are plain text: Textual would read a unit in brackets as markup."""
+    grid = TextTable(cursor_type="none", zebra_stripes=True)
+    grid.can_focus = False  # the pane scrolls all tables together
+    sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in table.columns]
+    for heading, side in zip(table.headings, sides, strict=True):
+        grid.add_column(Text(heading, justify=side))
+    for row in table.text_rows():
+        grid.add_row(*(Text(cell, justify=side) for cell, side in zip(row, sides, strict=True)))
+    return Vertical(Static(table.title, markup=False, classes="title"), grid, classes="table")

@@ -1,0 +1,437 @@
+"""The verbs as jobs of the terminal application. Packages that a verb needs are loaded in the job's own thread."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellapp.ground.control import JobControl
+from cellapp.ground.outputs import RENEWED
+from cellapp.ground.progress import Listener
+from cellapp.interfaces.tui.jobs import Ask, Job
+
+if TYPE_CHECKING:
+    from cellapp.cell.run import RunFile
+    from cellapp.cell.targets.targets import Target
+    from cellapp.commands.report.data import ReportData
+    from cellapp.commands.runs.result import RunComparison, RunSummary
+    from cellapp.estimation.monitoring.fleet.records import FleetResult
+    from cellapp.ground.profile import Profile
+    from cellapp.ground.results import Result
+    from cellapp.interfaces.tui.dialogs.correct_program import CorrectRequest
+    from cellapp.interfaces.tui.dialogs.export_arms import ExportRequest
+    from cellapp.interfaces.tui.dialogs.follow_path import FollowRequest
+    from cellapp.interfaces.tui.dialogs.locate_tracker import LocateRequest
+    from cellapp.interfaces.tui.dialogs.own_readings import OwnReadingsRequest
+
+
+PDF_FILE = "report.pdf"
+"""As the command names it."""
+VERIFY = "verify"
+"""Name of a push that measures: only its result says whether a verification held."""
+
+
+def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job:
+    """Plan, collect, calibrate, discover, compensate, verify, report.
+
+    ``agreed`` is what a person was asked about; the job refuses a file that holds something else by now.
+    """
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.profile import load_profile
+        from cellapp.commands.pipeline import run_whole
+        from cellapp.ground.errors import InputError
+
+        if agreed is not None and load_profile(profile) != agreed:
+            raise InputError(f"{profile} was edited since it was read; it is read again now, then F5 asks again")
+        return run_whole(profile, folder, listener, control, ask=ask)
+
+    return Job("run", work, folder, moves=True)
+
+
+def plan(profile: Path, folder: Path) -> Job:
+    """Make a new run with its plan."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.profile import load_profile
+        from cellapp.commands.pipeline import plan_new_run
+
+        return plan_new_run(load_profile(profile), folder, listener, control)
+
+    return Job("plan", work, folder)
+
+
+def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
+    """Make profile and run of readings that were recorded elsewhere; ``home`` has the folders of profiles and runs."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.profile import load_profile
+        from cellapp.commands.init.own_data import OwnData, write_own_data
+        from cellapp.commands.pipeline import import_new_run
+
+        own = OwnData(request.readings, request.arm, angles=request.angles, lengths=request.lengths)
+        written = write_own_data(own, home)
+        imported = import_new_run(load_profile(written.profile), written.readings, request.run)
+        return imported.model_copy(update={"notes": (*written.notes, *imported.notes)})
+
+    return Job("import", work, request.run)
+
+
+def at_rest(folder: Path, arm: str) -> Job:
+    """Record that a person has seen an arm at rest."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest
+        from cellapp.commands.run_results import AtRestResult
+
+        return AtRestResult(run=str(folder), arm=arm, counted_as_moving=note_at_rest(run, arm, BY_PERSON))
+
+    return on_run("at rest", folder, work)
+
+
+def view(profile: Path) -> Job:
+    """Look at what the tracker sees of each arm's workspace; nothing is planned."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.planning.view import view_workspace
+        from cellapp.cell.profile import load_profile
+
+        return view_workspace(load_profile(profile), listener, control)
+
+    return Job("view", work)
+
+
+def check_plan(folder: Path) -> Job:
+    """Run the safety gate over the plan of a run again; nothing moves."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.planning.check import check_plan_run
+
+        return check_plan_run(run, listener, control)
+
+    return _of_run("check", folder, work)
+
+
+def forecast_plan(folder: Path) -> Job:
+    """Foresee what the plan of a run will give."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.planning.forecast import forecast_run
+
+        return forecast_run(run, listener, control)
+
+    return _of_run("forecast", folder, work)
+
+
+def write_plan(folder: Path, path: Path) -> Job:
+    """Write the plan of a run as CSV."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.export.run_export import export_run
+
+        return export_run(run, None, None, path, RENEWED)
+
+    return _of_run("export", folder, work)
+
+
+def check_plan_file(profile: Path, path: Path) -> Job:
+    """Check a plan that was edited by hand; nothing is stored."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.profile import load_profile
+        from cellapp.commands.plan.run import check_plan_file
+
+        return check_plan_file(load_profile(profile), path, listener, control)
+
+    return Job("check", work)
+
+
+def plan_with_file(profile: Path, path: Path, folder: Path, *, around: bool) -> Job:
+    """Make a run with the plan of a file, as it is written or with other stops designed ``around`` its own."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.profile import load_profile
+        from cellapp.commands.plan.run import plan_around_file, plan_from_file
+
+        make = plan_around_file if around else plan_from_file
+        return make(load_profile(profile), path, folder, listener, control)
+
+    return Job("plan", work, folder)
+
+
+def freeze_stops(folder: Path, stops: Sequence[int]) -> Job:
+    """Let later designs of a run's plan leave these stops, and no others."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.plan.run import freeze_stops
+
+        return freeze_stops(run, stops)
+
+    return on_run("freeze", folder, work)
+
+
+def extend_plan(folder: Path, count: int) -> Job:
+    """Append stops to the plan of a run."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.plan.run import extend_plan
+
+        return extend_plan(run, count, listener, control)
+
+    return on_run("plan", folder, work)
+
+
+def replan(folder: Path) -> Job:
+    """Design the stops of a run that are not measured again."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.plan.run import replan
+
+        return replan(run, listener, control)
+
+    return on_run("plan", folder, work)
+
+
+def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
+    """Measure the planned stops that are not stored yet."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.pipeline import collect_stops
+
+        return collect_stops(run, listener, control, resume=resume, accept_drift=accept_drift, ask=ask)
+
+    return on_run("collect", folder, work, moves=True)
+
+
+def calibrate(folder: Path, prior: Path | None = None) -> Job:
+    """Identify arms and pair and evaluate them on held-out stops; ``prior`` is the folder of an earlier run."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.pipeline import calibrate_run
+
+        return calibrate_run(run, listener, control, prior=prior)
+
+    return on_run("calibrate", folder, work)
+
+
+def discover(folder: Path, propose: int | None = None) -> Job:
+    """Search for missing effects; with ``propose`` also write that many further stops into the plan."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.pipeline import discover_run, propose_run
+
+        if propose is None:
+            return discover_run(run, listener, control)
+        return propose_run(run, propose, listener, control)
+
+    return on_run("discover" if propose is None else "propose", folder, work)
+
+
+def compensate(folder: Path, targets: Sequence[Target]) -> Job:
+    """Compute commands for targets."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.pipeline import compensate_run
+
+        return compensate_run(run, targets)
+
+    return on_run("compensate", folder, work)
+
+
+def push(
+    folder: Path,
+    targets: Sequence[Target],
+    *,
+    verify: bool,
+    iterate: int | None = None,
+    out_of_date: bool = False,
+) -> Job:
+    """Move the arms to compensated targets; with ``verify`` measure them before and after compensation.
+
+    ``iterate`` is how often at most what remains is corrected by measuring.
+    """
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.pipeline import push_run
+
+        return push_run(
+            run, targets, listener, control, verify=verify, iterate=iterate, out_of_date=out_of_date, ask=ask
+        )
+
+    return on_run(VERIFY if verify else "push", folder, work, moves=True)
+
+
+def locate(folder: Path, request: LocateRequest) -> Job:
+    """Measure where the tracker stands after it was moved."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.locate.run import locate_run, typed_pose
+
+        rough, simulated = (
+            None if text is None else typed_pose(text, "locate")
+            for text in (request.tracker_pose, request.simulated_pose)
+        )
+        return locate_run(run, request.points, listener, control, tracker_pose=rough, simulated_pose=simulated, ask=ask)
+
+    return on_run("locate", folder, work, moves=True)
+
+
+def follow(folder: Path, request: FollowRequest) -> Job:
+    """Plan paths, and drive and measure them where that is asked for."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.targets.path_file import load_paths
+        from cellapp.commands.follow.run import follow_run
+
+        return follow_run(
+            run,
+            load_paths(request.paths, run.profile, request.arm),
+            listener,
+            control,
+            driving=request.driving,
+            rehearse=request.rehearse,
+            out_of_date=request.out_of_date,
+            csv=request.csv,
+            ask=ask,
+        )
+
+    return on_run("follow", folder, work, moves=request.driving != "plan")
+
+
+def report(folder: Path, *, pdf: bool = False) -> Job:
+    """Write the page of the run; with ``pdf`` print it to a file, too."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.pipeline import report_run
+
+        return report_run(run, folder / PDF_FILE if pdf else None)
+
+    return on_run("report", folder, work)
+
+
+def export_arms(folder: Path, request: ExportRequest) -> Job:
+    """Write the calibrated arms for another program."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.export.run_export import export_as_run
+
+        return export_as_run(run, request.format_name, request.out, request.arm, request.stage_name)
+
+    return _of_run("export", folder, work)
+
+
+def correct(folder: Path, request: CorrectRequest) -> Job:
+    """Correct the targets of a controller's program."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.correct.correct import correct_run, typed_tcp
+
+        return correct_run(
+            run,
+            request.program,
+            request.out,
+            request.arm,
+            tcp=None if request.tcp is None else typed_tcp(request.tcp),
+            partly=request.partly,
+            extrapolate=request.extrapolate,
+        )
+
+    return _of_run("correct", folder, work)
+
+
+def replay(folder: Path, speed: float) -> Job:
+    """Play back what a run recorded; nothing moves."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.driving.replay import replay_run
+        from cellapp.cell.run import RunFile
+
+        with RunFile.open(folder) as run:
+            return replay_run(run, listener, control, speed=speed)
+
+    return Job(f"replay x{speed:g}", work, folder)
+
+
+def doctor(profile: Path) -> Job:
+    """Check what is reachable, what is missing, what would be refused; nothing moves."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.profile import load_profile
+        from cellapp.commands.doctor.doctor import examine_run
+
+        return examine_run(load_profile(profile))
+
+    return Job("doctor", work)
+
+
+def _of_run(name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result]) -> Job:
+    """A job that only reads a run."""
+
+    def opened(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.run import RunFile
+
+        with RunFile.open(folder) as run:
+            return work(run, listener, control, ask)
+
+    return Job(name, opened, folder)
+
+
+def on_run(
+    name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result], *, moves: bool = False
+) -> Job:
+    """A job that opens a run to add to it."""
+
+    def opened(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.run import RunFile
+
+        with RunFile.open(folder, write=True) as run:
+            return work(run, listener, control, ask)
+
+    return Job(name, opened, folder, moves=moves)
+
+
+def report_data(folder: Path | None) -> ReportData | None:
+    """What plots of a calibrated run need; None where there is no calibration. For a thread of its own."""
+    from cellapp.cell.run import RunFile
+    from cellapp.commands.report.data import read_report_data
+    from cellapp.ground.errors import CellappError
+
+    if folder is None:
+        return None
+    try:
+        with RunFile.open(folder) as run:
+            data = read_report_data(run)
+    except (CellappError, OSError, ValueError, TypeError):  # the last three: values of a damaged or foreign file
+        return None  # the screen says what is missing
+    for arm in data.held_out.values():
+        _ = arm.errors_mm  # computed here, not while drawing
+    return data
+
+
+def compare(folders: Sequence[Path], *, fleet: bool = False) -> RunComparison | FleetResult:
+    """Two runs compared in every value; more, or a ``fleet``, by the history of each arm. For a thread of its own."""
+    from cellapp.cell.run import RunFile
+    from cellapp.commands.compare.history_compare import compare_runs
+    from cellapp.commands.fleet.run import compare_many
+    from cellapp.commands.fleet.run import fleet as fleet_of
+
+    if fleet:
+        return fleet_of(folders)
+    if len(folders) != 2:
+        return compare_many(folders)
+    first, second = folders
+    with RunFile.open(first) as a, RunFile.open(second) as b:
+        return compare_runs(a, b)
+
+
+def interrupted_run(logs: Path) -> RunSummary | None:
+    """The newest run below a folder in which another process works now, else the newest that was interrupted while
+    collecting and is not in use. For a thread of its own."""
+    from cellapp.commands.runs.history import to_go_on_with
+    from cellapp.ground.errors import CellappError
+
+    try:
+        return to_go_on_with(logs) if logs.is_dir() else None
+    except CellappError:
+        return None  # a folder that cannot be read offers nothing; the screen Runs says why

@@ -1,0 +1,112 @@
+"""The verbs of the screen Accept as jobs. Packages that a verb needs are loaded in the job's own thread."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cellapp.ground.control import JobControl
+from cellapp.ground.progress import Listener
+from cellapp.interfaces.tui.jobs import Ask, Job
+from cellapp.interfaces.tui.work import on_run
+
+if TYPE_CHECKING:
+    from cellapp.cell.run import RunFile
+    from cellapp.commands.report.verdict_view import RunVerdict
+    from cellapp.ground.profile import Profile
+    from cellapp.ground.results import Result
+    from cellapp.interfaces.tui.dialogs.certificate import CertificateRequest, CheckFileRequest, SignKeyRequest
+    from cellapp.interfaces.tui.dialogs.check_calibration import CheckRequest
+    from cellapp.interfaces.tui.dialogs.iso9283_tests import IsoRequest
+
+
+def check(folder: Path, request: CheckRequest) -> Job:
+    """Measure a few stops: does the calibration still hold?"""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.check.run import check_run, plant_of
+
+        plant = None if request.plant is None else plant_of(request.plant)
+        return check_run(run, listener, control, stops=request.stops, simulated_plant=plant, ask=ask)
+
+    return on_run("check", folder, work, moves=True)
+
+
+def iso9283(profile: Profile, folder: Path, request: IsoRequest, *, out_of_date: bool) -> Job:
+    """Measure performance by ISO 9283, in the run of a folder or in a new one."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.iso9283.run import iso9283_folder, iso9283_run
+
+        with iso9283_folder(profile, folder) as run:
+            return iso9283_run(
+                run,
+                request.tests,
+                listener,
+                control,
+                cycles=request.cycles,
+                speed_share=request.speed_share,
+                arms=request.arms,
+                commands=request.commands,
+                drift_minutes=request.drift_minutes,
+                out_of_date=out_of_date,
+                ask=ask,
+            )
+
+    return Job("iso9283", work, folder, moves=True)
+
+
+def certificate(folder: Path, request: CertificateRequest) -> Job:
+    """Write the certificate of a run, and sign it where there is a key."""
+
+    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.certificate.run import certificate_run
+        from cellapp.commands.certificate.sign_key import load_sign_key
+
+        key = None if request.key is None else load_sign_key(request.key, request.passphrase)
+        return certificate_run(run, out=request.out, number=request.number, data=request.data, key=key, pdf=request.pdf)
+
+    return on_run("certificate", folder, work)
+
+
+def check_certificate(request: CheckFileRequest) -> Job:
+    """Check signature and data of a certificate."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.cell.run import RunFile
+        from cellapp.commands.certificate.run import check_certificate
+        from cellapp.commands.certificate.sign_key import load_public_key
+
+        key = None if request.key is None else load_public_key(request.key)
+        if request.run is None:
+            return check_certificate(request.certificate, key)
+        with RunFile.open(request.run) as run:
+            return check_certificate(request.certificate, key, run)
+
+    return Job("check-certificate", work)
+
+
+def sign_key(request: SignKeyRequest) -> Job:
+    """Make a key pair that signs certificates."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        from cellapp.commands.certificate.sign_key import new_sign_key
+
+        return new_sign_key(request.path, request.passphrase)
+
+    return Job("sign-key", work)
+
+
+def verdict(folder: Path) -> RunVerdict | None:
+    """Judgements, marks and next steps of a run; None where it cannot be read. For a thread of its own."""
+    from datetime import UTC, datetime
+
+    from cellapp.cell.run import RunFile
+    from cellapp.commands.report.verdict_view import read_verdict
+    from cellapp.ground.errors import CellappError
+
+    try:
+        with RunFile.open(folder) as run:
+            return read_verdict(run, datetime.now(UTC).date())
+    except (CellappError, OSError, ValueError, TypeError):  # the last three: values of a damaged or foreign file
+        return None  # the message line says what is wrong with the run

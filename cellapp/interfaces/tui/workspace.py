@@ -1,0 +1,189 @@
+"""What the screens show: the profile, the run that is open, and how far each step of the day is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from cellapp.ground.asking import who_uses
+from cellapp.ground.errors import CellappError, InputError
+
+if TYPE_CHECKING:
+    from cellapp.cell.driving.records import CollectionResult
+    from cellapp.cell.planning.design_records import PlanDesignResult
+    from cellapp.cell.planning.planned_stops import PlannedStops
+    from cellapp.commands.run_results import OverviewResult, RunResults, StopsResult
+    from cellapp.commands.runs.result import CellKind
+    from cellapp.ground.profile import Profile
+
+Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs"]
+STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs")
+StepState = Literal["open", "next", "done", "out of date"]
+
+_STEP_OF_VERB: Mapping[str, Step] = {
+    "plan": "plan",
+    "collect": "collect",
+    "calibrate": "calibrate",
+    "discover": "discover",
+    "locate": "targets",
+    "compensate": "targets",
+    "push": "targets",
+    "verify": "targets",
+    "path": "targets",
+    "iso9283": "accept",
+    "check": "accept",
+    "certificate": "accept",
+    "report": "accept",
+}
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A profile and a run of it, read once; screens draw it.
+
+    Attributes
+    ----------
+    profile : Profile or None
+        That of the run where one is open, else that of ``profile_path``.
+    folder : Path or None
+        The run; None where none is open.
+    overview, results, collection, stops, ways
+        What the run holds; None without a run. ``ways`` is how each stop is reached, and what it is for.
+    design : PlanDesignResult or None
+        What is known of the design of the run's plan; None where it was not designed.
+    problem : str
+        Why profile or run cannot be used, in a sentence; empty if they can.
+    edited : bool
+        The file of the profile was changed since the run was planned from it.
+    in_use : str
+        Which job used the run when it was read, as a phrase; empty if none did.
+    beside_run : Profile or None
+        Where a run is open, what ``profile_path`` holds now: perhaps another cell than that of the run.
+    """
+
+    profile_path: Path | None = None
+    profile: Profile | None = None
+    folder: Path | None = None
+    overview: OverviewResult | None = None
+    results: RunResults | None = None
+    collection: CollectionResult | None = None
+    stops: StopsResult | None = None
+    ways: PlannedStops | None = None
+    design: PlanDesignResult | None = None
+    problem: str = ""
+    edited: bool = False
+    in_use: str = ""
+    beside_run: Profile | None = None
+
+    @property
+    def file_profile(self) -> Profile | None:
+        """What ``profile_path`` holds: a new run is planned from it, whichever run is open."""
+        return self.profile if self.folder is None else self.beside_run
+
+    @property
+    def kind(self) -> CellKind:
+        """Whether this cell's arms are real, emulated or simulated; ``none`` where none can move."""
+        from cellapp.commands.runs.history import cell_kind
+
+        return "none" if self.profile is None else cell_kind(self.profile)
+
+    @property
+    def unseen(self) -> Mapping[str, str]:
+        """Arms that the run counts as moving, arm -> why they were not seen at rest."""
+        return {} if self.overview is None else {n: a.reason for n, a in self.overview.not_seen_at_rest.items()}
+
+    @property
+    def next_step(self) -> Step:
+        """The step that comes next."""
+        if self.profile is None:
+            return "cell"
+        if self.overview is None:
+            return "plan"
+        return _STEP_OF_VERB.get(self.overview.next_verb, "runs")
+
+    def states(self) -> dict[Step, StepState]:
+        """State of every step."""
+        states: dict[Step, StepState] = dict.fromkeys(STEPS, "open")
+        if self.profile is not None:
+            states["cell"] = "done"
+        if self.overview is not None:
+            states["plan"] = "done"
+            if any(arm.measured for arm in self.overview.arms.values()):
+                states["collect"] = "done"
+            for stage in self.overview.stages:
+                if (step := _STEP_OF_VERB.get(stage.name)) is not None:  # a later version may have others
+                    states[step] = "out of date" if stage.out_of_date else "done"
+            if self.overview.complaints:  # that screen names them all: stages, page, certificate
+                states["accept"] = "out of date"
+        if states[self.next_step] in ("open", "done"):
+            states[self.next_step] = "next"
+        return states
+
+
+NO_PROFILE = "No profile is open: choose one on the screen Cell (key 1)."
+NO_RUN = "No run is open: plan one (key 2), or open one on the screen Runs (key 8)."
+NOT_CALIBRATED = "This run is not calibrated yet: collect (key 3), then calibrate (key 4)."
+"""What screens say where there is nothing to work on."""
+
+
+def holds_run(folder: Path | None) -> bool:
+    """Whether a folder holds a run file."""
+    from cellapp.cell.run.sqlite_file import FILE_NAME
+
+    return folder is not None and (folder / FILE_NAME).is_file()
+
+
+def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
+    """Read a profile and a run. A problem is part of what is returned; nothing is raised for bad files."""
+    from cellapp.cell.profile import load_profile
+
+    profile, problem = None, ""
+    if profile_path is not None:
+        try:
+            profile = load_profile(profile_path)
+        except CellappError as error:
+            problem = str(error)
+    if folder is None:
+        return Workspace(profile_path, profile, problem=problem)
+    try:
+        return _with_run(profile_path, profile, folder)
+    except CellappError as error:
+        why = str(error)
+    except (OSError, ValueError, TypeError) as error:  # whatever a damaged or foreign file may contain
+        why = f"{folder} holds values that this cellapp cannot read ({str(error).partition(chr(10))[0]})"
+    return Workspace(profile_path, profile, problem=f"{problem}; {why}" if problem else why)
+
+
+def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) -> Workspace:
+    from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops
+    from cellapp.cell.run import RunFile
+    from cellapp.commands.show.overview import planned_stops, run_overview
+    from cellapp.commands.stages import read_results
+    from cellapp.interfaces.page.collection_section import collection_state
+
+    with RunFile.open(folder) as run:
+        return Workspace(
+            profile_path,
+            run.profile,
+            folder,
+            run_overview(run),
+            read_results(run),
+            collection_state(run),
+            planned_stops(run),
+            read_planned_stops(run),
+            read_plan_design(run),
+            edited=profile is not None and profile.name == run.profile.name and profile != run.profile,
+            in_use=who_uses(folder),
+            beside_run=profile,
+        )
+
+
+def new_folder(profile: Profile | None) -> Path:
+    """A new folder for a run. Raises ``InputError`` without a profile."""
+    from cellapp.commands.pipeline import default_folder
+
+    if profile is None:
+        raise InputError("no profile is open: choose one on the screen Cell")
+    return default_folder(profile.name)

@@ -1,6 +1,0 @@
-"""Models of the arms and of the cell. ``CellModel.load(path).predict(arm, q)`` needs only a calibration file."""
-
-from cellapp.model.model import ArmModel, CellModel
-from cellapp.model.network import ResidualNetwork
-
-__all__ = ["ArmModel", "CellModel", "ResidualNetwork"]

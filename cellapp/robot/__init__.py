@@ -1,0 +1,1 @@
+"""Models of arms: kinematics, physical effects, paths. No input or output."""

@@ -1,0 +1,41 @@
+"""The library of physical effects. A new effect is one file and one line in ``registry``, or a plug-in."""
+
+from cellapp.robot.effects.column import Channel, EffectColumn, Wave, joint_column, shift_column
+from cellapp.robot.effects.context import EffectContext, MeasurementConditions, TemperatureRecord, varies
+from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses, Scaled
+from cellapp.robot.effects.meaning import Meaning, SizeSource, enumeration, place_in_words
+from cellapp.robot.effects.registry import EFFECTS, registered
+from cellapp.robot.effects.term import Displacement, EffectTerm, displacement, term_from_json, term_to_json
+
+__all__ = [
+    "EFFECTS",
+    "FIXED",
+    "SCALED",
+    "Channel",
+    "Constant",
+    "Displacement",
+    "DriverVariable",
+    "Effect",
+    "EffectColumn",
+    "EffectContext",
+    "EffectTerm",
+    "Law",
+    "LawForm",
+    "Meaning",
+    "MeasurementConditions",
+    "NeighbouringPauses",
+    "Scaled",
+    "SizeSource",
+    "TemperatureRecord",
+    "Wave",
+    "displacement",
+    "enumeration",
+    "joint_column",
+    "place_in_words",
+    "registered",
+    "shift_column",
+    "term_from_json",
+    "term_to_json",
+    "varies",
+]

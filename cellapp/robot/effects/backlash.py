@@ -1,0 +1,202 @@
+"""Lost motion on reversal: backlash, hysteresis and friction wind-up."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from cellapp.robot.effects.column import EffectColumn, joint_column
+from cellapp.robot.effects.context import EffectContext, varies
+from cellapp.robot.effects.data_driven import Quantity
+from cellapp.robot.effects.effect import Effect, ImpossibleValues
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.smooth import AMPLITUDE, with_prior
+from cellapp.robot.kinematics.transforms import Array
+
+WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+"""Steps [rad] after which hysteresis may be saturated: 1 to 45 degrees, a factor of 2 to 2.5 apart."""
+_MOST_PLAY = 5e-3
+"""Largest plausible half play [rad]: ten times the worst published lost motion of such gears."""
+_MOST_WINDUP = 1e-4
+"""Largest plausible wind-up [rad/Nm]: fifty times the estimated one."""
+
+WIDTH = Constant("width", "rad", SCALED, "saturated beyond some {} deg", factor=float(np.degrees(1.0)))
+TYPICAL_STEP = Constant("step", "rad", FIXED, per_joint=True)
+"""Median step of the run, for stops whose step is unknown."""
+CONSTANT = LawForm("constant", "the same after any motion")
+SATURATING = LawForm("saturating", "taken up only by large steps", (WIDTH, TYPICAL_STEP))
+SMALL = LawForm("smooth", "taken up only by large steps, small by prior", (WIDTH, TYPICAL_STEP, AMPLITUDE))
+LOAD = LawForm("load", "in proportion to the load")
+BOTH = LawForm("both", "dry friction, and in proportion to the load")
+
+
+class Backlash(Effect):
+    """The joint lags half the play behind its last motion: ``dq_j = -h_j s_j``, s_j = +1 or -1, h_j > 0 [rad].
+
+    Laws
+    ----
+    constant
+        Any motion takes up all of the play.
+    saturating
+        ``dq_j = -h_j s_j tanh(|step_j| / w)``: hysteresis that a small step does not take up; w is searched. An
+        unknown step counts as the run's median step of that joint.
+
+    smooth
+        As ``saturating``, each half play small by prior, of either sign.
+
+    Size: strain-wave gears are specified in arc minutes of lost motion (sourced), h some 10 to 150 urad; 40 urad are
+    25 to 55 um at a UR10's flange. 90 % visible with stops approached from both sides; from one side only it hides in
+    the joint zero. Look-alikes: unsettled measurement where sign and step are correlated, friction wind-up.
+    """
+
+    slug = "backlash"
+    title = "backlash or hysteresis of joints"
+    arm_bound = True
+    meaning = Meaning(
+        cause="The gear of {place} has lost motion: the output lags behind the motor on each reversal.",
+        size=(
+            "40 urad of half play are 25 to 55 um at the flange of a UR10; catalogues of strain-wave gears give arc"
+            " minutes of lost motion"
+        ),
+        size_source="estimate",
+        check=(
+            (
+                "With drives on and the arm at rest, push and pull at the link beyond {place} with a dial gauge on it:"
+                " play is a loose bolt or a worn gear. With drives off the brake's own play shows as well."
+            ),
+            "Check the bolts of the gearbox of {place}, then have the gear inspected.",
+            "Until it is mended, approach every target from the same side as during calibration.",
+        ),
+        settle=(
+            "Measure 10 poses twice, each joint approached once from either side by the same step.",
+            (
+                "Approach one pose with last steps of 1, 5, 20 and 60 degrees: hysteresis grows with the step, play "
+                "does not."
+            ),
+            "Record approach signs, or import with --in-order: without them the effect is invisible.",
+        ),
+    )
+    look_alikes = ("friction_windup", "unsettled_measurement")
+    impossible = ImpossibleValues(
+        sign="backlash of the opposite sign",
+        sign_check="check the approach convention of the readings",
+    )
+    variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
+    forms = (CONSTANT, SATURATING, SMALL)
+    free_drivers = (
+        FreeDriver(Quantity.STEP, absolute=True),
+        FreeDriver(Quantity.TORQUE, absolute=True),
+        FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.TIME),
+    )
+
+    def missing_data(self, context: EffectContext) -> str:
+        """Needs approaches from both sides."""
+        return missing_for_lost_motion(context)
+
+    def laws(self, context: EffectContext) -> list[Law]:
+        """Constant; saturating where steps are known."""
+        if not varies(context.conditions.step):
+            return [CONSTANT.law()]
+        medians = np.median(np.abs(context.step), axis=0).tolist()
+        typical = {TYPICAL_STEP.key(j): size for j, size in enumerate(medians)}
+        return [CONSTANT.law(), *(SATURATING.law({WIDTH.name: w, **typical}, len(WIDTHS)) for w in WIDTHS)]
+
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One column per joint; zero where the side of approach is unknown."""
+        lag = -context.approach
+        if law.form != CONSTANT:
+            lag = lag * np.tanh(_step_sizes(context, law) / law.constants[WIDTH.name])
+        columns = [
+            joint_column(f"half_play{j + 1}", "rad", j, lag[:, j], 0.0, _MOST_PLAY) for j in range(context.joints)
+        ]
+        if law.form == SMALL:
+            return [with_prior(column, law.constants[AMPLITUDE.name]) for column in columns]
+        return columns
+
+
+def _step_sizes(context: EffectContext, law: Law) -> Array:
+    """Size of each joint's last step (n, N) [rad]; the run's median where unknown."""
+    typical = np.array([law.constants.get(TYPICAL_STEP.key(j), np.inf) for j in range(context.joints)])
+    step = context.conditions.step
+    if step is None:
+        return np.broadcast_to(typical, context.q.shape)
+    return np.where(np.isnan(step), typical, np.abs(step))
+
+
+class FrictionWindup(Effect):
+    """Friction under load winds the drive up against the last motion: ``dq_j = -s_j (f_j + w_j |tau_j|)``.
+
+    Laws
+    ----
+    load
+        ``w_j`` alone [rad/Nm].
+    both
+        Dry friction ``f_j`` [rad] as well.
+
+    Size: 1e-4 rad at 50 Nm (2e-6 rad/Nm) are 50 to 130 um at a UR10's flange (estimate, not sourced). 80 % visible with
+    stops approached from both sides under different loads. Look-alikes: backlash (0.7 of what is visible; a payload
+    change distinguishes them), unsettled measurement.
+    """
+
+    slug = "friction_windup"
+    title = "friction wind-up of joints"
+    arm_bound = True
+    meaning = Meaning(
+        cause="Friction in {place} holds the gear wound up against its last motion, more so under load.",
+        size="1e-4 rad at 50 Nm, 50 to 130 um at the flange of a UR10",
+        size_source="estimate",
+        check=(
+            "Warm the arm up: cold grease has more friction.",
+            "Compare the motor current of {place} in slow motion with the other arm's: more current is more friction.",
+            "Check lubrication and brake of {place}: a brake that drags winds up too.",
+        ),
+        settle=(
+            (
+                "Approach the same poses from both sides with two payloads: wind-up grows with the load, backlash "
+                "does not."
+            ),
+            "Repeat 10 stops cold and after an hour of motion.",
+        ),
+    )
+    look_alikes = ("backlash", "unsettled_measurement")
+    impossible = ImpossibleValues(
+        sign="friction wind-up of the opposite sign",
+        sign_check="check the approach convention of the readings",
+        size_check="check masses",
+    )
+    variables = frozenset(
+        {DriverVariable.APPROACH, DriverVariable.TORQUE, DriverVariable.PAYLOAD, DriverVariable.JOINT_ANGLE}
+    )
+    forms = (LOAD, BOTH)
+    free_drivers = (
+        FreeDriver(Quantity.TORQUE, absolute=True),
+        FreeDriver(Quantity.STEP, absolute=True),
+        FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.TIME),
+    )
+
+    def missing_data(self, context: EffectContext) -> str:
+        """Needs approaches from both sides."""
+        return missing_for_lost_motion(context)
+
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One column per joint, or two; zero where the side of approach is unknown."""
+        loaded = -context.approach * np.abs(context.torques)
+        columns = []
+        for j in range(context.joints):
+            if law.form == BOTH:
+                columns.append(joint_column(f"dry{j + 1}", "rad", j, -context.approach[:, j], 0.0, _MOST_PLAY))
+            columns.append(joint_column(f"windup{j + 1}", "rad/Nm", j, loaded[:, j], 0.0, _MOST_WINDUP))
+        return columns
+
+
+def missing_for_lost_motion(context: EffectContext) -> str:
+    """What the readings lack to show lost motion; empty if some joint was approached from both sides."""
+    if not context.approach.any():
+        return "no approach signs"
+    both = (context.approach > 0.0).any(axis=0) & (context.approach < 0.0).any(axis=0)
+    return "" if both.any() else "every joint was approached from one side only"

@@ -1,0 +1,211 @@
+"""The quantities that effects depend on: the conditions of each reading, and what follows from the arm model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, frame_poses, jacobian
+from cellapp.robot.kinematics.statics import Bodies, GravityLoads, gravity_loads
+from cellapp.robot.kinematics.transforms import Array
+
+
+@dataclass(frozen=True)
+class TemperatureRecord:
+    """Temperatures over a whole run: times (m,) [s], of joints (m, N) and air (m,) [degC]."""
+
+    time_s: Array
+    joints_c: Array
+    air_c: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasurementConditions:
+    """Conditions of n readings besides the joint positions; None, or NaN in a row, where unknown.
+
+    Attributes
+    ----------
+    approach : array, shape (n, N)
+        Sign of each joint's last motion, 0 where unknown.
+    step : array, shape (n, N)
+        Each joint's last motion, with its sign [rad].
+    dwell_s : array, shape (n,)
+        Time from rest to the measurement [s].
+    time_s : array, shape (n,)
+        Time since the run began [s]; NaN means "now": the state at the end of the run that the effect was fitted to.
+    order : array, shape (n,)
+        Place in the order of measurement among all readings of the arm, counted in stops from 0. It says what came
+        first where no clock does.
+    payload_kg, air_c : arrays, shape (n,)
+        Payload [kg]; temperature of arm or air [degC].
+    joints_c : array, shape (n, N)
+        Joint temperatures [degC].
+    other_moment_M : array, shape (n, 3)
+        Moment of gravity on the other arm about the origin of its base, in the tracker frame [Nm].
+    other_q : array, shape (n, K)
+        Joint positions of the other arm [rad].
+    record : TemperatureRecord
+        Temperatures of the whole run, for effects that follow them with a lag; not per stop.
+    """
+
+    approach: Array | NDArray[np.int8] | None = None
+    step: Array | None = None
+    dwell_s: Array | None = None
+    time_s: Array | None = None
+    order: Array | None = None
+    payload_kg: Array | None = None
+    air_c: Array | None = None
+    joints_c: Array | None = None
+    other_moment_M: Array | None = None
+    other_q: Array | None = None
+    record: TemperatureRecord | None = None
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> MeasurementConditions:
+        """Select some of the stops; the temperature record stays whole."""
+        taken: dict[str, Any] = {k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray)}
+        return replace(self, **taken)
+
+
+@dataclass(frozen=True)
+class EffectContext:
+    """All quantities that an effect may depend on, for n stops of one arm.
+
+    Attributes
+    ----------
+    q : array, shape (n, N)
+        Joint positions from the controller [rad].
+    conditions : MeasurementConditions
+    geometry : Geometry
+        The chain, with its base in the tracker frame.
+    bodies : Bodies
+        Nominal masses.
+    up_M : array, shape (3,)
+        Unit vector against gravity in the tracker frame.
+    smr_normal : array, shape (3,), or None
+        SMR viewing direction in the flange frame.
+    q_actual : array, shape (n, N), or None
+        Joint positions after all known joint effects [rad]; loads act there. None: ``q``.
+    """
+
+    q: Array
+    conditions: MeasurementConditions
+    geometry: Geometry
+    bodies: Bodies
+    up_M: Array
+    smr_normal: Array | None = None
+    q_actual: Array | None = None
+
+    @property
+    def joints(self) -> int:
+        """Number of joints N."""
+        return int(self.q.shape[1])
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @property
+    def posture(self) -> Array:
+        """Best known joint positions (n, N) [rad]: actual where known, else as read."""
+        return self.q if self.q_actual is None else self.q_actual
+
+    @cached_property
+    def approach(self) -> Array:
+        """Sign of each joint's last motion (n, N), 0 where unknown."""
+        approach = self.conditions.approach
+        return np.zeros(self.q.shape) if approach is None else np.nan_to_num(np.asarray(approach, dtype=np.float64))
+
+    @cached_property
+    def step(self) -> Array:
+        """Each joint's last motion (n, N) with its sign [rad], 0 where unknown."""
+        step = self.conditions.step
+        return np.zeros(self.q.shape) if step is None else np.nan_to_num(np.asarray(step, dtype=np.float64))
+
+    @cached_property
+    def payload_kg(self) -> Array:
+        """Payload (n,) [kg]; the nominal one where unknown."""
+        return np.asarray(self.loads.masses[-1])
+
+    @cached_property
+    def loads(self) -> GravityLoads:
+        """Nominal bodies and payload in the tracker frame."""
+        return gravity_loads(self.frames, self.bodies, self.up_M, self.conditions.payload_kg)
+
+    @cached_property
+    def torques(self) -> Array:
+        """Gravity torques (n, N) of the nominal bodies with the payload [Nm]."""
+        return self.loads.joint_torques()
+
+    @cached_property
+    def frames(self) -> tuple[Array, Array]:
+        """All D-H frames, base first: rotations (N + 1, n, 3, 3), origins (N + 1, n, 3) [m] in the tracker frame."""
+        return frame_poses(self.geometry, self.posture)
+
+    @cached_property
+    def p_M(self) -> Array:
+        """Computed SMR positions (n, 3) [m] in the tracker frame."""
+        rotations, origins = self.frames
+        return np.asarray(origins[-1] + rotations[-1] @ self.geometry.tool)
+
+    @cached_property
+    def base_twists(self) -> Array:
+        """SMR shift per unit translation along and rotation about the base's x, y, z (6, n, 3) [m/m, m/rad]."""
+        axes = np.eye(3)
+        shifts = [self.twist_shift(0, axis, None) for axis in axes]
+        return np.stack([*shifts, *(self.twist_shift(0, None, axis) for axis in axes)])
+
+    @cached_property
+    def link_growth(self) -> Array:
+        """SMR shift per unit strain of each link, of its a and its d (N, n, 3) [m]."""
+        d_and_a = tuple(6 + 5 * i + k for i in range(self.joints) for k in (1, 2))
+        _, J = jacobian(self.geometry, JointAngles.of(self.posture), d_and_a)
+        grown = J * self.geometry.rows[:, 1:3].ravel()[:, None]
+        return np.ascontiguousarray((grown[:, 0::2] + grown[:, 1::2]).transpose(1, 2, 0))
+
+    @cached_property
+    def link_lengths(self) -> Array:
+        """Distance between successive D-H origins (N,) [m]."""
+        return np.hypot(self.geometry.rows[:, 1], self.geometry.rows[:, 2])
+
+    @cached_property
+    def beam(self) -> tuple[Array, Array]:
+        """Range (n,) [m] and unit vector (n, 3) from the tracker to the SMR."""
+        distance = np.linalg.norm(self.p_M, axis=1)
+        return distance, self.p_M / distance[:, None]
+
+    @cached_property
+    def across(self) -> tuple[Array, Array, Array, Array]:
+        """Azimuth, elevation (n,) [rad] and the horizontal and the upward unit vector across the beam (n, 3)."""
+        x, y, z = self.p_M.T
+        flat = np.hypot(x, y)
+        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, flat)
+        zero = np.zeros_like(x)
+        horizontal = np.stack([-np.sin(azimuth), np.cos(azimuth), zero], axis=1)
+        s = np.sin(elevation)
+        upward = np.stack([-s * np.cos(azimuth), -s * np.sin(azimuth), np.cos(elevation)], axis=1)
+        return azimuth, elevation, horizontal, upward
+
+    def twist_shift(self, frame: int, shift: Array | None, turn: Array | None) -> Array:
+        """SMR shift (n, 3) [m, tracker frame] for a small twist of D-H frame ``frame`` (0: base).
+
+        ``shift`` [m] and ``turn`` [rad], each (n, 3) or (3,), are in that frame.
+        """
+        rotations, origins = self.frames
+        R, o = rotations[frame], origins[frame]
+        moved = np.zeros((len(self), 3))
+        if shift is not None:
+            moved += np.einsum("nab,nb->na", R, np.broadcast_to(shift, moved.shape))
+        if turn is not None:
+            moved += np.cross(np.einsum("nab,nb->na", R, np.broadcast_to(turn, moved.shape)), self.p_M - o)
+        return moved
+
+
+def varies(values: Array | NDArray[np.int8] | None) -> bool:
+    """Whether a quantity is known at all stops and not constant."""
+    if values is None or len(values) == 0:
+        return False
+    known = np.asarray(values, dtype=np.float64)
+    return bool(np.isfinite(known).all() and np.ptp(known, axis=0).max() > 0.0)

@@ -1,0 +1,109 @@
+"""Laws of the library with physically impossible values: what the readings show, said in words and not dropped.
+
+An impossible sign or size has a cause of its own, such as another sign convention of the readings or a wrong mass. The
+term belongs to the unknown effects; in JSON its law is named ``contradiction|effect|law``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellapp.robot.effects.column import INDEXED_CHANNELS, EffectColumn, place_name
+from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.law import Law, LawForm
+from cellapp.robot.effects.meaning import Meaning
+
+_PREFIX = "contradiction"
+
+
+@dataclass(frozen=True)
+class ContradictionForm(LawForm):
+    """The form ``contradicted`` of an effect's law, without physical bounds."""
+
+    effect: Effect = field(kw_only=True)
+    contradicted: LawForm = field(kw_only=True)
+
+
+def form_without_bounds(effect: Effect, form: LawForm) -> ContradictionForm:
+    """A form of an effect as a contradiction."""
+    return ContradictionForm(
+        name="|".join((_PREFIX, effect.slug, form.name)),
+        words=f"as {effect.title}, {form.words}, but with impossible values",
+        constants=form.constants,
+        variables=form.variables or effect.variables,
+        effect=effect,
+        contradicted=form,
+    )
+
+
+def contradiction_named(name: str, library: Mapping[str, Effect]) -> ContradictionForm | None:
+    """The form of a name in JSON; None if it is not one. Raises ``ValueError`` for a law that the effect lacks."""
+    prefix, _, rest = name.partition("|")
+    slug, _, law = rest.partition("|")
+    if prefix != _PREFIX or slug not in library:
+        return None
+    return form_without_bounds(library[slug], library[slug].form(law))
+
+
+def contradicted_law(law: Law) -> Law:
+    """The law of the library that a contradiction is made of."""
+    assert isinstance(law.form, ContradictionForm)
+    return law.form.contradicted.law(law.constants, law.tried)
+
+
+def contradicted_effect(law: Law) -> Effect:
+    """The effect of the library that a contradiction behaves like."""
+    assert isinstance(law.form, ContradictionForm)
+    return law.form.effect
+
+
+def is_contradiction(law: Law) -> bool:
+    """Whether a law is one of the library with impossible values."""
+    return isinstance(law.form, ContradictionForm)
+
+
+def contradiction_meaning(effect: Effect) -> Meaning:
+    """What it means that the readings show an effect with impossible values."""
+    words = effect.impossible
+    checks = dict.fromkeys((words.sign_check, words.size_check))
+    return Meaning(
+        cause=(
+            f"Something behaves like {effect.title}, but with values that cannot be. The first suspects are signs,"
+            " units and conventions of the readings and of the profile."
+        ),
+        size="A value that cannot be has no usual size",
+        size_source="none",
+        check=tuple(f"{check[0].upper()}{check[1:]}." for check in checks),
+        settle=effect.meaning.settle,
+    )
+
+
+def sentence(effect: Effect, columns: Sequence[EffectColumn], values: Sequence[float]) -> str:
+    """What an effect with impossible values looks like, where, and what to check.
+
+    ``columns``, with their bounds, and ``values`` are those outside the bounds only.
+    """
+    words = effect.impossible
+    places = _places(columns)
+    negative = [value < 0.0 and column.lower == 0.0 for column, value in zip(columns, values, strict=True)]
+    if sum(negative) * 2 >= len(negative):
+        return f"behaves like {words.sign or f'{effect.title} of the opposite sign'} at {places}: {words.sign_check}"
+    sizes = [
+        abs(value) / (words.limit_size or max(abs(column.lower), abs(column.upper)))
+        for column, value in zip(columns, values, strict=True)
+    ]
+    return f"behaves like {effect.title} of {np.max(sizes):.2g} times {words.limit} at {places}: {words.size_check}"
+
+
+def _places(columns: Sequence[EffectColumn]) -> str:
+    """``joint 2``, ``joints 1, 2, 3``, ``base``."""
+    indices = sorted({column.index for column in columns if column.index is not None})
+    channel = columns[0].channel
+    if channel not in INDEXED_CHANNELS or not indices:
+        return place_name(channel, None)
+    if len(indices) == 1:
+        return place_name(channel, indices[0])
+    return f"{place_name(channel, None).removeprefix('all ')} {', '.join(str(index + 1) for index in indices)}"

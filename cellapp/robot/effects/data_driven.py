@@ -1,0 +1,335 @@
+"""Forms of data-driven laws: which channel depends on which one or two variables, or on the position.
+
+In JSON such a law is named ``channel|variable`` or ``channel|variable|variable``; a field over the workspace is named
+``base shift|x|y|z``.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from cellapp.robot.effects.column import Channel, place_name
+from cellapp.robot.effects.context import EffectContext, varies
+from cellapp.robot.effects.field import FIELD_CONSTANTS
+from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.robot.effects.time_functions import times_known
+from cellapp.robot.kinematics.transforms import Array
+
+_ROUNDING = 1e-6
+"""A torque that varies by less [Nm] varies by rounding errors."""
+_STILL = 1e-9
+"""A distance or angle that varies by less [m, rad] does not vary."""
+
+
+class Direction(Enum):
+    """Direction of a data-driven channel; base and tool axes are their own."""
+
+    SHIFT_X = "shift x"
+    SHIFT_Y = "shift y"
+    SHIFT_Z = "shift z"
+    TURN_X = "turn x"
+    TURN_Y = "turn y"
+    RADIAL = "radial"
+    AZIMUTH = "azimuth"
+    ELEVATION = "elevation"
+
+
+_SHIFTS = (Direction.SHIFT_X, Direction.SHIFT_Y, Direction.SHIFT_Z)
+_TURNS = (Direction.TURN_X, Direction.TURN_Y)  # about the base's z it is an offset of joint 1
+_TRACKER = (Direction.RADIAL, Direction.AZIMUTH, Direction.ELEVATION)
+
+
+@dataclass(frozen=True)
+class DataChannel:
+    """A channel of data-driven laws.
+
+    ``joint`` (from 0) with ``Channel.JOINT``; else ``direction``, None for a shift in any direction.
+    """
+
+    channel: Channel
+    direction: Direction | None = None
+    joint: int | None = None
+
+    @cached_property
+    def name(self) -> str:
+        """``joint 2``, ``base shift``, ``base turn x``, ``tool``, ``tool y``, ``tracker radial``."""
+        if self.channel is Channel.JOINT:
+            return place_name(self.channel, self.joint)
+        if self.channel is Channel.TOOL:
+            return "tool" if self.direction is None else f"tool {self.direction.value[-1]}"
+        return f"{self.channel.value} {'shift' if self.direction is None else self.direction.value}"
+
+    @property
+    def directions(self) -> tuple[Direction, ...]:
+        """The directions that it combines; none for a joint."""
+        if self.channel is Channel.JOINT:
+            return ()
+        return _SHIFTS if self.direction is None else (self.direction,)
+
+    @property
+    def parts(self) -> tuple[DataChannel, ...]:
+        """One channel for each direction."""
+        return tuple(DataChannel(self.channel, one) for one in self.directions)
+
+    @property
+    def subject(self) -> DataChannel:
+        """The channel regardless of a shift's direction: terms with one subject are about the same motion."""
+        return DataChannel(self.channel) if self.direction in _SHIFTS else self
+
+
+@lru_cache(maxsize=8)
+def channels(joints: int) -> tuple[DataChannel, ...]:
+    """All channels of an arm with N joints."""
+    base = [DataChannel(Channel.BASE, one) for one in (*_SHIFTS, *_TURNS)]
+    return (
+        *(DataChannel(Channel.JOINT, joint=j) for j in range(joints)),
+        DataChannel(Channel.BASE),
+        DataChannel(Channel.TOOL),
+        *base,
+        *(DataChannel(Channel.TOOL, one) for one in _SHIFTS),
+        *(DataChannel(Channel.TRACKER, one) for one in _TRACKER),
+    )
+
+
+class Quantity(Enum):
+    """What a variable of a data-driven law measures."""
+
+    JOINT_ANGLE = "q"
+    OTHER_JOINT_ANGLE = "other q"
+    TIME = "time"
+    TORQUE = "torque"
+    STEP = "step"
+    DWELL = "dwell"
+    PAYLOAD = "payload"
+    TEMPERATURE = "temperature"
+    RANGE = "range"
+    AZIMUTH = "azimuth"
+    ELEVATION = "elevation"
+    INCIDENCE = "incidence"
+    X = "x"
+    Y = "y"
+    Z = "z"
+
+
+PER_JOINT = frozenset({Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE, Quantity.TORQUE, Quantity.STEP})
+"""Quantities of which there is one per joint."""
+_DRIVERS = {
+    Quantity.JOINT_ANGLE: DriverVariable.JOINT_ANGLE,
+    Quantity.OTHER_JOINT_ANGLE: DriverVariable.OTHER_ARM,
+    Quantity.TIME: DriverVariable.TIME,
+    Quantity.TORQUE: DriverVariable.TORQUE,
+    Quantity.STEP: DriverVariable.STEP,
+    Quantity.DWELL: DriverVariable.DWELL,
+    Quantity.PAYLOAD: DriverVariable.PAYLOAD,
+    Quantity.TEMPERATURE: DriverVariable.AIR_TEMPERATURE,
+    Quantity.RANGE: DriverVariable.BEAM,
+    Quantity.AZIMUTH: DriverVariable.BEAM,
+    Quantity.ELEVATION: DriverVariable.BEAM,
+    Quantity.INCIDENCE: DriverVariable.INCIDENCE,
+    Quantity.X: DriverVariable.BEAM,  # where the SMR is, seen from the base or from the tracker
+    Quantity.Y: DriverVariable.BEAM,
+    Quantity.Z: DriverVariable.BEAM,
+}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of data-driven laws; ``joint`` (from 0) where there is one per joint."""
+
+    quantity: Quantity
+    joint: int | None = None
+
+    @cached_property
+    def name(self) -> str:
+        """``q1``, ``other q3``, ``torque2``, ``time``."""
+        return self.quantity.value if self.joint is None else f"{self.quantity.value}{self.joint + 1}"
+
+    @property
+    def driver(self) -> DriverVariable:
+        """What effects that depend on it share."""
+        return _DRIVERS[self.quantity]
+
+    @property
+    def is_joint_angle(self) -> bool:
+        """Whether it is a joint angle, of this arm or the other: functions of it are periodic."""
+        return self.quantity in (Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE)
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether it is any angle."""
+        return self.is_joint_angle or self.quantity in (Quantity.AZIMUTH, Quantity.ELEVATION, Quantity.INCIDENCE)
+
+    def values(self, context: EffectContext) -> Array:
+        """Values (n,); NaN where unknown."""
+        conditions, unknown = context.conditions, np.full(len(context), np.nan)
+        match self.quantity:
+            case Quantity.JOINT_ANGLE:
+                return np.asarray(context.q[:, self.joint])
+            case Quantity.OTHER_JOINT_ANGLE:
+                return unknown if conditions.other_q is None else np.asarray(conditions.other_q[:, self.joint])
+            case Quantity.TORQUE:
+                return np.asarray(context.torques[:, self.joint])
+            case Quantity.STEP:
+                return np.asarray(context.step[:, self.joint])
+            case Quantity.PAYLOAD:
+                return context.payload_kg
+            case Quantity.RANGE:
+                return context.beam[0]
+            case Quantity.AZIMUTH:
+                return context.across[0]
+            case Quantity.ELEVATION:
+                return context.across[1]
+            case Quantity.INCIDENCE:
+                return _incidence(context)
+            case Quantity.X | Quantity.Y | Quantity.Z:
+                return np.ascontiguousarray(position_in_base(context)[:, "xyz".index(self.quantity.value)])
+            case Quantity.TIME:
+                logged = conditions.time_s
+            case Quantity.DWELL:
+                logged = conditions.dwell_s
+            case Quantity.TEMPERATURE:
+                logged = conditions.air_c
+        return unknown if logged is None else logged
+
+
+POSITION = (Variable(Quantity.X), Variable(Quantity.Y), Variable(Quantity.Z))
+"""Where in the workspace the SMR is, in the base frame."""
+
+
+def position_in_base(context: EffectContext) -> Array:
+    """SMR positions in the base frame (n, 3) [m]."""
+    rotations, origins = context.frames
+    return np.asarray(np.einsum("nba,nb->na", rotations[0], context.p_M - origins[0]))
+
+
+def _incidence(context: EffectContext) -> Array:
+    """Angle between the SMR's axis and the direction back to the tracker (n,) [rad]; NaN where unknown."""
+    if context.smr_normal is None:
+        return np.full(len(context), np.nan)
+    back = -np.einsum("na,na->n", context.frames[0][-1] @ context.smr_normal, context.beam[1])
+    return np.asarray(np.arccos(np.clip(back, -1.0, 1.0)))
+
+
+def variables(context: EffectContext) -> tuple[Variable, ...]:
+    """The variables that are known at all stops and vary."""
+    conditions = context.conditions
+
+    def per_joint(quantity: Quantity, values: Array, least: float = 0.0) -> list[Variable]:
+        return [Variable(quantity, j) for j in range(values.shape[1]) if np.ptp(values[:, j]) > least]
+
+    found = per_joint(Quantity.JOINT_ANGLE, context.q)
+    if conditions.other_q is not None and varies(conditions.other_q):
+        found += per_joint(Quantity.OTHER_JOINT_ANGLE, conditions.other_q)
+    if times_known(context):
+        found.append(Variable(Quantity.TIME))
+    found += per_joint(Quantity.TORQUE, context.torques, _ROUNDING)
+    if varies(conditions.step):
+        found += per_joint(Quantity.STEP, context.step)
+    optional = (
+        (Quantity.DWELL, conditions.dwell_s),
+        (Quantity.PAYLOAD, conditions.payload_kg),
+        (Quantity.TEMPERATURE, conditions.air_c),
+    )
+    found += [Variable(quantity) for quantity, values in optional if varies(values)]
+    seen = [Quantity.RANGE, Quantity.AZIMUTH, Quantity.ELEVATION]
+    if context.smr_normal is not None:
+        seen.append(Quantity.INCIDENCE)
+    found += [one for one in map(Variable, seen) if np.ptp(one.values(context)) > _STILL]
+    return tuple(found)
+
+
+# -- laws ------------------------------------------------------------------------------------------------------------
+
+
+def _constants(suffix: str) -> tuple[Constant, ...]:
+    """Declarations for one variable, in its SI unit; ``suffix`` is 2 for the second."""
+    optional = tuple(Constant(f"{name}{suffix}", "", FIXED, optional=True) for name in ("low", "high", "typical"))
+    order = Constant(f"order{suffix}", "", FIXED, optional=bool(suffix))
+    return (order, *optional, Constant(f"center{suffix}", "rad", FIXED, optional=True))
+
+
+PERIOD = Constant("period_s", "s", FIXED, "period {} min", factor=1.0 / 60.0, optional=True)
+FIRST_CONSTANTS = (*_constants(""), PERIOD)
+SECOND_CONSTANTS = _constants("2")
+
+
+@dataclass(frozen=True)
+class DataDrivenForm(LawForm):
+    """The form of a data-driven law: its channel and one or two driver variables, or the three of the position."""
+
+    channel: DataChannel = field(kw_only=True)
+    drivers: tuple[Variable, ...] = field(kw_only=True)
+
+    @property
+    def is_field(self) -> bool:
+        """Whether it is a field over the workspace."""
+        return self.drivers == POSITION
+
+    @property
+    def subject(self) -> tuple[DataChannel, tuple[Variable, ...]]:
+        """Channel regardless of a shift's direction, and variables."""
+        return self.channel.subject, self.drivers
+
+
+@lru_cache(maxsize=16384)
+def form_of(channel: DataChannel, drivers: tuple[Variable, ...]) -> DataDrivenForm:
+    """The form of driver variables in a channel; cached, as a search makes the same thousands repeatedly."""
+    names = [one.name for one in drivers]
+    of = "the position, a field over the workspace" if drivers == POSITION else " and ".join(names)
+    return DataDrivenForm(
+        name="|".join([channel.name, *names]),
+        words=f"{channel.name} as a function of {of}",
+        constants=FIELD_CONSTANTS if drivers == POSITION else FIRST_CONSTANTS + SECOND_CONSTANTS,
+        variables=frozenset(_DRIVERS[one.quantity] for one in drivers),
+        channel=channel,
+        drivers=drivers,
+    )
+
+
+FIELD = form_of(DataChannel(Channel.BASE), POSITION)
+"""A field over the workspace. A shift seen in the tracker's frame is the same field, with other coordinates."""
+
+
+def data_driven_form(law: Law) -> DataDrivenForm:
+    """The form of a data-driven law."""
+    assert isinstance(law.form, DataDrivenForm)
+    return law.form
+
+
+_NUMBERED = re.compile(r"(.*?)(\d+)")
+
+
+def form_named(name: str) -> DataDrivenForm | None:
+    """The form of a name in JSON, the one place that reads such names; None if it is not one."""
+    first, *rest = name.split("|")
+    channel = _channel_named(first)
+    found = [variable_named(one) for one in rest]
+    drivers = tuple(one for one in found if one is not None)
+    if channel is None or len(drivers) < len(rest):
+        return None
+    if drivers == FIELD.drivers:
+        return FIELD if channel == FIELD.channel else None
+    if not 1 <= len(rest) <= 2 or set(drivers) & set(POSITION):
+        return None
+    return form_of(channel, drivers)
+
+
+def _channel_named(name: str) -> DataChannel | None:
+    numbered = _NUMBERED.fullmatch(name)
+    joints = int(numbered[2]) if numbered else 0
+    return next((one for one in channels(joints) if one.name == name), None)
+
+
+def variable_named(name: str) -> Variable | None:
+    """The variable of a name such as ``torque2``; None if it is not one."""
+    numbered = _NUMBERED.fullmatch(name)
+    text, joint = (name, None) if numbered is None else (numbered[1], int(numbered[2]) - 1)
+    quantity = next((one for one in Quantity if one.value == text), None)
+    if quantity is None or (quantity in PER_JOINT) != (joint is not None) or joint == -1:
+        return None
+    return Variable(quantity, joint)

@@ -1,0 +1,155 @@
+"""Joint axes that tilt while the joint rotates."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.robot.effects.column import Channel, EffectColumn, Wave, shift_column
+from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.data_driven import Quantity
+from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.law import DriverVariable, Law, LawForm
+from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances
+from cellapp.robot.kinematics.transforms import Array
+
+BEARING_CYCLES = range(1, 7)
+"""Cycles a turn that bearings and raceways show: from a race that sits askew to one of six lobes."""
+_MOST_TILT = 1e-3
+"""Bound of each amplitude [rad]: fifty times what a bearing's runout gives."""
+_AXES = (("x", np.array([1.0, 0.0, 0.0])), ("y", np.array([0.0, 1.0, 0.0])))
+
+TWICE = LawForm("", "two cycles a turn")
+HARMONICS = LawForm("harmonics", "with the cycles a turn that each joint needs")
+SMOOTH = LawForm("smooth", "a free smooth tilt", (AMPLITUDE, LENGTH, CYCLES))
+
+
+class JointAxisWobble(Effect):
+    """The axis tilts with its own angle: ``w_j = (a cos n q_j + b sin n q_j) x + (c cos n q_j + d sin n q_j) y`` [rad].
+
+    Laws
+    ----
+    (no name)
+        n = 2, ovality of raceways.
+    harmonics
+        n from 1 to 6, a block for each joint and n: lobes of races, a seat that is not equally stiff all round. One
+        cycle a turn is in part a fixed tilt of the axis, which is geometry, and only refines.
+    smooth
+        All n from 1 to ``cycles`` under a prior. Not scanned.
+
+    x and y are those of the D-H frame before the joint, both perpendicular to its axis; the tilt is about the frame's
+    origin, and moves everything beyond the joint. With ``joint_axis_runout`` and errors of the angle itself these are
+    the six error motions of a rotary axis (ISO 230-7). Size: 5 to 20 urad, 5 to 25 um (estimate, not sourced); 79 %
+    visible, with most of a turn of the joint. Look-alikes: run-out of the same axis, as the lever to the target
+    distinguishes them; slightly, two cycles a turn of a neighbouring joint. Where the axis of the joint before meets
+    this one at a right angle, an error of that joint that depends on this joint's angle is the same motion.
+    """
+
+    slug = "joint_axis_wobble"
+    title = "wobble of joint axes"
+    arm_bound = True
+    meaning = Meaning(
+        cause="The axis of {place} tilts as it turns: run-out of the bearing or ovality of its raceways.",
+        size="5 to 20 urad, 5 to 25 um",
+        size_source="estimate",
+        check=(
+            "Turn {place} slowly by hand or in jog and listen and feel for a rough or tight spot of its bearing.",
+            "Check the bolts of the bearing ring of {place}: unevenly tightened ones bend the ring oval.",
+            "Check for a past collision of this arm: dents of a raceway give this and noise.",
+        ),
+        settle=(
+            "Move {place} alone through a whole turn with the arm stretched, in steps of 10 degrees, forth and back.",
+            "Repeat it with the arm folded: a tilt grows with the distance from the axis, a run-out does not.",
+        ),
+    )
+    look_alikes = ("joint_axis_runout", "transmission_error")
+    variables = frozenset({DriverVariable.JOINT_ANGLE})
+    forms = (TWICE, HARMONICS, SMOOTH)
+    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
+
+    def laws(self, context: EffectContext) -> list[Law]:
+        """Two cycles; any cycles."""
+        return [TWICE.law(), HARMONICS.law(tried=len(BEARING_CYCLES))]
+
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """Cosine and sine of tilts about x and y of each joint, four columns for each cycle count."""
+        columns = []
+        for j in range(context.joints):
+            for letter, axis in _AXES:
+                tilted = context.twist_shift(j, None, axis)
+                name = f"wobble_{letter}{j + 1}"
+                if law.form == SMOOTH:
+                    columns += smooth_motions(context, law, j, name, "rad", tilted, _MOST_TILT)
+                elif law.form == HARMONICS:
+                    blocks = {n: f"joint {j + 1} {n} cycles" for n in BEARING_CYCLES}
+                    columns += error_motions(context, j, name, "rad", tilted, blocks, _MOST_TILT, refining=(1,))
+                else:
+                    columns += _two_cycles(context, j, name, tilted)
+        return columns
+
+
+def _two_cycles(context: EffectContext, joint: int, name: str, tilted: Array) -> list[EffectColumn]:
+    """Cosine and sine of two cycles a turn of one tilt, in the block of the joint; named without the cycle count."""
+    waves = (("cos", Wave(2, sine=False)), ("sin", Wave(2, sine=True)))
+    return [
+        shift_column(
+            f"{name}_{label}",
+            "rad",
+            Channel.AXIS,
+            tilted * wave(context.q[:, joint])[:, None],
+            -_MOST_TILT,
+            _MOST_TILT,
+            index=joint,
+            wave=wave,
+        )
+        for label, wave in waves
+    ]
+
+
+def error_motions(
+    context: EffectContext,
+    joint: int,
+    name: str,
+    unit: str,
+    moved: Array,
+    blocks: Mapping[int, str],
+    largest: float,
+    refining: Collection[int] = (),
+) -> list[EffectColumn]:
+    """Cosine and sine of some cycles a turn of a joint (from 0), times an SMR shift ``moved`` (n, 3) per unit.
+
+    ``blocks`` names the block of each cycle count. Counts in ``refining`` are no effect alone.
+    """
+    columns = []
+    for n, block in blocks.items():
+        for wave in (Wave(n, sine=False), Wave(n, sine=True)):
+            columns.append(
+                shift_column(
+                    f"{name}_{'sin' if wave.sine else 'cos'}{n}",
+                    unit,
+                    Channel.AXIS,
+                    moved * wave(context.q[:, joint])[:, None],
+                    -largest,
+                    largest,
+                    block,
+                    index=joint,
+                    wave=wave,
+                    refines=n in refining,
+                )
+            )
+    return columns
+
+
+def smooth_motions(
+    context: EffectContext, law: Law, joint: int, name: str, unit: str, moved: Array, largest: float
+) -> list[EffectColumn]:
+    """``error_motions`` of one cycle a turn and up, in the block of the joint, with the prior of a smooth function."""
+    cycles = round(law.constants[CYCLES.name])
+    sd = law.constants[AMPLITUDE.name] * np.sqrt(circle_variances(law.constants[LENGTH.name], cycles))
+    blocks = dict.fromkeys(range(1, cycles + 1), f"joint {joint + 1}")
+    columns = error_motions(context, joint, name, unit, moved, blocks, largest)
+    return [replace(column, prior_sd=float(sd[(column.cycles or 1) - 1])) for column in columns]

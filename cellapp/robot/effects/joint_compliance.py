@@ -1,0 +1,290 @@
+"""Torsional compliance of joints and gears under gravity, of the arm itself and of its payload."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from cellapp.robot.effects.column import EffectColumn, joint_column
+from cellapp.robot.effects.context import EffectContext, varies
+from cellapp.robot.effects.data_driven import Quantity
+from cellapp.robot.effects.effect import Effect, ImpossibleValues
+from cellapp.robot.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
+from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver
+from cellapp.robot.effects.smooth import AMPLITUDE, with_prior
+from cellapp.robot.kinematics.transforms import Array
+
+KNEES = (0.2, 0.35, 0.5, 0.65)
+"""Where the stiffness may change, as fractions of the largest torque of the run."""
+_GRAVITY = 9.81
+"""Standard gravity [m/s^2]."""
+_ROUNDING = 1e-6
+"""A torque that never exceeds this [Nm] is rounding error."""
+_MOST_COMPLIANCE = 1e-3
+"""Bound [rad/Nm]: K = 1e3 Nm/rad is a tenth of the softest catalogue drive."""
+_MOST_CORRECTION = 1e-4
+"""Bound of what the load or one body adds to the compliance [rad/Nm], either sign."""
+_MOST_AWAY = 0.3
+"""Distance [m] by which the load's centre of mass may differ from the stated one."""
+_LOADED = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
+
+KNEE = Constant("knee", "Nm", SCALED, "knee at {}", "{} Nm for joint {}", per_joint=True)
+LINEAR = LawForm("linear", "in proportion to the torque, a stiffness each")
+FREE_MASSES = LawForm("smooth", "in proportion to the torques of masses that are free", (AMPLITUDE,))
+TWO_SLOPE = LawForm("two_slope", "softer below a knee torque", (KNEE,))
+
+
+class JointCompliance(Effect):
+    """Each joint deflects under the gravity torque on it: ``dq_j = c_j tau_j(q, payload)``, c_j = 1 / K_j > 0 [rad/Nm].
+
+    Laws
+    ----
+    linear
+        One stiffness per joint.
+    two_slope
+        ``dq_j = c_j tau_j + s_j clip(tau_j, -T_j, T_j)``: softer below a knee torque T_j, as catalogues of strain-wave
+        gears show (K1 < K2 < K3).
+    smooth
+        ``dq_j = sum_i b_ji t_ji``, t_ji being the torque about joint j of 1 kg at the origin of frame i (the SMR for
+        the last one): masses and stiffness are free, b_ji [rad/Nm] small by prior.
+    In the first two, a correction of the torque of the load, or of one body, may be added at a joint: the load was
+    weighed, the arm's own masses were not.
+
+    Size: strain-wave drives of this class have K = 1e4 to 1e5 Nm/rad (Harmonic Drive CSG catalogue, ratio 1:50,
+    sourced); times the torques of a UR10, 1 to 3 mm at its flange (computed). Visible with a range of q2, q3; a payload
+    change distinguishes it from errors of the masses. Look-alikes: a bending link (nearly the same), one cycle a turn
+    (0.8 of what is visible), tilting pedestal.
+    """
+
+    slug = "joint_compliance"
+    title = "joint compliance under gravity"
+    arm_bound = True
+    meaning = Meaning(
+        cause=(
+            "The gear and the bearings of {place} twist under the weight that they carry. Strain-wave gears always "
+            "do; a loose bolted joint or a worn gear adds to it."
+        ),
+        size=(
+            "1 to 3 mm at the flange of a UR10, 0.5 to 1.5 mm of a UR5: catalogue stiffness times the arm's own torques"
+        ),
+        size_source="computed",
+        check=(
+            (
+                "Compare the value with that of the same joint of the other arm and of earlier runs. If it grew, "
+                "check the bolts between the gearbox of {place} and both links."
+            ),
+            (
+                "Check masses, centres of mass and payload in the profile and in the controller: a wrong mass scales"
+                " the value."
+            ),
+        ),
+        settle=(
+            "Repeat 20 stops with a second payload: what grows with the load is compliance and not geometry.",
+            "Add stops over the full range of joints 2 and 3.",
+            (
+                "Log the motor-side and the output-side encoder: a compliant gear shows in their difference, a "
+                "bending link does not."
+            ),
+        ),
+    )
+    look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
+    impossible = ImpossibleValues(
+        sign="negative stiffness",
+        sign_check="check masses, direction of gravity and mounting",
+        size_check="check masses, direction of gravity and mounting",
+    )
+    variables = _LOADED
+    forms = (LINEAR, TWO_SLOPE, FREE_MASSES)
+    free_drivers = (
+        OWN_SIZE,
+        FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.PAYLOAD),
+    )
+
+    def missing_data(self, context: EffectContext) -> str:
+        """Needs masses."""
+        return "" if np.abs(context.torques).max(initial=0.0) > _ROUNDING else "gravity turns no joint (no masses)"
+
+    def laws(self, context: EffectContext) -> list[Law]:
+        """One stiffness; two with each knee."""
+        largest = np.abs(context.torques).max(axis=0).tolist()
+        knees = [
+            TWO_SLOPE.law({KNEE.key(j): share * torque for j, torque in enumerate(largest)}, tried=len(KNEES))
+            for share in KNEES
+        ]
+        return [LINEAR.law(), *knees]
+
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One column per joint, and those that refine it: bodies, load, knee."""
+        if law.form == FREE_MASSES:
+            return _torques_of_unit_masses(context, law.constants[AMPLITUDE.name], names)
+        columns = _corrections_by_body(context, names)
+        loads = context.loads.torques_of(-1)
+        for j, stiff in enumerate(_compliances("compliance", context.torques)):
+            columns += [stiff, _correction(f"load{j + 1}", j, loads[:, j], f"load {j + 1}")]
+            if law.form == TWO_SLOPE:
+                assert stiff.offset is not None
+                knee = law.constants.get(KNEE.key(j), 0.0)
+                soft = np.clip(stiff.offset, -knee, knee)
+                columns.append(
+                    joint_column(
+                        f"soft{j + 1}",
+                        "rad/Nm",
+                        j,
+                        soft,
+                        -_MOST_COMPLIANCE,
+                        _MOST_COMPLIANCE,
+                        f"knee {j + 1}",
+                        refines=True,
+                    )
+                )
+        return columns
+
+
+class PayloadCompliance(Effect):
+    """Each joint deflects under the torque of the payload alone: ``dq_j = c_j tau_j(q, payload)`` [rad/Nm].
+
+    The torque of a load whose centre of mass is d off the stated one along the flange's axes, ``c_j d`` in rad/N, may
+    refine it at each joint.
+
+    The deflection that comes and goes with the load in the gripper, of an arm whose own weight was calibrated away or
+    is compensated by its controller. Size: 10 kg on a UR10 add 135 Nm at joint 2, 1.4 to 3.4 mm at the flange; 5 kg on
+    a UR5 0.5 to 1.2 mm (computed from makers' tables and catalogue stiffness). Visible only where the payload varies;
+    the same poses with two payloads separate it from all geometry. Look-alikes: joint compliance (the arm's own weight
+    as well), a bending link.
+    """
+
+    slug = "payload_compliance"
+    title = "joint compliance under the payload"
+    arm_bound = True
+    meaning = Meaning(
+        cause=(
+            "The gear of {place} twists under the payload alone: the arm's own weight was calibrated away or is "
+            "compensated by the controller, the load in the gripper is not."
+        ),
+        size=(
+            "10 kg deflect the flange of a UR10 by 1.4 to 3.4 mm, 5 kg that of a UR5 by 0.5 to 1.2 mm: makers' "
+            "tables and catalogue stiffness"
+        ),
+        size_source="computed",
+        check=(
+            "Weigh the payload and enter its mass and centre of mass in the profile and in the controller.",
+            "Check that the payload is bolted tight: a loose one moves in the same way.",
+            "If the value is much above that of the other arm, check the bolts at the gearbox of {place}.",
+        ),
+        settle=(
+            "Measure the same 10 poses empty and with two payloads: geometry drops out of the differences.",
+            (
+                "Change only the payload setting of the controller at one pose: if the SMR moves, the controller "
+                "compensates."
+            ),
+        ),
+    )
+    look_alikes = ("joint_compliance", "link_bending")
+    impossible = ImpossibleValues(
+        sign="negative stiffness under the payload",
+        sign_check="check the payloads of the readings and the direction of gravity",
+        size_check="check the payloads of the readings",
+    )
+    variables = _LOADED
+    forms = (LawForm("", "in proportion to the payload's torque"),)
+    free_drivers = (
+        OWN_SIZE,
+        FreeDriver(Quantity.JOINT_ANGLE),
+        FreeDriver(Quantity.PAYLOAD),
+    )
+
+    def missing_data(self, context: EffectContext) -> str:
+        """Needs a payload that varies."""
+        payload_kg = context.conditions.payload_kg
+        if payload_kg is None or not np.isfinite(payload_kg).all():
+            return "no payloads"
+        return "" if varies(payload_kg) else "payload does not vary"
+
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One column per joint, and those that refine it: the load's centre of mass is not where it was stated."""
+        return [
+            *_compliances("payload_compliance", context.loads.torques_of(-1)),
+            *_by_center_of_load(context),
+        ]
+
+
+def _by_center_of_load(context: EffectContext) -> list[EffectColumn]:
+    """``center_{x,y,z}{j}``: torque about joint j per metre that the load's centre is off along the flange's axes."""
+    loads, rotations = context.loads, context.frames[0]
+    weight = loads.masses[-1][:, None, None] * loads.gravity
+    moments = np.cross(rotations[-1].swapaxes(1, 2), weight)  # (n, 3 axes of the flange, 3)
+    torques = np.einsum("jna,nka->jkn", rotations[:-1, :, :, 2], moments)
+    largest = _MOST_COMPLIANCE * _MOST_AWAY
+    return [
+        joint_column(
+            f"center_{letter}{j + 1}",
+            "rad/N",
+            j,
+            _without_rounding(torques[j, k]),
+            -largest,
+            largest,
+            f"center of load {j + 1}",
+            refines=True,
+        )
+        for j in range(context.joints)
+        for k, letter in enumerate("xyz")
+    ]
+
+
+def _compliances(name: str, torques: Array) -> list[EffectColumn]:
+    """One compliance per joint for torques (n, N) [Nm]."""
+    return [
+        joint_column(f"{name}{j + 1}", "rad/Nm", j, _without_rounding(torques[:, j]), 0.0, _MOST_COMPLIANCE)
+        for j in range(torques.shape[1])
+    ]
+
+
+def _corrections_by_body(context: EffectContext, names: Collection[str] | None) -> list[EffectColumn]:
+    """``moment{j}_{i}``: torque of body i alone about joint j; the payload counts to the last body."""
+    masses, joints = context.bodies.masses, context.joints
+    last = joints - 1
+    by_body = [context.loads.torques_of(i) for i in range(joints)]
+    by_body[last] = by_body[last] + context.loads.torques_of(-1)
+    columns = []
+    for j in range(joints):
+        for i in range(j, joints):
+            name = f"moment{j + 1}_{i + 1}"
+            if (masses[i] != 0.0 or i == last) and (names is None or name in names):
+                columns.append(_correction(name, j, by_body[i][:, j], name))
+    return columns
+
+
+def _torques_of_unit_masses(
+    context: EffectContext, amplitude: float, names: Collection[str] | None
+) -> list[EffectColumn]:
+    """``unit{j}_{i}``: torque about joint j [Nm] of 1 kg at the origin of each later frame i (the last: SMR).
+
+    Without ``names`` those that are more than rounding: a single posture may have none about a joint of the model.
+    """
+    rotations, origins = context.frames
+    weight_M = -_GRAVITY * context.up_M
+    columns = []
+    for j in range(context.joints):
+        axis = rotations[j][:, :, 2]
+        for i in range(j + 1, context.joints + 1):
+            place = context.p_M if i == context.joints else origins[i]
+            torque = np.einsum("na,na->n", axis, np.cross(place - origins[j], weight_M))
+            name = f"unit{j + 1}_{i}"
+            if name in names if names is not None else np.abs(torque).max(initial=0.0) > _ROUNDING:
+                column = joint_column(name, "rad/Nm", j, torque, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
+                columns.append(with_prior(column, amplitude))
+    return columns
+
+
+def _correction(name: str, joint: int, torque: Array, block: str) -> EffectColumn:
+    """A part of the torque that counts more or less than the rest."""
+    offset = _without_rounding(torque)
+    return joint_column(name, "rad/Nm", joint, offset, -_MOST_CORRECTION, _MOST_CORRECTION, block, refines=True)
+
+
+def _without_rounding(torque: Array) -> Array:
+    """The torque, or exact zero where all of it is rounding error, which would be scanned like any other column."""
+    return torque if np.abs(torque).max(initial=0.0) > _ROUNDING else np.zeros_like(torque)

@@ -1,0 +1,233 @@
+"""Laws of effects: their words, the constants they declare, and how the search tunes each constant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from cellapp.robot.effects.context import EffectContext
+
+AMPLITUDE_NAME = "amplitude"
+"""Constant that only smooth forms have: the standard deviation of a free function."""
+
+
+class DriverVariable(Enum):
+    """A quantity that effects depend on; effects that share one may be confounded."""
+
+    JOINT_ANGLE = "q"
+    TORQUE = "torque"
+    PAYLOAD = "payload"
+    APPROACH = "approach"
+    STEP = "step"
+    DWELL = "dwell"
+    TIME = "time"
+    AIR_TEMPERATURE = "air temperature"
+    JOINT_TEMPERATURE = "joint temperature"
+    OTHER_ARM = "other arm"
+    BEAM = "beam"
+    INCIDENCE = "incidence"
+
+
+class Tuning(Protocol):
+    """Rule by which the search tunes a constant."""
+
+    def nearby(self, value: float, context: EffectContext, shrink: float) -> list[float]:
+        """Values to try next to ``value``; ``shrink`` (1 and below) scales the step down as the search closes in."""
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """Not tuned: taken from the run, or set by the search itself."""
+
+    def nearby(self, value: float, context: EffectContext, shrink: float) -> list[float]:
+        """None."""
+        return []
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """Multiplicative steps down and up, for constants of unknown scale; ``factor`` is the first step."""
+
+    factor: float
+
+    def nearby(self, value: float, context: EffectContext, shrink: float) -> list[float]:
+        """One value below and one above."""
+        step = math.log(self.factor) * shrink
+        return [value * math.exp(-step), value * math.exp(step)]
+
+
+@dataclass(frozen=True)
+class NeighbouringPauses:
+    """An onset in one of the ``reach`` pauses between two readings before or after, ``margin`` from either end."""
+
+    reach: int
+    margin: int
+
+    def nearby(self, value: float, context: EffectContext, shrink: float) -> list[float]:
+        """Middles of the pauses [s]."""
+        times = np.sort(np.asarray(context.conditions.time_s))
+        pauses = (times[1:] + times[:-1]) / 2.0
+        place = int(np.searchsorted(pauses, value))
+        last = len(pauses) - self.margin
+        around = range(max(place - self.reach, self.margin), min(place + self.reach + 1, last))
+        return [float(pauses[i]) for i in around]
+
+
+FIXED = Fixed()
+SCALED = Scaled(math.exp(0.3))
+"""35 % per step: neighbours on the grids that laws are scanned on are a factor of 1.5 to 2.5 apart."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """Declaration of a constant of a law: a number besides the fitted parameters.
+
+    Attributes
+    ----------
+    name : str
+        Key in ``Law.constants`` and in JSON; with the joint's number appended where ``per_joint``.
+    unit : str
+        SI; empty where dimensionless.
+    tuning : Tuning
+        How the search moves it.
+    words : str
+        For reports, with ``{}`` for the value: ``time constant {} min``, ``knee at {}``. Empty: not reported.
+    each : str
+        Value of one joint, ``{} Nm for joint {}``, where ``per_joint``.
+    factor : float
+        From SI to the unit in the words.
+    per_joint : bool
+        One value per joint.
+    optional : bool
+        Laws without it are valid.
+    """
+
+    name: str
+    unit: str
+    tuning: Tuning
+    words: str = ""
+    each: str = ""
+    factor: float = 1.0
+    per_joint: bool = False
+    optional: bool = False
+
+    def key(self, joint: int) -> str:
+        """Key of one joint's value (joint from 0)."""
+        return f"{self.name}{joint + 1}"
+
+    def declares(self, key: str) -> bool:
+        """Whether ``key`` is one of its keys."""
+        if not self.per_joint:
+            return key == self.name
+        return key.startswith(self.name) and key[len(self.name) :].isdigit()
+
+    def describe(self, constants: Mapping[str, float], joints: Iterable[int] = ()) -> str:
+        """Its value in words, for joints counted from 0; empty where it has none or is not reported."""
+        if not self.words:
+            return ""
+        if not self.per_joint:
+            return self.words.format(self._shown(constants[self.name])) if self.name in constants else ""
+        known = [(joint, constants[self.key(joint)]) for joint in joints if self.key(joint) in constants]
+        values = ", ".join(self.each.format(self._shown(value), joint + 1) for joint, value in known)
+        return self.words.format(values) if values else ""
+
+    def _shown(self, value: float) -> str:
+        return f"{value * self.factor:.3g}"
+
+
+@dataclass(frozen=True)
+class LawForm:
+    """A functional form that an effect may have.
+
+    Attributes
+    ----------
+    name : str
+        In JSON; empty where the effect has only one form.
+    words : str
+        A sentence fragment for reports.
+    constants : tuple of Constant
+        Every constant that a law of this form may carry.
+    variables : frozenset of DriverVariable
+        What this form depends on; empty where it is all that the effect depends on.
+    """
+
+    name: str
+    words: str
+    constants: tuple[Constant, ...] = ()
+    variables: frozenset[DriverVariable] = frozenset()
+
+    def law(self, constants: Mapping[str, float] | None = None, tried: int = 1) -> Law:
+        """A law of this form with values for its constants."""
+        return Law(self, {} if constants is None else constants, tried)
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether its parameters are those of smooth free functions, with priors of a fitted amplitude."""
+        return any(one.name == AMPLITUDE_NAME for one in self.constants)
+
+    def constant(self, key: str) -> Constant | None:
+        """The declaration that ``key`` belongs to."""
+        return next((one for one in self.constants if one.declares(key)), None)
+
+    def undeclared(self, keys: Iterable[str]) -> list[str]:
+        """Keys without a declaration."""
+        return [key for key in keys if self.constant(key) is None]
+
+    def missing(self, keys: Iterable[str]) -> list[str]:
+        """Names of mandatory constants that are not among ``keys``."""
+        given = set(keys)
+        return [one.name for one in self.constants if not (one.per_joint or one.optional) and one.name not in given]
+
+
+@dataclass(frozen=True)
+class Law:
+    """A form with values for its constants; the parameters that are linear in it are its effect's columns.
+
+    Attributes
+    ----------
+    form : LawForm
+    constants : mapping
+        Values in SI units, by the keys of the form's declarations.
+    tried : int
+        Number of alternatives it was chosen from (onsets, time constants): choosing costs 2 ln(tried) of its score.
+
+    Raises
+    ------
+    ValueError
+        If a constant is not declared by the form: it would never be tuned or reported.
+    """
+
+    form: LawForm
+    constants: Mapping[str, float] = field(default_factory=dict)
+    tried: int = 1
+
+    def __post_init__(self) -> None:
+        undeclared = self.form.undeclared(self.constants)
+        if undeclared:
+            raise ValueError(f"law '{self.name}' declares no constant '{undeclared[0]}'")
+
+    @property
+    def name(self) -> str:
+        """The form's name."""
+        return self.form.name
+
+    def nearby(self, context: EffectContext, shrink: float) -> list[Law]:
+        """Laws with one tunable constant a step away, by the tuning that each constant declares."""
+        found = []
+        for key, value in self.constants.items():
+            constant = self.form.constant(key)
+            assert constant is not None
+            for trial in constant.tuning.nearby(value, context, shrink):
+                found.append(replace(self, constants={**self.constants, key: trial}))
+        return found
+
+    def words(self, joints: Sequence[int] = ()) -> str:
+        """The law in words, with its reported constants; of per-joint constants those of ``joints`` (from 0)."""
+        whole = [one.describe(self.constants) for one in self.form.constants if not one.per_joint]
+        by_joint = [one.describe(self.constants, joints) for one in self.form.constants if one.per_joint]
+        return "; ".join(filter(None, [", ".join(filter(None, [self.form.words, *whole])), *by_joint]))

@@ -1,0 +1,83 @@
+"""The list of all effects. Discovery looks for them in this order, the simplest first: ties go to the first.
+
+A new effect is one file and one line here, or a plug-in; those of plug-ins come after all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from cellapp.robot.effects.backlash import Backlash, FrictionWindup
+from cellapp.robot.effects.base_motion import BaseDrift, BaseStep
+from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.joint_axis_runout import JointAxisRunout
+from cellapp.robot.effects.joint_axis_wobble import JointAxisWobble
+from cellapp.robot.effects.joint_compliance import JointCompliance, PayloadCompliance
+from cellapp.robot.effects.link_bending import LinkBending
+from cellapp.robot.effects.pedestal import PedestalCompliance, PedestalCoupling
+from cellapp.robot.effects.periodic import EncoderEccentricity, TransmissionError
+from cellapp.robot.effects.target import TargetIncidence, TargetSlip
+from cellapp.robot.effects.thermal import JointDrift, ThermalGrowth
+from cellapp.robot.effects.tracker import TrackerAngleError, TrackerDistanceOffset, TrackerScale
+from cellapp.robot.effects.unknown import Unknown
+from cellapp.robot.effects.unsettled_measurement import UnsettledMeasurement
+from drivers.plugins import Registry
+
+_DECLARED = ("slug", "title", "meaning", "variables", "forms")
+"""What every effect declares, besides its columns."""
+
+
+def registered(effects: Iterable[Effect]) -> Mapping[str, Effect]:
+    """Effects by slug. Raises ``ValueError`` where a declaration is incomplete or ambiguous."""
+    found: dict[str, Effect] = {}
+    for effect in effects:
+        if effect.slug in found:
+            raise ValueError(f"two effects are called {effect.slug}")
+        found[effect.slug] = effect
+        names = [form.name for form in effect.forms]
+        if len(set(names)) < len(names):
+            raise ValueError(f"effect {effect.slug}: two laws have the same name")
+        silent = [form.name for form in effect.forms if not form.words]
+        if silent or not effect.title:
+            raise ValueError(f"effect {effect.slug}: no words for people{f' for law {silent[0]}' if silent else ''}")
+    return found
+
+
+def _effect(name: str, found: object) -> Effect:
+    """The effect of a plug-in. Raises ``ValueError`` if it is none, or its declaration does not hold."""
+    if not (isinstance(found, type) and issubclass(found, Effect)):
+        raise ValueError(f"expected a class made from cellapp.robot.effects.Effect, got {found!r}")
+    lacking = [*sorted(found.__abstractmethods__), *(one for one in _DECLARED if not hasattr(found, one))]
+    if lacking:
+        raise ValueError(f"class {found.__name__} lacks {', '.join(lacking)}")
+    if found.slug != name:
+        raise ValueError(f"class {found.__name__} has the slug '{found.slug}'; the entry point must have the same name")
+    return registered((found(),))[name]
+
+
+_LIBRARY: Mapping[str, Effect] = registered(
+    (
+        JointCompliance(),
+        PayloadCompliance(),
+        EncoderEccentricity(),
+        TransmissionError(),
+        Backlash(),
+        FrictionWindup(),
+        UnsettledMeasurement(),
+        JointAxisWobble(),
+        JointAxisRunout(),
+        ThermalGrowth(),
+        JointDrift(),
+        BaseDrift(),
+        BaseStep(),
+        TargetSlip(),
+        PedestalCompliance(),
+        PedestalCoupling(),
+        LinkBending(),
+        TrackerScale(),
+        TrackerDistanceOffset(),
+        TrackerAngleError(),
+        TargetIncidence(),
+    )
+)
+EFFECTS: Registry[Effect] = Registry("cellapp.robot.effects", "effect", _LIBRARY, _effect, last={Unknown.slug: Unknown})

@@ -1,0 +1,131 @@
+"""The retroreflector on the flange: slip of its mount, and errors with the angle of incidence."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from cellapp.robot.effects.column import Channel, EffectColumn, shift_column
+from cellapp.robot.effects.context import EffectContext
+from cellapp.robot.effects.data_driven import Quantity
+from cellapp.robot.effects.effect import Effect
+from cellapp.robot.effects.law import DriverVariable, Law, LawForm
+from cellapp.robot.effects.meaning import Meaning
+from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.time_functions import ONSET_FORM, after_onset, missing_for_onset, onset_laws
+
+_MOST_SLIP = 1e-2
+"""Bound [m]: a target that slipped by a centimetre has fallen off."""
+_MOST_INCIDENCE = 5e-3
+"""Bound [m]: ``1 - cos th`` is 0.13 at 30 degrees, so that this is 0.7 mm, some thirty times the error of a prism."""
+RADIAL = LawForm("radial", "along the beam")
+LATERAL = LawForm("lateral", "along and across the beam")
+
+
+class TargetSlip(Effect):
+    """The SMR's mount slips: the SMR moves in the flange by ``d`` [m] along its x, y, z after an onset.
+
+    Onsets between readings are searched, none of them with fewer than 8 readings before or after it. Size: 20 to 200 um
+    (estimate); 59 % visible, as it rotates with the wrist. Look-alikes: no close one; a step of the base where the
+    wrist hardly rotates.
+    """
+
+    slug = "target_slip"
+    title = "slip of the target in the flange"
+    meaning = Meaning(
+        cause="The SMR or its mount slipped in the flange at one moment of the run.",
+        size="20 to 200 um",
+        size_source="estimate",
+        check=(
+            "Check the screws of the SMR's mount and whether the SMR sits fully in its nest.",
+            "Wipe ball and nest clean: a chip under the ball lifts it.",
+            "Look for a collision of the tool at the time of the step in the log.",
+        ),
+        settle=(
+            (
+                "Revisit one of the first poses at two rolls of the wrist: a slipped target rotates with the wrist, "
+                "a moved base does not."
+            ),
+        ),
+    )
+    look_alikes = ("base_step",)
+    variables = frozenset({DriverVariable.TIME})
+    forms = (ONSET_FORM,)
+    free_drivers = (FreeDriver(Quantity.TIME),)
+
+    def missing_data(self, context: EffectContext) -> str:
+        """Needs times."""
+        return missing_for_onset(context)
+
+    def laws(self, context: EffectContext) -> list[Law]:
+        """One for each onset."""
+        return onset_laws(context)
+
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """Three columns; after the onset where the time is unknown."""
+        moved = context.frames[0][-1] * after_onset(context, law)[:, None, None]
+        return [
+            shift_column(f"slip_{letter}", "m", Channel.TOOL, moved[:, :, k], -_MOST_SLIP, _MOST_SLIP)
+            for k, letter in enumerate("xyz")
+        ]
+
+
+class TargetIncidence(Effect):
+    """The reading depends on the angle th between the SMR's axis and the direction back to the tracker.
+
+    Laws
+    ----
+    radial
+        ``dP = k (1 - cos th) u / rho``, k in m: glass or a vertex off the centre lengthen the path.
+    lateral
+        Also ``dP = l (n - (n.b) b)``, n the SMR's axis and b the unit vector along the beam, which is sin th across the
+        beam in the plane of incidence, l in m: dihedral errors of the three mirrors.
+
+    Size: 2 to 20 um, more for glass prisms (makers' notes on both; the sizes are an estimate). 43 % visible, the rest
+    is an SMR offset. Visible with the same point at several wrist rolls. Look-alikes: none close once wrists rotate.
+    """
+
+    slug = "target_incidence"
+    title = "target's error with the angle of incidence"
+    meaning = Meaning(
+        cause=(
+            "The reading changes with the angle at which the beam meets the reflector: a vertex off the centre, "
+            "mirrors that are not square, or a glass prism."
+        ),
+        size="2 to 20 um, more for glass prisms",
+        size_source="estimate",
+        check=(
+            "Clean the reflector and look for a damaged mirror.",
+            "Exchange the SMR for another one and repeat 10 stops.",
+            "Turn the reflector on the flange so that it faces the tracker in the middle of the work.",
+        ),
+        settle=(
+            "Measure the same point at six rolls of the wrist.",
+            "Turn the SMR by 90 degrees in its nest and repeat: an off-centre vertex turns with it.",
+        ),
+    )
+    look_alikes = ("tracker_distance_offset",)
+    variables = frozenset({DriverVariable.INCIDENCE})
+    forms = (RADIAL, LATERAL)
+    free_drivers = (FreeDriver(Quantity.INCIDENCE),)
+
+    def missing_data(self, context: EffectContext) -> str:
+        """Needs the SMR viewing direction."""
+        return "the SMR viewing direction is not known" if context.smr_normal is None else ""
+
+    def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
+        """One column or two; zero where the SMR viewing direction is unknown."""
+        radial, lateral = np.zeros((len(context), 3)), np.zeros((len(context), 3))
+        if context.smr_normal is not None:
+            _, beam = context.beam
+            normal = context.frames[0][-1] @ context.smr_normal
+            along = np.einsum("na,na->n", normal, beam)
+            radial, lateral = (1.0 + along)[:, None] * beam, normal - along[:, None] * beam
+        shifts = {"incidence_radial": radial}
+        if law.form == LATERAL:
+            shifts["incidence_lateral"] = lateral
+        return [
+            shift_column(name, "m", Channel.TRACKER, shift_M, -_MOST_INCIDENCE, _MOST_INCIDENCE)
+            for name, shift_M in shifts.items()
+        ]

@@ -1,0 +1,431 @@
+"""Forward kinematics of a serial arm with revolute joints, and analytic derivatives of the SMR position.
+
+The model is that of Bai et al., ROBOT 45(3) 2023, 276-286: D-H parameters with Hayati's angle beta,
+
+    T_M_S = T_M_B A_1 ... A_N trans(t_x, t_y, t_z)
+    T_M_B = R_ref trans(x0, y0, 0) rot_x(alpha0) rot_y(beta0) trans(0, 0, z0) rot_z(theta0)
+    A_i   = rot_z(q_i + theta_i) trans(a_i, 0, d_i) rot_x(alpha_i) rot_y(beta_i)
+
+M is the tracker frame, B the base, S the SMR centre. ``R_ref`` is the identity unless the first joint axis is more than
+60 degrees off the tracker's z axis (an arm on a wall). There the parameters x0, y0, z0 become singular, and ``R_ref``
+permutes the tracker's axes so that its z is the one nearest to the first joint axis.
+
+Jacobian: a rotation parameter about axis u through point c moves the SMR at P by u x (P - c) per radian; a translation
+parameter along u moves it by u per metre.
+
+Internal arrays have the shape (m, 3, n), vector first and configurations last: every operation runs along the
+configurations, and the components of all m vectors times a matrix are one product.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.robot.kinematics.transforms import Array, rotation_x, rotation_y, transform
+from cellapp.robot.kinematics.workspace import Workspace
+
+BASE_NAMES = ("x0", "y0", "z0", "alpha0", "beta0", "theta0")
+ROW_NAMES = ("theta", "d", "a", "alpha", "beta")
+TOOL_NAMES = ("tx", "ty", "tz")
+_REFERENCES = (
+    np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    np.eye(3),
+)
+"""``R_ref`` by reference axis: rotations that map z to x, to y and to z."""
+_PARALLEL = math.sin(math.radians(5.0))
+"""Sine of 5 degrees. Joint axes closer to parallel than that make D-H parameters nearly singular."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Kinematic parameters of one arm.
+
+    Attributes
+    ----------
+    base : array, shape (6,)
+        x0, y0, z0 [m], alpha0, beta0, theta0 [rad] of ``T_M_B``.
+    rows : array, shape (N, 5)
+        theta [rad], d [m], a [m], alpha [rad], beta [rad] of each joint.
+    tool : array, shape (3,)
+        SMR centre in the last joint's frame [m].
+    reference_axis : int
+        Tracker axis (0 x, 1 y, 2 z) that ``base`` uses as z: 2 unless the arm is mounted on a wall.
+    """
+
+    base: Array
+    rows: Array
+    tool: Array
+    reference_axis: int = 2
+
+    @cached_property
+    def base_vectors(self) -> Array:
+        """Vectors of the base in the tracker frame, (8, 3): see ``_base_frame``."""
+        return _base_frame(self)
+
+    @cached_property
+    def row_matrices(self) -> Array:
+        """Matrices (N, 4, 4) of the rows: see ``_row_matrices``."""
+        return _row_matrices(self)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints N."""
+        return len(self.rows)
+
+    def vector(self) -> Array:
+        """All 6 + 5 N + 3 parameters in the order of ``parameter_names`` [rad, m]."""
+        return np.concatenate([self.base, self.rows.ravel(), self.tool])
+
+    def with_vector(self, vector: Array) -> Geometry:
+        """The same arm with other parameters, in the order of ``parameter_names``."""
+        return replace(self, base=vector[:6].copy(), rows=vector[6:-3].reshape(-1, 5).copy(), tool=vector[-3:].copy())
+
+    def reference(self) -> Array:
+        """``R_ref``, shape (3, 3)."""
+        return _REFERENCES[self.reference_axis]
+
+    def T_M_B(self) -> Array:
+        """Pose of the base in the tracker frame, shape (4, 4)."""
+        axes = self.base_vectors
+        return transform(axes[:3].T, axes[3])
+
+    def with_T_M_B(self, T_M_B: Array) -> Geometry:
+        """The same arm with its base at ``T_M_B`` (4, 4)."""
+        axis = T_M_B[:3, 2]
+        reference_axis = 2 if abs(axis[2]) > 0.5 else int(np.argmax(np.abs(axis)))
+        geometry = replace(self, reference_axis=reference_axis)
+        inverse_reference = geometry.reference().T
+        rotation, position = inverse_reference @ T_M_B[:3, :3], inverse_reference @ T_M_B[:3, 3]
+        alpha0 = math.atan2(-rotation[1, 2], rotation[2, 2])
+        beta0 = math.atan2(rotation[0, 2], math.hypot(rotation[1, 2], rotation[2, 2]))
+        tilt = rotation_x(alpha0) @ rotation_y(beta0)
+        about_axis = tilt.T @ rotation
+        theta0 = math.atan2(about_axis[1, 0], about_axis[0, 0])
+        # z0 is measured along the first joint axis from its intersection with the plane z = 0 of the reference frame
+        z0 = position[2] / tilt[2, 2]
+        x0, y0 = (position - tilt[:, 2] * z0)[:2]
+        return replace(geometry, base=np.array([x0, y0, z0, alpha0, beta0, theta0]))
+
+
+def nominal_geometry(rows: Array, tool: Array, T_M_B: Array | None = None) -> Geometry:
+    """Geometry from D-H rows (N, 4): theta, d, a, alpha [rad, m], tool (3,) [m] and base (4, 4); all beta are zero."""
+    geometry = Geometry(
+        base=np.zeros(6),
+        rows=np.column_stack([rows, np.zeros(len(rows))]),
+        tool=np.asarray(tool, dtype=np.float64),
+    )
+    return geometry if T_M_B is None else geometry.with_T_M_B(T_M_B)
+
+
+@lru_cache(maxsize=32)
+def parameter_names(joints: int) -> tuple[str, ...]:
+    """Names of all 6 + 5 N + 3 parameters: x0, ..., theta0, theta1, d1, a1, alpha1, beta1, theta2, ..., tx, ty, tz."""
+    rows = tuple(f"{name}{i}" for i in range(1, joints + 1) for name in ROW_NAMES)
+    return BASE_NAMES + rows + TOOL_NAMES
+
+
+def parameter_unit(name: str) -> str:
+    """Unit of a parameter: ``rad`` or ``m``."""
+    return "rad" if name.startswith(("theta", "alpha", "beta")) else "m"
+
+
+def parallel_rows(geometry: Geometry) -> tuple[int, ...]:
+    """Indices of joints whose next axis is parallel: D-H is singular there and Hayati's beta is needed.
+
+    Source: Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397.
+    """
+    return tuple(i for i, alpha in enumerate(geometry.rows[:-1, 3].tolist()) if abs(math.sin(alpha)) < _PARALLEL)
+
+
+@dataclass(frozen=True)
+class JointAngles:
+    """Cosines and sines (N, n) of joint positions, computed once and used for several geometries."""
+
+    cosines: Array
+    sines: Array
+
+    @classmethod
+    def of(cls, q: Array) -> JointAngles:
+        """Cosines and sines of joint positions ``q`` (n, N) [rad]."""
+        angles = np.ascontiguousarray(q.T)
+        return cls(np.cos(angles), np.sin(angles))
+
+    @cached_property
+    def signed_sines(self) -> Array:
+        """Sines, and sines with the opposite sign, (N, 2, 1, n): what a turn adds to the x axis and to the y axis."""
+        signed: Array = np.empty((len(self.sines), 2, 1, self.count))
+        signed[:, 0, 0] = self.sines
+        np.negative(self.sines, out=signed[:, 1, 0])
+        return signed
+
+    def part(self, first: int, last: int) -> JointAngles:
+        """The configurations first to last - 1."""
+        if last - first == self.count:
+            return self
+        return JointAngles(self.cosines[:, first:last], self.sines[:, first:last])
+
+    @property
+    def count(self) -> int:
+        """Number of configurations n."""
+        return int(self.cosines.shape[1])
+
+
+def smr_positions(geometry: Geometry, q: Array) -> Array:
+    """SMR positions in the tracker frame, shape (n, 3) [m], of configurations ``q`` (n, N) [rad]."""
+    return np.ascontiguousarray(smr_positions_of(geometry, JointAngles.of(q)).T)
+
+
+def smr_positions_of(geometry: Geometry, angles: JointAngles) -> Array:
+    """SMR positions in the tracker frame, shape (3, n) [m]: component first."""
+    return _smr(geometry, _new_frames(geometry, angles))
+
+
+def frame_vectors(geometry: Geometry, q: Array) -> Array:
+    """x, y, z axes and origins [m] of all D-H frames, base first, in the tracker frame: (3, N + 1, 4, n).
+
+    ``q`` (n, N) are joint positions [rad]. Components come first, configurations last.
+    """
+    frames = _new_frames(geometry, JointAngles.of(q))[:-4]
+    return frames.reshape(geometry.joints + 1, 4, 3, len(q)).transpose(2, 0, 1, 3)
+
+
+def frame_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
+    """All D-H frames, base first: rotations (N + 1, n, 3, 3) and origins (N + 1, n, 3) [m] in the tracker frame.
+
+    ``q`` (n, N) are joint positions [rad].
+    """
+    frames = frame_vectors(geometry, q)
+    rotations = np.ascontiguousarray(frames[:, :, :3].transpose(1, 3, 0, 2))
+    return rotations, np.ascontiguousarray(frames[:, :, 3].transpose(1, 2, 0))
+
+
+def flange_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
+    """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame, of configurations ``q`` (n, N) [rad]."""
+    rotations, origins = frame_poses(geometry, q)
+    return rotations[-1], origins[-1]
+
+
+def jacobian(
+    geometry: Geometry, angles: JointAngles, columns: tuple[int, ...], workspace: Workspace | None = None
+) -> tuple[Array, Array]:
+    """SMR positions and their derivatives with respect to some of the parameters.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    angles : JointAngles
+        n configurations.
+    columns : tuple of int, length k
+        Indices into ``parameter_names``. Rotations before translations are fastest: no reordering is needed.
+    workspace : Workspace, optional
+        Holds J and what leads to it; the next call with it overwrites J. New arrays without.
+
+    Returns
+    -------
+    P : array, shape (3, n)
+        SMR positions in the tracker frame [m].
+    J : array, shape (3, k, n)
+        Derivatives [m/rad or m/m].
+    """
+    sources = _column_sources(columns, geometry.joints)
+    r, n = len(columns) - len(sources.along), angles.count
+    work = workspace or Workspace()
+    (J,) = work.arrays("J", (len(columns), 3, n))
+    shapes = (3, r, n), (3, r, n), (r, n), (r, n), *_frame_shapes(geometry, n)
+    axes, lever, first, second, *of_frames = work.arrays("before J", *shapes)
+    frames = _frames(geometry, angles, *of_frames)
+    P = _smr(geometry, frames)
+    # every index is valid: "clip" only spares the copy that the check of indices makes
+    components = frames.reshape(-1, n)
+    np.take(components, sources.axes, axis=0, out=axes, mode="clip")
+    np.take(components, sources.centers, axis=0, out=lever, mode="clip")
+    np.take(frames, sources.along, axis=0, out=J[r:], mode="clip")
+    for joint in np.flatnonzero(geometry.rows[:, 4]).tolist():
+        # a and alpha act before rot_y(beta): undo it to get their axis
+        cb, sb = math.cos(geometry.rows[joint, 4]), math.sin(geometry.rows[joint, 4])
+        axis = cb * frames[4 * joint + 4] + sb * frames[4 * joint + 6]
+        a_place, alpha_place = sources.slot[6 + 5 * joint + 2], sources.slot[6 + 5 * joint + 3]
+        if a_place >= 0:
+            J[r + a_place] = axis
+        if alpha_place >= 0:
+            axes[:, alpha_place] = axis
+    np.subtract(P[:, None], lever, out=lever)
+    for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(axes[y], lever[z], out=first)
+        np.multiply(axes[z], lever[y], out=second)
+        np.subtract(first, second, out=J[:r, x])
+    return P, (J if sources.restore is None else J[sources.restore]).swapaxes(0, 1)
+
+
+def base_twists(geometry: Geometry) -> Array:
+    """Twist of the base frame per unit of each base parameter, shape (6, 6): a column for each of ``BASE_NAMES``.
+
+    The first three components are the velocity of a point of the base that is at the tracker's origin, the last three
+    the rotation, both in the tracker frame: a point at p moves by ``v + w x p``.
+    """
+    vectors = geometry.base_vectors
+    first = 4 - 4 * (geometry.joints + 1)  # ``_source`` counts the fixed vectors after those of all D-H frames
+    twists = np.zeros((6, 6))
+    for k, name in enumerate(BASE_NAMES):
+        axis, center = _source(k, geometry.joints)
+        u = vectors[axis if axis < 4 else axis + first]
+        if parameter_unit(name) == "m":
+            twists[:3, k] = u
+        else:
+            c = vectors[center if center < 4 else center + first]
+            twists[:3, k], twists[3:, k] = np.cross(c, u), u
+    return twists
+
+
+def joint_jacobian(geometry: Geometry, angles: JointAngles) -> tuple[Array, Array]:
+    """SMR positions (3, n) [m] and their derivatives by the joint angles (3, N, n) [m/rad], in the tracker frame."""
+    return jacobian(geometry, angles, tuple(6 + 5 * i for i in range(geometry.joints)))
+
+
+@dataclass(frozen=True)
+class _ColumnSources:
+    """Where ``_frames`` has the vectors from which the columns of a Jacobian are made.
+
+    Attributes
+    ----------
+    slot : tuple of int
+        Position of each parameter of the chain among the rotations, or among the translations, of the Jacobian; -1 for
+        parameters that are not among its columns.
+    axes, centers : array, shape (3, r)
+        Indices of the components of each rotation's axis, and of a point on it, where all vectors' components are
+        counted through.
+    along : array, shape (k - r,)
+        Index of each translation's direction.
+    restore : array, shape (k,), or None
+        Order of the columns, where it is not rotations before translations.
+    """
+
+    slot: tuple[int, ...]
+    axes: NDArray[np.int64]
+    centers: NDArray[np.int64]
+    along: NDArray[np.int64]
+    restore: NDArray[np.int64] | None
+
+
+@lru_cache(maxsize=64)
+def _column_sources(columns: tuple[int, ...], joints: int) -> _ColumnSources:
+    names = parameter_names(joints)
+    slot = [-1] * len(names)
+    rotations = [c for c in columns if parameter_unit(names[c]) == "rad"]
+    translations = [c for c in columns if parameter_unit(names[c]) == "m"]
+    for group in (rotations, translations):
+        for place, column in enumerate(group):
+            slot[column] = place
+    stored = rotations + translations
+    restore = None if tuple(stored) == columns else np.array([stored.index(c) for c in columns], dtype=np.int64)
+    sources = [_source(c, joints) for c in range(len(names))]
+    return _ColumnSources(
+        tuple(slot),
+        _components([sources[c][0] for c in rotations]),
+        _components([sources[c][1] for c in rotations]),
+        np.array([sources[c][0] for c in translations], dtype=np.int64),
+        restore,
+    )
+
+
+def _components(vectors: Sequence[int]) -> NDArray[np.int64]:
+    """Indices (3, r) of the components of some vectors, where the components of all vectors are counted through."""
+    return 3 * np.array(vectors, dtype=np.int64) + np.arange(3)[:, None]
+
+
+def _source(column: int, joints: int) -> tuple[int, int]:
+    """Indices into ``_frames`` of a parameter's axis and of a point on it, which a translation does not need."""
+    fixed = 4 * (joints + 1)  # the four fixed vectors of _base_frame
+    if column < 6:
+        of_base = ((fixed, 0), (fixed + 1, 0), (2, 0), (fixed, fixed + 3), (fixed + 2, fixed + 3), (2, 3))
+        return of_base[column]
+    if column >= 6 + 5 * joints:
+        return 4 * joints + column - 6 - 5 * joints, 0
+    joint, which = divmod(column - 6, 5)
+    previous, own = 4 * joint, 4 * joint + 4  # the D-H frames before and after A_i
+    axis = (previous + 2, previous + 2, own, own, own + 1)[which]  # theta, d, a, alpha, beta
+    return axis, (previous if which == 0 else own) + 3
+
+
+def _base_frame(geometry: Geometry) -> Array:
+    """Vectors of the base in the tracker frame, shape (8, 3).
+
+    x, y, z axes and origin of the base; then what does not rotate with theta0: x and y axes of the reference frame, the
+    y axis after rot_x(alpha0), and the point (x0, y0, 0).
+    """
+    x0, y0, z0, alpha0, beta0, theta0 = geometry.base.tolist()
+    ca, sa, cb, sb = math.cos(alpha0), math.sin(alpha0), math.cos(beta0), math.sin(beta0)
+    ct, st = math.cos(theta0), math.sin(theta0)
+    x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)
+    vectors = np.array(
+        [
+            [ct * u + st * v for u, v in zip(x, y, strict=True)],
+            [ct * v - st * u for u, v in zip(x, y, strict=True)],
+            z,
+            (x0 + z0 * z[0], y0 + z0 * z[1], z0 * z[2]),
+            (1.0, 0.0, 0.0),
+            (0.0, 1.0, 0.0),
+            y,
+            (x0, y0, 0.0),
+        ]
+    )
+    return vectors if geometry.reference_axis == 2 else vectors @ _REFERENCES[geometry.reference_axis].T
+
+
+def _smr(geometry: Geometry, frames: Array) -> Array:
+    """SMR positions (3, n) [m] from the vectors of ``_frames``."""
+    last = 4 * geometry.joints
+    tx, ty, tz = geometry.tool.tolist()
+    P: Array = tx * frames[last] + frames[last + 3]
+    P += ty * frames[last + 1]
+    P += tz * frames[last + 2]
+    return P
+
+
+def _frame_shapes(geometry: Geometry, n: int) -> tuple[tuple[int, ...], ...]:
+    """Shapes of the arrays that ``_frames`` needs for n configurations."""
+    return (4 * geometry.joints + 8, 3, n), (4, 3, n), (2, 3, n)
+
+
+def _new_frames(geometry: Geometry, angles: JointAngles) -> Array:
+    """``_frames`` in new arrays."""
+    return _frames(geometry, angles, *map(np.empty, _frame_shapes(geometry, angles.count)))
+
+
+def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, turned: Array, scratch: Array) -> Array:
+    """x, y, z axes and origins of all D-H frames, base first, then the fixed vectors of the base: (4 N + 8, 3, n).
+
+    They are written into ``vectors``; ``turned`` and ``scratch`` are overwritten (``_frame_shapes``).
+    All of A_i after rot_z(q_i) is one constant matrix for all configurations, hence one matrix product per joint.
+    """
+    base = geometry.base_vectors[:, :, None]
+    vectors[:4], vectors[-4:] = base[:4], base[4:]
+    flat, turned_flat, turned_xy = vectors.reshape(len(vectors), -1), turned.reshape(4, -1), turned[:2]
+    rows, signed_sines = geometry.row_matrices, angles.signed_sines
+    for i in range(geometry.joints):
+        before = vectors[4 * i : 4 * i + 4]
+        np.multiply(before[:2], angles.cosines[i], out=turned_xy)
+        turned_xy += np.multiply(before[1::-1], signed_sines[i], out=scratch)
+        turned[2:] = before[2:]
+        np.matmul(rows[i], turned_flat, out=flat[4 * i + 4 : 4 * i + 8])
+    return vectors
+
+
+def _row_matrices(geometry: Geometry) -> Array:
+    """Matrices (N, 4, 4) that map (x, y, z axis, origin) after rot_z(q_i) to those after A_i."""
+    _, d, a, _, _ = geometry.rows.T
+    angles = geometry.rows.T[[0, 3, 4]]  # theta, alpha, beta
+    (ct, ca, cb), (st, sa, sb) = np.cos(angles), np.sin(angles)
+    M = np.zeros((geometry.joints, 4, 4))
+    M[:, 0, 0], M[:, 0, 1], M[:, 0, 2] = cb * ct - sb * sa * st, cb * st + sb * sa * ct, -sb * ca
+    M[:, 1, 0], M[:, 1, 1], M[:, 1, 2] = -ca * st, ca * ct, sa
+    M[:, 2, 0], M[:, 2, 1], M[:, 2, 2] = sb * ct + cb * sa * st, sb * st - cb * sa * ct, cb * ca
+    M[:, 3, 0], M[:, 3, 1], M[:, 3, 2], M[:, 3, 3] = a * ct, a * st, d, 1.0
+    return M

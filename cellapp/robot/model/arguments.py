@@ -1,0 +1,65 @@
+"""Checks of what a caller in Python hands over: names of arms, shapes and units of joint positions."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cellapp.ground.errors import InputError
+from cellapp.ground.units import first_in_degrees
+from cellapp.robot.kinematics.transforms import Array
+
+Value = TypeVar("Value")
+
+
+def of_arm(arms: Mapping[str, Value], name: str, owner: str) -> Value:
+    """The value of the arm called ``name``; ``owner`` is what has these arms, as "this run".
+
+    Raises
+    ------
+    InputError
+        If there is no such arm; it names those that there are.
+    """
+    if name in arms:
+        return arms[name]
+    close = difflib.get_close_matches(name, arms, n=1)
+    hint = f"; did you mean '{close[0]}'?" if close else ""
+    raise InputError(f"no arm '{name}'; arms of {owner}: {', '.join(arms)}{hint}")
+
+
+def configurations(q: ArrayLike, joints: int, arm: str = "") -> Array:
+    """Joint positions as an array (n, N) of float64 [rad], for an arm with N ``joints``; no copy of such an array.
+
+    Raises
+    ------
+    InputError
+        If they are no numbers or have another shape; the message begins with the name of the ``arm``, if it is given.
+    """
+    where = f"arm {arm}: q" if arm else "q"
+    try:
+        array = np.asarray(q, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{where} is no array of numbers; expected shape (n, {joints}) [rad]") from None
+    if array.shape == (joints,):
+        raise InputError(
+            f"{where} has shape ({joints},), expected (n, {joints}): one row a configuration;"
+            " for a single one give q[np.newaxis]"
+        )
+    if array.ndim != 2 or array.shape[1] != joints:
+        raise InputError(
+            f"{where} has shape {array.shape}, expected (n, {joints}): n configurations of {joints} joints"
+        )
+    return array
+
+
+def require_radians(q: Array, arm: str) -> None:
+    """Raise ``InputError`` if most rows of ``q`` (n, N) are beyond two turns, so that they seem to be in degrees."""
+    if (place := first_in_degrees(q)) is not None:
+        raise InputError(
+            f"arm {arm}: q reaches {q[place]:g} and most rows are beyond two turns; expected radians."
+            " np.radians(q) converts degrees"
+        )

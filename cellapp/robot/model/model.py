@@ -1,0 +1,360 @@
+"""Models of one arm (chain, effects, network) and of the cell (arms, inter-base transform), and their JSON file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cellapp.ground.errors import InputError
+from cellapp.robot.effects import (
+    EFFECTS,
+    Displacement,
+    EffectContext,
+    EffectTerm,
+    MeasurementConditions,
+    displacement,
+    term_from_json,
+    term_to_json,
+)
+from cellapp.robot.kinematics.chain import Geometry, flange_poses, parameter_names, parameter_unit, smr_positions
+from cellapp.robot.kinematics.statics import Bodies
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model.arguments import configurations, of_arm, require_radians
+from cellapp.robot.model.network import ResidualNetwork, network_from_json, network_to_json
+from cellapp.robot.model.posterior import PosteriorDraws, posterior_from_json, posterior_to_json
+
+Signs = NDArray[np.float64] | NDArray[np.int8]
+MODEL_SCHEMA = "cellapp-calibration"
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class ArmModel:
+    """Calibrated model of one arm.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        The identified chain; its base is in the tracker frame.
+    nominal : Geometry
+        The published chain with its base registered to the same data.
+    bodies : Bodies
+        Masses and centres of mass for gravity torques.
+    up_M : array, shape (3,)
+        Unit vector against gravity in the tracker frame.
+    effects : tuple of EffectTerm
+        Effects that discovery found.
+    network : ResidualNetwork or None
+        Correction of the residual that geometry and effects leave, in the base frame B.
+    identified : tuple of str, length k
+        Names of the identified parameters, effects last.
+    covariance : array, shape (k, k), or None
+        Covariance of the identified parameters in their units. If an effect is a free curve, that of the geometry and
+        of the effects before the curve.
+    smr_normal : array, shape (3,), or None
+        SMR viewing direction in the flange frame.
+    posterior : PosteriorDraws or None
+        Uncertainty of geometry and effects, as draws.
+    """
+
+    geometry: Geometry
+    nominal: Geometry
+    bodies: Bodies
+    up_M: Array
+    effects: tuple[EffectTerm, ...] = ()
+    network: ResidualNetwork | None = None
+    identified: tuple[str, ...] = ()
+    covariance: Array | None = None
+    smr_normal: Array | None = None
+    posterior: PosteriorDraws | None = None
+
+    def context(
+        self,
+        q: Array,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        conditions: MeasurementConditions | None = None,
+    ) -> EffectContext:
+        """Variables that effects depend on, at configurations ``q`` (n, N) [rad].
+
+        ``conditions`` replaces ``approach`` (n, N) and ``payload_kg`` (n,); it also holds times, temperatures and the
+        state of the other arm.
+        """
+        if conditions is None:
+            conditions = MeasurementConditions(approach=approach, payload_kg=payload_kg)
+        return EffectContext(
+            q=q,
+            conditions=conditions,
+            geometry=self.geometry,
+            bodies=self.bodies,
+            up_M=self.up_M,
+            smr_normal=self.smr_normal,
+        )
+
+    def effect_displacement(
+        self,
+        q: Array,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        conditions: MeasurementConditions | None = None,
+    ) -> Displacement:
+        """Displacement by all effects of the model where the controller reads ``q`` (n, N) [rad]."""
+        context = self.context(q, approach, payload_kg, conditions)
+        moved = displacement(self.effects, EFFECTS, context)
+        if not moved.joints.any():
+            return moved
+        # Gravity acts at the actual joint positions, a few mrad off: the loads change by some parts in a thousand.
+        return displacement(self.effects, EFFECTS, replace(context, q_actual=q + moved.joints))
+
+    def true_joints(
+        self,
+        q: Array,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        conditions: MeasurementConditions | None = None,
+    ) -> Array:
+        """True joint positions (n, N) [rad] where the controller reads ``q`` (n, N) [rad]; see ``context``."""
+        q = configurations(q, self.geometry.joints)
+        return q if not self.effects else q + self.effect_displacement(q, approach, payload_kg, conditions).joints
+
+    def predict(
+        self,
+        q: Array,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        conditions: MeasurementConditions | None = None,
+    ) -> Array:
+        """SMR positions (n, 3) in the tracker frame [m] where the controller reads ``q`` (n, N) [rad].
+
+        ``approach`` (n, N) are the signs of each joint's last motion, ``payload_kg`` (n,) the payload; unknown if not
+        given. ``conditions`` replaces both, see ``context``. Another shape of ``q`` raises ``InputError``.
+        """
+        q = configurations(q, self.geometry.joints)
+        if self.effects:
+            moved = self.effect_displacement(q, approach, payload_kg, conditions)
+            p_M = smr_positions(self.geometry, q + moved.joints) + moved.shift_M
+        else:
+            p_M = smr_positions(self.geometry, q)
+        if self.network is None:
+            return p_M
+        return np.asarray(p_M + self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T)
+
+    def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
+        """Standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise of measuring.
+
+        Root mean square over the three coordinates, of geometry, effects and network together; zero where the model
+        holds no draws and no network. It grows outside the trained joint ranges.
+        """
+        q = configurations(q, self.geometry.joints)
+        variance = np.zeros(len(q))
+        if self.posterior is not None:
+            moved = self.posterior.displacements(self.geometry, self.effects, self.context(q, conditions=conditions))
+            variance += np.mean(moved**2, axis=(0, 2))
+        if self.network is not None:
+            variance += np.mean(self.network.spread(q) ** 2, axis=1)
+        return np.asarray(np.sqrt(variance))
+
+    def measured_uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
+        """Standard deviation (n,) [m] of a measured coordinate about its prediction: ``uncertainty`` and noise."""
+        noise_m = 0.0 if self.posterior is None else self.posterior.noise_m
+        return np.asarray(np.hypot(self.uncertainty(q, conditions), noise_m))
+
+    def flange(self, q: Array) -> tuple[Array, Array]:
+        """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame."""
+        return flange_poses(self.geometry, self.true_joints(q))
+
+    def in_base(self) -> ArmModel:
+        """Return the arm with its base at the origin, so that it predicts positions in the base frame B."""
+        rotation = self.geometry.T_M_B()[:3, :3]
+        return replace(
+            self,
+            geometry=self.geometry.with_T_M_B(np.eye(4)),
+            nominal=self.nominal.with_T_M_B(np.eye(4)),
+            up_M=rotation.T @ self.up_M,
+        )
+
+
+@dataclass(frozen=True)
+class CellModel:
+    """The calibrated cell.
+
+    Attributes
+    ----------
+    arms : mapping
+        Name -> ArmModel.
+    T_R_L : array, shape (4, 4), or None
+        Maps coordinates in the base frame of ``pair[0]`` (left) to that of ``pair[1]`` (right).
+    pair : tuple of two names, or None
+    provenance : mapping
+        Profile, seed, time and versions of the programs that made the model.
+    T_M_M0 : array, shape (4, 4), or None
+        Maps coordinates in the tracker frame at the station where the readings were taken, which the profile's
+        ``tracker.pose`` describes, into the tracker frame M of this model. None: the tracker stands there still.
+    """
+
+    arms: Mapping[str, ArmModel]
+    T_R_L: Array | None = None
+    pair: tuple[str, str] | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    T_M_M0: Array | None = None
+
+    def predict(
+        self,
+        arm: str,
+        q: ArrayLike,
+        approach: Signs | None = None,
+        payload_kg: Array | None = None,
+        conditions: MeasurementConditions | None = None,
+    ) -> Array:
+        """SMR positions (n, 3) of one arm in the tracker frame [m] at joint positions ``q`` (n, N) [rad].
+
+        Raises
+        ------
+        InputError
+            If there is no such arm, or ``q`` has another shape or seems to be in degrees.
+        """
+        model = of_arm(self.arms, arm, "this model")
+        q = configurations(q, model.geometry.joints, arm)
+        require_radians(q, arm)
+        return model.predict(q, approach, payload_kg, conditions)
+
+    def to_json(self) -> str:
+        """JSON text with floats in their shortest exact form."""
+        station = {} if self.T_M_M0 is None else {"T_M_M0": self.T_M_M0.tolist()}
+        return json.dumps(
+            {
+                "schema": MODEL_SCHEMA,
+                "version": _VERSION,
+                "units": "m, rad, kg; T_A_B maps coordinates of B into A; M tracker, B base",
+                "provenance": dict(self.provenance),
+                "arms": {name: _arm_to_json(arm) for name, arm in self.arms.items()},
+                "pair": None
+                if self.pair is None or self.T_R_L is None
+                else {"arms": list(self.pair), "T_second_first": self.T_R_L.tolist()},
+                **station,
+            },
+            indent=1,
+        )
+
+    @classmethod
+    def from_json(cls, text: str, where: str = "calibration") -> CellModel:
+        """Read what ``to_json`` wrote. Raises ``InputError``, which begins with ``where``, for anything else."""
+        try:
+            content = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise InputError(f"{where}:{error.lineno}: not JSON; make it again with 'cellapp calibrate'") from None
+        if not isinstance(content, dict) or content.get("schema") != MODEL_SCHEMA:
+            raise InputError(f'{where}: expected a file with "schema": "{MODEL_SCHEMA}"')
+        if content.get("version") != _VERSION:
+            raise InputError(
+                f"{where}: version {content.get('version')} is not {_VERSION}, which this program reads; update cellapp"
+            )
+        try:
+            pair = content["pair"]
+            return cls(
+                arms={name: _arm_from_json(arm) for name, arm in content["arms"].items()},
+                T_R_L=None if pair is None else np.array(pair["T_second_first"], dtype=np.float64),
+                pair=None if pair is None else (pair["arms"][0], pair["arms"][1]),
+                provenance=content["provenance"],
+                T_M_M0=np.array(content["T_M_M0"], dtype=np.float64).reshape(4, 4) if "T_M_M0" in content else None,
+            )
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise InputError(
+                f"{where}: incomplete or damaged ({error}); make it again with 'cellapp calibrate'"
+            ) from None
+
+    def save(self, path: Path) -> None:
+        """Write the file atomically: a reader finds the old or the new one, never a part."""
+        partial = path.with_name(path.name + ".part")
+        partial.write_text(self.to_json() + "\n", encoding="utf-8")
+        partial.replace(path)
+
+    @classmethod
+    def load(cls, path: Path | str) -> CellModel:
+        """Read a calibration file. Raises ``InputError`` if it is missing, damaged or newer."""
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "not text"
+            raise InputError(f"{path}: cannot be read ({reason}); run 'cellapp calibrate' first") from None
+        return cls.from_json(text, str(path))
+
+
+def _geometry_to_json(geometry: Geometry) -> dict[str, Any]:
+    names = parameter_names(geometry.joints)
+    return {
+        "parameters": dict(zip(names, geometry.vector().tolist(), strict=True)),
+        "base_z_is_tracker_axis": "xyz"[geometry.reference_axis],
+        "T_M_B": geometry.T_M_B().tolist(),
+    }
+
+
+def _geometry_from_json(content: Mapping[str, Any]) -> Geometry:
+    vector = np.array(list(content["parameters"].values()), dtype=np.float64)
+    joints, left = divmod(len(vector) - 9, 5)
+    if left or tuple(content["parameters"]) != parameter_names(joints):
+        raise ValueError("the parameters are not those of a chain")
+    geometry = Geometry(
+        base=np.zeros(6),
+        rows=np.zeros((joints, 5)),
+        tool=np.zeros(3),
+        reference_axis="xyz".index(content["base_z_is_tracker_axis"]),
+    )
+    return geometry.with_vector(vector)
+
+
+def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
+    names = parameter_names(arm.geometry.joints)
+    delta = arm.geometry.vector() - arm.nominal.vector()
+    return {
+        "geometry": _geometry_to_json(arm.geometry),
+        "nominal": _geometry_to_json(arm.nominal),
+        "deltas": {
+            name: {"value": value, "unit": parameter_unit(name)}
+            for name, value in zip(names, delta.tolist(), strict=True)
+            if value != 0.0
+        },
+        "bodies": {
+            "masses": arm.bodies.masses.tolist(),
+            "centers": arm.bodies.centers.tolist(),
+            "payload_mass": arm.bodies.payload_mass,
+            "payload_center": arm.bodies.payload_center.tolist(),
+        },
+        "up_M": arm.up_M.tolist(),
+        "effects": [term_to_json(term) for term in arm.effects],
+        "network": None if arm.network is None else network_to_json(arm.network),
+        "identified": list(arm.identified),
+        "covariance": None if arm.covariance is None else arm.covariance.tolist(),
+        "smr_normal": None if arm.smr_normal is None else arm.smr_normal.tolist(),
+        "posterior": None if arm.posterior is None else posterior_to_json(arm.posterior),
+    }
+
+
+def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
+    bodies = content["bodies"]
+    return ArmModel(
+        geometry=_geometry_from_json(content["geometry"]),
+        nominal=_geometry_from_json(content["nominal"]),
+        bodies=Bodies(
+            masses=np.array(bodies["masses"], dtype=np.float64),
+            centers=np.array(bodies["centers"], dtype=np.float64).reshape(-1, 3),
+            payload_mass=float(bodies["payload_mass"]),
+            payload_center=np.array(bodies["payload_center"], dtype=np.float64),
+        ),
+        up_M=np.array(content["up_M"], dtype=np.float64),
+        effects=tuple(term_from_json(entry, EFFECTS) for entry in content["effects"]),
+        network=None if content["network"] is None else network_from_json(content["network"]),
+        identified=tuple(content["identified"]),
+        covariance=None if content["covariance"] is None else np.array(content["covariance"], dtype=np.float64),
+        smr_normal=None
+        if content.get("smr_normal") is None
+        else np.array(content["smr_normal"], dtype=np.float64).reshape(3),
+        posterior=None if content.get("posterior") is None else posterior_from_json(content["posterior"]),
+    )

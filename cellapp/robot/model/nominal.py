@@ -1,0 +1,50 @@
+"""Model inputs from a profile: nominal geometry, masses, direction of gravity, prior standard deviations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellapp.ground.profile import Arm, Pose, Priors, Profile
+from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parameter_names, parameter_unit
+from cellapp.robot.kinematics.statics import Bodies
+from cellapp.robot.kinematics.transforms import Array, rotation_zyx, transform
+
+
+def nominal_arm(arm: Arm) -> Geometry:
+    """The published chain of an arm with its base at the origin; an unknown SMR offset is zero."""
+    rows = np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in arm.type.joints])
+    tool = np.zeros(3) if arm.smr.offset == "unknown" else np.array(arm.smr.offset)
+    return nominal_geometry(rows, tool)
+
+
+def bodies_of(arm: Arm) -> Bodies:
+    """Masses and centres of mass of an arm and of its payload."""
+    return Bodies(
+        masses=np.array([joint.mass for joint in arm.type.joints]),
+        centers=np.array([joint.center_of_mass for joint in arm.type.joints]),
+        payload_mass=arm.payload.mass,
+        payload_center=np.array(arm.payload.center_of_mass),
+    )
+
+
+def pose_matrix(pose: Pose) -> Array:
+    """``T_C_X`` (4, 4) of an object X at ``pose`` in the cell frame C."""
+    roll, pitch, yaw = pose.rpy
+    return transform(rotation_zyx(yaw, pitch, roll), pose.position)
+
+
+def up_in_tracker(profile: Profile) -> Array:
+    """Unit vector against gravity in the tracker frame, shape (3,): the cell's z, or the tracker's without its pose."""
+    if profile.tracker.pose is None:
+        return np.array([0.0, 0.0, 1.0])
+    return np.asarray(pose_matrix(profile.tracker.pose)[:3, :3].T @ np.array([0.0, 0.0, 1.0]))
+
+
+def prior_sigmas(geometry: Geometry, priors: Priors) -> dict[str, float]:
+    """Parameter name -> prior standard deviation [m, rad] for the D-H rows; base and tool have none."""
+    sigma = {"m": priors.length, "rad": priors.angle}
+    return {
+        name: value
+        for name in parameter_names(geometry.joints)[6:-3]
+        if (value := sigma[parameter_unit(name)]) is not None
+    }

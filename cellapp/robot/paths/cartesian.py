@@ -1,0 +1,188 @@
+"""The wanted path in space: positions and rotations by arc length, where it must be stopped, distances from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.paths.pieces import Arc, Blend, Line, Part, Piece
+
+_CORNER_RAD = 1e-3
+"""Change of direction above which two pieces meet in a corner, at which the arm stops."""
+_TURN_CORNER_RAD_M = 0.02
+"""Change of the rotation per length that counts as a corner: 2 mrad/s at 100 mm/s."""
+_VERTEX_M = 2e-4
+"""Spacing of the points from which distances are measured; on an arc of 50 mm the chord is wrong by 0.1 um."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A piece of the path with its rotations.
+
+    Attributes
+    ----------
+    piece : Piece
+    before, after : int
+        The segments (from one given pose to the next) that it belongs to; two where it rounds their corner.
+    sigma : tuple of two float
+        Arc lengths along the path without rounded corners at its ends [m]; rotations follow them.
+    """
+
+    piece: Piece
+    before: int
+    after: int
+    sigma: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class CartesianPath:
+    """A path in the tracker frame M; ``s`` (n,) is the arc length from its beginning [m].
+
+    Attributes
+    ----------
+    courses : tuple of Course
+    begins : array, shape (k + 1,)
+        Arc lengths at which the courses begin, and the length of the path [m].
+    corners : array, shape (k + 1,)
+        Arc lengths of the given poses on the path without rounded corners [m].
+    rotations : array, shape (k + 1, 3, 3)
+        Flange rotations of the given poses in M.
+    speeds : array, shape (k,)
+        Wanted speed of each segment [m/s].
+    """
+
+    courses: tuple[Course, ...]
+    begins: Array
+    corners: Array
+    rotations: Array
+    speeds: Array
+
+    @property
+    def length(self) -> float:
+        """Arc length [m]."""
+        return float(self.begins[-1])
+
+    def positions(self, s: Array) -> Array:
+        """Points (n, 3) [m]."""
+        found = np.empty((len(s), 3))
+        for course, rows, x in self._on_courses(s):
+            found[rows] = course.piece.positions(x)
+        return found
+
+    def poses(self, s: Array) -> tuple[Array, Array]:
+        """Points (n, 3) [m] and flange rotations (n, 3, 3)."""
+        turned = np.empty((len(s), 3, 3))
+        for course, rows, x in self._on_courses(s):
+            turned[rows] = self._rotations(course, course.piece.along(x))
+        return self.positions(s), turned
+
+    def wanted_speed(self, s: Array) -> Array:
+        """Wanted speed (n,) [m/s]."""
+        found = np.empty(len(s))
+        for course, rows, x in self._on_courses(s):
+            second = course.piece.along(x) > 0.5
+            found[rows] = np.where(second, self.speeds[course.after], self.speeds[course.before])
+        return found
+
+    @cached_property
+    def stops(self) -> Array:
+        """Arc lengths [m] of the beginning, the corners that are not rounded, and the end."""
+        stops = [0.0]
+        for number in range(1, len(self.courses)):
+            if self._is_corner(self.courses[number - 1], self.courses[number]):
+                stops.append(float(self.begins[number]))
+        return np.array([*stops, self.length])
+
+    def distances(self, points: Array) -> Array:
+        """Distance (n,) [m] of each of ``points`` (n, 3) from the nearest point of the path, whenever it is there."""
+        vertices, tree = self._vertices
+        _, nearest = tree.query(points)
+        gaps = []
+        for offset in (-1, 0):
+            first = np.clip(nearest + offset, 0, len(vertices) - 2)
+            start, way = vertices[first], vertices[first + 1] - vertices[first]
+            share = np.einsum("na,na->n", points - start, way) / np.einsum("na,na->n", way, way)
+            gaps.append(np.linalg.norm(points - start - np.clip(share, 0.0, 1.0)[:, None] * way, axis=1))
+        return np.asarray(np.minimum(*gaps))
+
+    @cached_property
+    def _vertices(self) -> tuple[Array, cKDTree]:
+        spans = zip(self.begins, self.begins[1:], strict=False)
+        s = [np.linspace(a, b, int(np.ceil((b - a) / _VERTEX_M)) + 1)[:-1] for a, b in spans]
+        vertices = self.positions(np.append(np.concatenate(s), self.length))
+        return vertices, cKDTree(vertices)
+
+    def _on_courses(self, s: Array) -> list[tuple[Course, np.ndarray, Array]]:
+        number = np.clip(np.searchsorted(self.begins, s, side="right") - 1, 0, len(self.courses) - 1)
+        found = []
+        for k in np.unique(number):
+            rows = np.flatnonzero(number == k)
+            found.append((self.courses[k], rows, s[rows] - self.begins[k]))
+        return found
+
+    def _rotations(self, course: Course, along: Array) -> Array:
+        sigma = course.sigma[0] + along * (course.sigma[1] - course.sigma[0])
+        first = self._of_segment(course.before, sigma)
+        if course.before == course.after:
+            return np.asarray(first.as_matrix())
+        share = along**3 * (10.0 - along * (15.0 - 6.0 * along))  # both rates are continuous at the ends
+        between = (first.inv() * self._of_segment(course.after, sigma)).as_rotvec()
+        return np.asarray((first * Rotation.from_rotvec(share[:, None] * between)).as_matrix())
+
+    def _of_segment(self, number: int, sigma: Array) -> Rotation:
+        """Rotations of one segment, extended beyond its ends at its constant rate."""
+        start = Rotation.from_matrix(self.rotations[number])
+        return start * Rotation.from_rotvec(np.multiply.outer(sigma - self.corners[number], self._turn_rate(number)))
+
+    def _turn_rate(self, number: int) -> Array:
+        """Rotation vector per length of a segment in the rotating frame, (3,) [rad/m]."""
+        start, end = Rotation.from_matrix(self.rotations[number : number + 2])
+        return np.asarray((start.inv() * end).as_rotvec() / (self.corners[number + 1] - self.corners[number]))
+
+    def _is_corner(self, before: Course, after: Course) -> bool:
+        ends = before.piece.tangents(np.array([before.piece.length]))[0], after.piece.tangents(np.zeros(1))[0]
+        if np.linalg.norm(ends[1] - ends[0]) > _CORNER_RAD:
+            return True
+        change = self._turn_rate(after.before) - self._turn_rate(before.after)
+        return bool(np.linalg.norm(change) > _TURN_CORNER_RAD_M)
+
+
+def cartesian_path(
+    positions: Array, rotations: Array, vias: Sequence[Array | None], blends: Sequence[float], speeds: Array
+) -> CartesianPath:
+    """The path through given poses.
+
+    Parameters
+    ----------
+    positions, rotations : arrays, shapes (k + 1, 3), (k + 1, 3, 3)
+        Points [m] and flange rotations in M.
+    vias : sequence of k arrays, shape (3,), or None
+        The point on the way to each pose but the first; None for a straight line.
+    blends : sequence of k + 1 float
+        Distance from each pose over which its corner is rounded [m]; those of the first and last pose are 0.
+    speeds : array, shape (k,)
+        Of each segment [m/s].
+    """
+    segments: list[Piece] = [
+        Line(start, end) if via is None else Arc.through(start, via, end)
+        for start, via, end in zip(positions[:-1], vias, positions[1:], strict=True)
+    ]
+    corners = np.concatenate([[0.0], np.cumsum([segment.length for segment in segments])])
+    courses: list[Course] = []
+    for number, segment in enumerate(segments):
+        begin, end = blends[number], segment.length - blends[number + 1]
+        at = corners[number]
+        if end - begin > 0.0:
+            courses.append(Course(Part(segment, begin, end), number, number, (at + begin, at + end)))
+        if blends[number + 1] > 0.0:
+            reach, corner = blends[number + 1], corners[number + 1]
+            rounded = Blend.between(segment, segments[number + 1], reach)
+            courses.append(Course(rounded, number, number + 1, (corner - reach, corner + reach)))
+    begins = np.concatenate([[0.0], np.cumsum([course.piece.length for course in courses])])
+    return CartesianPath(tuple(courses), begins, corners, rotations, np.asarray(speeds, dtype=np.float64))

@@ -1,0 +1,297 @@
+"""The joint path: controller readings at which the model's SMR follows the wanted path.
+
+Effects that depend on the side from which a joint comes (backlash) follow the sign of its motion. Where a joint turns
+round, its command crosses the play within a short way, while the joint behind the play rests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import frame_poses
+from cellapp.robot.kinematics.inverse import solve_pose
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+from cellapp.robot.paths.branches import Branch
+from cellapp.robot.paths.cartesian import CartesianPath
+
+_FIRST_KNOTS_M = 2e-3
+"""Spacing of the first knots: as far as the tool goes at 250 mm/s in one cycle of a slow controller."""
+_SHARE = 0.02
+"""Share of the tolerance that interpolating between knots may take."""
+_ROUNDS = 10
+"""Refinements; each halves the spacing where it is too wide."""
+_INVERSE_ROUNDS = 12
+_SAME_M = 1e-9
+"""Distance of the model from the path at which inverting it ends."""
+_MOVED_RAD = 2e-5
+"""A joint that turns back by less has not turned round: some resolutions of an encoder."""
+_NO_PLAY_RAD = 1e-8
+"""A side of approach that changes a joint by less does not matter."""
+
+Conditions = Callable[[Array], MeasurementConditions]
+"""Conditions of n samples from their approach signs (n, N)."""
+
+
+class PathError(Exception):
+    """The path cannot be followed; the message is the reason, ``at_m`` the place as arc length [m]."""
+
+    def __init__(self, reason: str, at_m: float) -> None:
+        super().__init__(reason)
+        self.at_m = at_m
+
+
+@dataclass(frozen=True)
+class Reversal:
+    """A joint turns round.
+
+    Attributes
+    ----------
+    joint : int
+        From 1.
+    at_m : float
+        Arc length [m].
+    jump_rad : float
+        What its command crosses there [rad].
+    jump_m : float
+        As displacement of the SMR [m]: what a command without it would be off.
+    window_m : float
+        Way in which it is crossed [m]; 0 at a stop of the path.
+    """
+
+    joint: int
+    at_m: float
+    jump_rad: float
+    jump_m: float
+    window_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """The joint path between two stops: knots ``s`` (m,) [m], controller readings ``q`` (m, N) [rad], smooth between.
+
+    ``signs`` (N,) are the approach signs at its beginning.
+    """
+
+    s: Array
+    q: Array
+    signs: Array
+    end_signs: Array
+    reversals: tuple[Reversal, ...]
+
+    @property
+    def spline(self) -> CubicSpline:
+        """Controller readings (n, N) [rad] and their derivatives by arc length."""
+        return CubicSpline(self.s, self.q)
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """The joint path of one arm.
+
+    Attributes
+    ----------
+    stretches : tuple of Stretch
+    deviation_m : float
+        Largest distance of the model's SMR from the wanted path between knots [m].
+    deviation_at_m : float
+        Where, as arc length [m].
+    """
+
+    stretches: tuple[Stretch, ...]
+    deviation_m: float
+    deviation_at_m: float
+
+    @property
+    def start(self) -> Array:
+        """Controller readings at the beginning (N,) [rad]."""
+        return np.asarray(self.stretches[0].q[0])
+
+    @property
+    def reversals(self) -> tuple[Reversal, ...]:
+        """All places at which joints turn round."""
+        return tuple(reversal for stretch in self.stretches for reversal in stretch.reversals)
+
+
+def joint_path(
+    arm: ArmModel,
+    path: CartesianPath,
+    branch: Branch,
+    conditions: Conditions,
+    tolerance_m: float,
+    cross_s: float,
+) -> JointPath:
+    """The joint path of ``arm`` on one branch of its inverse.
+
+    Parameters
+    ----------
+    tolerance_m : float
+        How far the SMR may be from the path [m]; interpolation takes a small share.
+    cross_s : float
+        Seconds per root of radian of play: a play p is crossed in ``cross_s * sqrt(p)`` at the wanted speed.
+
+    Raises
+    ------
+    PathError
+        If the model does not reach a place, or no refinement brings the path within the tolerance.
+    """
+    guess = CubicSpline(branch.s, branch.q)
+    stretches, worst = [], (0.0, 0.0)
+    for begin, end in zip(path.stops, path.stops[1:], strict=False):
+        solver = _Solver(arm, path, conditions, guess, begin, end)
+        stretch, deviation = _stretch(solver, tolerance_m, cross_s)
+        worst = max(worst, deviation)
+        stretches.append(stretch)
+    return JointPath(tuple(_with_turns_at_stops(arm, stretches, conditions)), *worst)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Solver:
+    """Inverts the model at arc lengths of one stretch."""
+
+    arm: ArmModel
+    path: CartesianPath
+    conditions: Conditions
+    guess: CubicSpline
+    begin: float
+    end: float
+
+    def poses(self, s: Array) -> tuple[Array, Array]:
+        """Poses of this stretch, whose end belongs to the next one elsewhere."""
+        return self.path.poses(np.clip(s, self.begin, np.nextafter(self.end, self.begin)))
+
+    def readings(self, s: Array, approach: Array) -> Array:
+        """Controller readings (n, N) [rad] at which the model has the SMR on the path. Raises ``PathError``."""
+        position, rotation = self.poses(s)
+        arm, conditions = self.arm, self.conditions(approach)
+        aim, true = position, self.guess(s)
+        q, off = true, np.full(position.shape, np.inf)
+        for _ in range(_INVERSE_ROUNDS):
+            solved = solve_pose(arm.geometry, aim, rotation, true)
+            if not solved.reached.all():
+                raise PathError("the calibrated model does not reach it", float(s[int(np.argmin(solved.reached))]))
+            true = solved.q
+            for _ in range(2):
+                q = true - (arm.true_joints(q, conditions=conditions) - q)
+            off = position - arm.predict(q, conditions=conditions)
+            if np.abs(off).max() < _SAME_M:
+                return np.asarray(q)
+            aim = aim + off
+        far = np.abs(off).max(axis=1)
+        if far.max() < 100.0 * _SAME_M:
+            return np.asarray(q)
+        raise PathError("the calibrated model does not converge there", float(s[int(np.argmax(far))]))
+
+    def deviation(self, s: Array, q: Array, approach: Array) -> Array:
+        """Distance (n,) [m] of the model's SMR at readings ``q`` from the path's points at ``s``."""
+        return np.asarray(
+            np.linalg.norm(self.arm.predict(q, conditions=self.conditions(approach)) - self.poses(s)[0], axis=1)
+        )
+
+
+def _stretch(solver: _Solver, tolerance_m: float, cross_s: float) -> tuple[Stretch, tuple[float, float]]:
+    """One stretch, and its largest deviation [m] and where that is [m]."""
+    count = max(8, int(np.ceil((solver.end - solver.begin) / _FIRST_KNOTS_M)))
+    s = np.linspace(solver.begin, solver.end, count + 1)
+    joints = solver.guess(s[:1]).shape[1]
+    middle = solver.readings(s, np.zeros((len(s), joints)))
+    turns = _turns(s, middle)
+    crossings = _crossings(solver, s, middle, turns, cross_s)
+    for _ in range(_ROUNDS):
+        approach = _approach(s, turns, crossings)
+        q = solver.readings(s, approach)
+        between = 0.5 * (s[:-1] + s[1:])
+        off = solver.deviation(between, CubicSpline(s, q)(between), _approach(between, turns, crossings))
+        coarse = off > _SHARE * tolerance_m
+        if not coarse.any():
+            signs = _approach(s[[0, -1]], turns, [])
+            stretch = Stretch(s, q, signs[0], signs[1], tuple(crossings))
+            return stretch, (float(off.max()), float(between[int(np.argmax(off))]))
+        s = np.sort(np.concatenate([s, between[coarse]]))
+    worst = int(np.argmax(off))
+    raise PathError(f"the path cannot be followed to {tolerance_m * 1e3:g} mm", float(between[worst]))
+
+
+def _turns(s: Array, q: Array) -> list[tuple[float, list[float]]]:
+    """For each joint the sign of its first motion, and the arc lengths at which it turns round."""
+    found = []
+    for values in q.T:
+        sign, extreme, turns = 0.0, 0, []
+        for k in range(1, len(values)):  # a joint turns at an extreme that it leaves by more than ``_MOVED_RAD``
+            ahead = values[k] - values[extreme]
+            if sign == 0.0 and abs(ahead) > _MOVED_RAD:
+                sign = first = float(np.sign(ahead))
+                extreme = k
+            elif ahead * sign > 0.0:
+                extreme = k
+            elif abs(ahead) > _MOVED_RAD and sign != 0.0:
+                turns.append(float(s[extreme]))
+                sign, extreme = -sign, k
+        found.append((first if sign != 0.0 else 1.0, turns))
+    return found
+
+
+def _crossings(
+    solver: _Solver, s: Array, q: Array, turns: list[tuple[float, list[float]]], cross_s: float
+) -> list[Reversal]:
+    """The places at which a joint's command crosses a play."""
+    found = []
+    for j, (_, places) in enumerate(turns):
+        for at in places:
+            reading = CubicSpline(s, q)(np.array([at]))
+            jump, lever = _play(solver.arm, reading, solver.conditions, j)
+            if abs(jump) < _NO_PLAY_RAD:
+                continue
+            speed = float(solver.path.wanted_speed(np.array([at]))[0])
+            found.append(Reversal(j + 1, at, abs(jump), abs(jump) * lever, cross_s * float(np.sqrt(abs(jump))) * speed))
+    return found
+
+
+def _play(arm: ArmModel, q: Array, conditions: Conditions, j: int) -> tuple[float, float]:
+    """What the side of approach changes of joint ``j`` at ``q`` (1, N) [rad]; distance of the SMR from its axis [m]."""
+    signs = np.zeros((2, q.shape[1]))
+    signs[:, j] = 1.0, -1.0
+    true = arm.true_joints(np.repeat(q, 2, axis=0), conditions=conditions(signs))
+    rotations, origins = frame_poses(arm.geometry, q)
+    smr = origins[-1, 0] + rotations[-1, 0] @ arm.geometry.tool
+    lever = np.linalg.norm(np.cross(rotations[j, 0, :, 2], smr - origins[j, 0]))
+    return float(true[0, j] - true[1, j]), float(lever)
+
+
+def _approach(s: Array, turns: list[tuple[float, list[float]]], crossings: list[Reversal]) -> Array:
+    """Approach signs (n, N) along a stretch; a play is crossed smoothly, elsewhere they are -1 or +1."""
+    windows = {(crossing.joint - 1, crossing.at_m): crossing.window_m for crossing in crossings}
+    signs = np.empty((len(s), len(turns)))
+    for j, (first, places) in enumerate(turns):
+        signs[:, j], sign = first, first
+        for at in places:
+            width = max(windows.get((j, at), 0.0), 1e-9)
+            x = np.clip((s - at) / width + 0.5, 0.0, 1.0)
+            signs[:, j] -= 2.0 * sign * x**3 * (10.0 - x * (15.0 - 6.0 * x))
+            sign = -sign
+    return signs
+
+
+def _with_turns_at_stops(arm: ArmModel, stretches: list[Stretch], conditions: Conditions) -> list[Stretch]:
+    """The stretches, each with the joints that turn round at the stop before it."""
+    found = stretches[:1]
+    for before, after in pairwise(stretches):
+        turned = np.flatnonzero(before.end_signs != after.signs)
+        at = float(after.s[0])
+        plays = [(int(j), *_play(arm, after.q[:1], conditions, int(j))) for j in turned]
+        more = tuple(
+            Reversal(j + 1, at, abs(jump), abs(jump) * lever, 0.0)
+            for j, jump, lever in plays
+            if abs(jump) >= _NO_PLAY_RAD
+        )
+        found.append(Stretch(after.s, after.q, after.signs, after.end_signs, (*more, *after.reversals)))
+    return found

@@ -1,0 +1,267 @@
+"""Serving the profile's tracker: the door, the token, the settings, the doctor, and the trial of the link."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.cell import tracker_driver
+from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
+from cellapp.commands.doctor.doctor import examine
+from cellapp.commands.emulate.emulate import EmulatedTracker, emulate, emulated_arms, emulated_tracker
+from cellapp.commands.tracker_bridge.tracker_bridge import ServedTracker, serve_tracker
+from cellapp.commands.trials.bridge import ALL_FAULTS, bridge_trial
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Cancelled, CancelToken
+from drivers.settings import SettingError
+from drivers.trackers.bridge import BridgeTracker
+from drivers.trackers.bridge_settings import BridgeSettings
+from drivers.trackers.bridge_token import read_token
+from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused
+from tests.cell.commissioning.free_ports import on_free_ports
+from tests.twin import PROFILES, small_twin, write_profile
+
+PATIENT_S = 30.0
+TOKEN = "correct horse battery staple"
+
+
+def behind(profile: Profile, url: str, **settings) -> Profile:
+    """The profile with its tracker behind a bridge."""
+    driver = BridgeSettings(url=url, timeout=2.0, **settings)
+    return profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"driver": driver})})
+
+
+@pytest.fixture
+def token_file(tmp_path: Path) -> Path:
+    path = tmp_path / "token"
+    path.write_text(f"{TOKEN}\n", "utf-8")
+    path.chmod(0o600)
+    return path
+
+
+@contextmanager
+def served(profile: Profile, **options):
+    cancel, up, found = CancelToken(), threading.Event(), []
+
+    def announce(where: ServedTracker) -> None:
+        found.append(where)
+        up.set()
+
+    options = {"port": 0} | options
+    thread = threading.Thread(target=serve_tracker, args=(profile, cancel, announce), kwargs=options)
+    thread.start()
+    try:
+        assert up.wait(PATIENT_S)
+        yield found[0]
+    finally:
+        cancel.cancel()
+        thread.join(PATIENT_S)
+    assert not thread.is_alive()
+
+
+def test_a_profiles_tracker_is_served_until_cancelled(token_file: Path) -> None:
+    before = threading.active_count()
+    with served(small_twin(), token_file=token_file) as where:
+        assert str(where) == f"tracker (simulated) at 127.0.0.1 port {where.port}, with a token"
+        url = f"socket://127.0.0.1:{where.port}"
+        profile = behind(small_twin(), url, token_file=str(token_file))
+        tracker = tracker_driver(profile, None)
+        tracker.connect()
+        assert tracker.identify().serial == "SIM-tracker"
+        with pytest.raises(TargetLost):
+            tracker.measure(np.array([1.0, 0.5, 0.2]), 1.0)
+        tracker.disconnect()
+        stranger = tracker_driver(behind(small_twin(), url), None)
+        with pytest.raises(TrackerRefused, match="asks for a token"):
+            stranger.connect()
+    assert threading.active_count() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"host": "0.0.0.0"}, "reachable from other machines: give a token"),
+        ({"port": None}, "nothing to serve on"),
+        ({"token_env": "CELLAPP_TEST_NO_SUCH_TOKEN"}, "CELLAPP_TEST_NO_SUCH_TOKEN is not set"),
+        ({"token_file": Path("/no/such/token")}, "cannot be read"),
+    ],
+)
+def test_a_door_that_would_stand_open_is_refused(options, why) -> None:
+    with pytest.raises(InputError, match=why):
+        serve_tracker(small_twin(), CancelToken(), lambda _: pytest.fail("it listens"), **options)
+
+
+def test_a_bridge_serves_no_bridge() -> None:
+    profile = behind(small_twin(), "socket://127.0.0.1:50960")
+    with pytest.raises(InputError, match=r"tracker\.driver is 'bridge'; to be served it must be"):
+        serve_tracker(profile, CancelToken(), lambda _: None)
+
+
+def test_a_port_in_use_is_said() -> None:
+    with served(small_twin()) as where, pytest.raises(HardwareError, match=f"cannot listen at .* port {where.port}"):
+        serve_tracker(small_twin(), CancelToken(), lambda _: None, port=where.port)
+
+
+def test_the_token_comes_from_where_it_is_said_to_be(token_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CELLAPP_TEST_TOKEN", TOKEN)
+    assert read_token(None, None) is None
+    assert read_token(str(token_file), None) == TOKEN
+    assert read_token(None, "CELLAPP_TEST_TOKEN") == TOKEN
+    monkeypatch.setenv("CELLAPP_TEST_TOKEN", "short secret")
+    with pytest.raises(SettingError, match="at least 16 printable ASCII characters") as caught:
+        read_token(None, "CELLAPP_TEST_TOKEN")
+    assert "short secret" not in str(caught.value)
+    token_file.write_bytes(b"\xff\xfe\x00" * 20)
+    with pytest.raises(SettingError, match="a binary file, not a token"):
+        read_token(str(token_file), None)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files have no such permissions there")
+def test_a_token_that_others_may_read_is_none(token_file: Path) -> None:
+    token_file.chmod(0o640)
+    with pytest.raises(SettingError, match=f"other users may read the bridge's token; run: chmod 600 {token_file}"):
+        read_token(str(token_file), None)
+    assert os.stat(token_file).st_mode & 0o777 == 0o640
+
+
+# -- profile -----------------------------------------------------------------------------------------------------------
+
+
+def written(folder: Path, driver: str) -> Path:
+    path = write_profile(folder)
+    before, _, after = path.read_text("utf-8").rpartition("driver: {kind: simulated}")
+    path.write_text(f"{before}driver: {driver}{after}", "utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("driver", "why"),
+    [
+        ("{kind: bridge}", r"tracker\.driver\.url: missing"),
+        ('{kind: bridge, url: "socket://127.0.0.1"}', "expected socket://host:port, as socket://192.168.0.20:50960"),
+        ('{kind: bridge, url: "socket://host:99999"}', "expected socket://host:port"),
+        ('{kind: bridge, url: "socket://user:word@host:1"}', "expected socket://host:port"),
+        ('{kind: bridge, url: "http://host:80"}', "pyserial has no http; write socket://host:port"),
+        ("{kind: bridge, url: COM3, token: abc}", "unknown key; did you mean 'token_env'"),
+        ("{kind: bridge, url: COM3, token_file: secret.txt}", "an absolute path, or one that begins with ~"),
+        ("{kind: bridge, url: COM3, token_file: /a, token_env: B}", "token_file gives the token already"),
+        ("{kind: bridge, url: COM3, timeout: 0.1}", "expected at least 2"),
+        ("{kind: bridge, url: COM3, accuracy: best}", "expected 'fast', 'standard' or 'precise'"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused_in_words(tmp_path: Path, driver: str, why: str) -> None:
+    with pytest.raises(InputError, match=why):
+        load_profile(written(tmp_path, driver))
+
+
+@pytest.mark.parametrize(
+    "url", ["socket://192.168.0.20:50960", "socket://[::1]:50960", "rfc2217://moxa:4001", "/dev/ttyUSB0", "COM3"]
+)
+def test_settings_as_they_should_be_are_kept(tmp_path: Path, url: str) -> None:
+    rest = "token_file: ~/token, reflector: RRR 1.5 in, accuracy: precise, timeout: 10 s"
+    text = f'{{kind: bridge, url: "{url}", {rest}}}'
+    profile = load_profile(written(tmp_path, text))
+    assert profile_from_json(profile_to_json(profile)) == profile
+    driver = profile.tracker.driver
+    assert isinstance(driver, BridgeSettings)
+    assert (driver.url, driver.token_file, driver.accuracy, driver.timeout) == (url, "~/token", "precise", 10.0)
+
+
+# -- doctor, emulation -------------------------------------------------------------------------------------------------
+
+
+def trackers_finding(profile: Profile):
+    return next(finding for finding in examine(profile) if finding.subject == "tracker")
+
+
+def test_the_doctor_asks_the_tracker_behind_the_bridge() -> None:
+    with served(small_twin()) as where:
+        profile = behind(small_twin(), f"socket://127.0.0.1:{where.port}")
+        finding = trackers_finding(profile)
+        assert (finding.status, finding.text.partition(",")[0]) == ("ok", "simulated tracker")
+        assert finding.text.endswith(f"behind the bridge at socket://127.0.0.1:{where.port}; ready")
+        holder = BridgeTracker(f"socket://127.0.0.1:{where.port}", timeout_s=2.0)
+        holder.connect()
+        finding = trackers_finding(profile)
+        assert finding.status == "failed"
+        assert "the tracker is held by 127.0.0.1" in finding.text
+        holder.disconnect()
+    finding = trackers_finding(profile)
+    assert finding.status == "failed"
+    assert "see that the tracker's computer runs 'cellapp tracker-bridge'" in finding.text
+    finding = trackers_finding(behind(small_twin(), "socket://127.0.0.1:1", token_file="/no/such/token"))
+    assert finding.status == "failed"
+    assert "/no/such/token" in finding.text
+
+
+def test_the_wire_profiles_are_the_twin_behind_the_wire() -> None:
+    twin = load_profile(PROFILES / "twin.yaml")
+    for name in ("twin-wire", "twin-rtde"):
+        profile = load_profile(PROFILES / f"{name}.yaml")
+        assert [arm.driver.kind for arm in profile.arms.values()] == ["ur", "ur"]
+        assert [arm.host for arm in emulated_arms(profile)] == ["127.0.0.2", "127.0.0.3"]
+        assert emulated_tracker(profile) == EmulatedTracker("127.0.0.1", 50960)
+        local = twin.model_copy(update={"name": name})
+        if name == "twin-rtde":
+            local = local.model_copy(update={"plan": profile.plan, "splits": profile.splits})
+        drivers = {n: arm.model_copy(update={"driver": twin.arms[n].driver}) for n, arm in profile.arms.items()}
+        tracker = profile.tracker.model_copy(update={"driver": twin.tracker.driver})
+        assert profile.model_copy(update={"arms": drivers, "tracker": tracker}) == local
+    assert emulated_tracker(twin) is None
+    assert emulated_tracker(behind(twin, "socket://192.168.0.20:50960")) is None
+    assert emulated_tracker(behind(twin, "COM3")) is None
+
+
+def test_arms_and_tracker_are_emulated_together() -> None:
+    profile = behind(small_twin(), "socket://127.0.0.1:50960")
+    cancel = CancelToken()
+    where: list[EmulatedTracker] = []
+
+    def announced(_: object) -> None:
+        tracker = BridgeTracker(f"socket://127.0.0.1:{where[0].port}", timeout_s=5.0, preparation=Preparation())
+        tracker.connect()
+        with pytest.raises(TargetLost, match="no SMR within 100 mm"):
+            tracker.measure(np.array([1.0, 0.5, 0.2]), 1.0)
+        tracker.disconnect()
+        cancel.cancel()
+
+    before = threading.active_count()
+    anywhere = EmulatedTracker("127.0.0.1", 0)
+    emulate(
+        profile, cancel, announced, on_free_ports(profile), pace=20.0, tracker=anywhere, announce_tracker=where.append
+    )
+    assert where
+    assert threading.active_count() == before
+
+
+# -- trial -------------------------------------------------------------------------------------------------------------
+
+
+def test_fifty_measurements_with_every_fault(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.CRITICAL)
+    seen: list[int] = []
+    trial = bridge_trial(small_twin(), 50, 5, seed=4, listener=lambda progress: seen.append(progress.done))
+    assert (trial.asked, trial.delivered) == (50, 50)
+    assert (trial.lost, trial.doubled, trial.strange) == (0, 0, 0)
+    assert set(trial.faults) == set(ALL_FAULTS)
+    assert all(count == 1 for count in trial.faults.values())
+    assert seen == list(range(51))
+    assert json.loads(trial.to_json())["schema"] == "cellapp-trials-bridge"
+
+
+def test_a_trial_is_cancelled_between_measurements() -> None:
+    cancel = CancelToken()
+    cancel.cancel()
+    with pytest.raises(Cancelled):
+        bridge_trial(small_twin(), 20, 10, cancel=cancel)
+    with pytest.raises(InputError, match="at least one group"):
+        bridge_trial(small_twin(), 5, 10)

@@ -1,0 +1,238 @@
+"""The twin through the wire: arms over ur_rtde, tracker over the bridge; the results are the in-process ones."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.stored_stops import write_planned_stops
+from cellapp.cell.profile import profile_from_json, profile_to_json
+from cellapp.cell.run import RunFile
+from cellapp.cell.targets.records import VerifyResult
+from cellapp.commands.emulate.emulate import EmulatedTracker, emulate, emulated_arms
+from cellapp.commands.pipeline import calibrate_run, push_run
+from cellapp.commands.stages import CALIBRATION_FILE
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken
+from cellapp.robot.model import CellModel
+from drivers.arms.ur_settings import UrSettings
+from drivers.trackers.bridge_settings import BridgeSettings
+from tests.cell.targets.pairs import pair_targets
+from tests.loopback import free_port, own_address, own_arms
+from tests.twin import PROFILES, small_twin
+
+PATIENT_S = 60.0
+PACE = 200.0
+STOPS = 20
+SETTLE_S = 0.05
+"""Wall time, of which the emulated arms need less: a second of theirs is 0.02 s at this pace."""
+HOSTS, CLI_HOSTS = own_arms(53), own_arms(55)
+
+
+def _serve(profile_text: str, pipe: Connection) -> None:
+    """The emulators, in a process of their own because the real client holds the interpreter while it connects."""
+    profile = profile_from_json(profile_text)
+    arms = [replace(arm, host=HOSTS[arm.arm]) for arm in emulated_arms(profile)]
+    cancel = CancelToken()
+
+    def until_told() -> None:
+        pipe.poll(None)  # or until the other end is gone
+        cancel.cancel()
+
+    threading.Thread(target=until_told, daemon=True).start()
+    ports: list[int] = []
+    emulate(
+        profile,
+        cancel,
+        lambda _: pipe.send(ports[0]),
+        arms,
+        pace=PACE,
+        tracker=EmulatedTracker("127.0.0.1", 0),
+        announce_tracker=lambda where: ports.append(where.port),
+    )
+
+
+@contextmanager
+def emulated(profile: Profile) -> Iterator[int]:
+    """The emulators of a profile; gives the port of the tracker's bridge."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(profile_to_json(profile), theirs), daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        assert ours.poll(PATIENT_S), "the emulators did not come up"
+        try:
+            port = ours.recv()
+        except EOFError:
+            pytest.fail("the emulators could not listen; is another test at their addresses?")
+        yield port
+    finally:
+        ours.close()
+        process.join(PATIENT_S)
+        if process.is_alive():
+            process.kill()
+            process.join()
+    assert process.exitcode == 0
+
+
+def collected(
+    profile: Profile, folder: Path, plan: PlannedStops
+) -> tuple[dict[str, Readings], CalibrateResult, VerifyResult]:
+    """What was read, its calibration, and a cooperative target at the last stop that is measured and corrected."""
+    with RunFile.create(folder, profile, lambda run: write_planned_stops(run, plan)) as run:
+        collect_run(run)
+        readings, calibrated = {name: run.readings(name) for name in run.arms()}, calibrate_run(run)
+        targets = pair_targets(run, CellModel.load(folder / CALIBRATION_FILE), [STOPS - 1])
+        return readings, calibrated, push_run(run, targets, verify=True, iterate=1)
+
+
+@pytest.fixture(scope="module")
+def shells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Future[None]]:
+    """A user at work at other addresses while the other test runs: both mostly wait."""
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(emulates_the_cell_in_one_shell_and_runs_it_in_another, tmp_path_factory.mktemp("shells"))
+
+
+def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(
+    tmp_path: Path, shells: Future[None]
+) -> None:
+    twin = small_twin(STOPS)
+    twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
+    plan, _ = make_stops(twin)
+    direct, its, verified = collected(twin, tmp_path / "direct", plan)
+    served = twin.model_copy(
+        update={"tracker": twin.tracker.model_copy(update={"driver": BridgeSettings(url="socket://127.0.0.1:50960")})}
+    )
+    with emulated(served) as port:
+        arms = {
+            name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name], settle_time=SETTLE_S, watchdog_hz=2.0)})
+            for name, arm in twin.arms.items()
+        }
+        bridge = BridgeSettings(url=f"socket://127.0.0.1:{port}")
+        tracker = twin.tracker.model_copy(update={"driver": bridge})
+        wired, ours, over_wire = collected(
+            twin.model_copy(update={"arms": arms, "tracker": tracker}), tmp_path / "wired", plan
+        )
+    assert list(wired) == list(direct) == ["left", "right"]
+    for name in direct:
+        assert len(wired[name].q) == STOPS
+        assert np.abs(wired[name].q - direct[name].q).max() < 1e-9
+        assert np.abs(wired[name].p_M - direct[name].p_M).max() < 1e-9
+        assert np.array_equal(wired[name].approach, direct[name].approach)
+        assert wired[name].covariance_M == pytest.approx(direct[name].covariance_M, rel=1e-6)
+        assert (np.diff(wired[name].time_s) > 0.0).all()
+        found, expected = ours.arms[name].identified, its.arms[name].identified
+        assert list(found) == list(expected)
+        for parameter, estimate in expected.items():
+            assert estimate.standard_error is not None
+            assert abs(found[parameter].value - estimate.value) < 1e-3 * estimate.standard_error
+            assert found[parameter].standard_error == pytest.approx(estimate.standard_error, rel=1e-3)
+    for verification in (verified, over_wire):
+        assert [target.note for target in verification.targets] == ["", ""]
+        assert max(target.final_mm for target in verification.targets if target.final_mm is not None) < 0.1
+        assert verification.pairs[0].final_mm is not None
+        assert verification.pairs[0].final_mm < 0.1
+
+
+# -- as a user does it -------------------------------------------------------------------------------------------------
+
+CLI_TRACKER_HOST = own_address(55)
+FEW = {
+    "stops": 16,
+    "identify": 11,
+    "train": 1,
+    "validate": 4,
+    "pair_identify": 8,
+    "pair_validate": 4,
+    "null_simulations": 50,
+}
+
+
+def wire_profile(folder: Path) -> Path:
+    """A copy of ``twin-rtde.yaml`` at addresses of its own, with fewer stops and targets."""
+    shutil.copytree(PROFILES, folder, dirs_exist_ok=True)
+    path = folder / "twin-rtde.yaml"
+    text = path.read_text("utf-8")
+    for key, size in FEW.items():
+        text, found = re.subn(rf"^  {key}: \d+ *", f"  {key}: {size} ", text, flags=re.MULTILINE)
+        assert found == 1, key
+    text = re.sub(r"^  kind: mlp .*$", "  kind: none", text, flags=re.MULTILINE)
+    for name, usual in (("left", "127.0.0.2"), ("right", "127.0.0.3")):
+        text = text.replace(f"host: {usual}", f"host: {CLI_HOSTS[name]}, settle_time: {SETTLE_S}")
+    path.write_text(text.replace("127.0.0.1:50960", f"{CLI_TRACKER_HOST}:{free_port(CLI_TRACKER_HOST)}"), "utf-8")
+    targets = folder / "targets" / "twin.yaml"
+    head, _, listed = targets.read_text("utf-8").partition("targets:\n")
+    rows = [row for row in listed.splitlines() if "arm: " in row]
+    few = [row for name in CLI_HOSTS for row in [row for row in rows if f"arm: {name}" in row][:2]]
+    targets.write_text("\n".join([f"{head}targets:", *few, ""]), "utf-8")
+    return path
+
+
+def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(shells: Future[None]) -> None:
+    shells.result()
+
+
+def emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> None:
+    wire_profile(tmp_path)
+    environment = {**os.environ, "PYTHONPATH": str(PROFILES.parent)}
+
+    def command(*words: str) -> list[str]:
+        return [sys.executable, "-m", "cellapp", *words, "twin-rtde.yaml"]
+
+    def call(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            command(*words), cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240, check=False
+        )
+
+    with subprocess.Popen(
+        [*command("emulate"), "--pace", f"{PACE:g}"],
+        cwd=tmp_path,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as emulator:
+        try:
+            assert emulator.stdout is not None
+            said = [emulator.stdout.readline() for _ in range(4)]
+            assert [line.partition(":")[0] for line in said[:3]] == ["arm left", "arm right", "tracker"], said
+            looked = call("doctor")
+            assert looked.returncode == 0, looked.stdout + looked.stderr
+            assert "arm left: motion: no check failed" in looked.stdout
+            assert "; ready\n" in looked.stdout
+            done = call("run", "--json", "-", "--run", "all")
+            assert done.returncode == 0, done.stderr
+            moved = json.loads(done.stdout)
+            emulator.send_signal(signal.SIGINT)
+            assert emulator.wait(PATIENT_S) == 0
+        finally:
+            emulator.kill()
+    for name in CLI_HOSTS:
+        stages = moved["calibrate"]["arms"][name]["validate"]
+        assert stages["geometry"]["position_mm"]["mean"] < stages["nominal"]["position_mm"]["mean"]
+    looked = call("doctor")  # nobody is there now
+    assert looked.returncode == 1
+    assert "failed   arm left: link: " in looked.stdout
+    assert "failed   tracker: " in looked.stdout

@@ -1,0 +1,165 @@
+"""The controllers of a run are recorded and compared; a UR arm of a profile is driven with what the profile says."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.cell import Cell, arm_context, open_cell
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.driving.controllers import ControllerIdentity, check_controllers
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
+from drivers.arms.protocol import ArmIdentity, LinkLost
+from drivers.arms.simulated import SimulatedArm
+from drivers.arms.ur import UrArm
+from drivers.arms.ur_settings import UrSettings
+from tests.loopback import own_address
+from tests.twin import small_twin
+
+pytestmark = pytest.mark.fast
+
+PROFILES = Path(__file__).parents[3] / "profiles"
+
+
+class Known(SimulatedArm):
+    """A simulated arm that says of itself what a test wants."""
+
+    says = ArmIdentity("UR10", "20153012345", "3.15.8", None, "0000000a")
+    notes: tuple[str, ...] = ()
+    silent = False
+
+    def identify(self) -> ArmIdentity:
+        if self.silent:
+            raise LinkLost(f"arm {self.name}: gone")
+        return self.says
+
+    def warnings(self) -> tuple[str, ...]:
+        return self.notes
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[RunFile]:
+    with RunFile.create(tmp_path / "run", small_twin(12)) as made:
+        yield made
+
+
+@pytest.fixture
+def cell(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cell]:
+    monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Known)
+    with open_cell(run.profile) as opened:
+        yield opened
+
+
+def left(cell: Cell) -> Known:
+    arm = cell.arms["left"]
+    assert isinstance(arm, Known)
+    return arm
+
+
+def test_the_controllers_are_recorded_once(run: RunFile, cell: Cell) -> None:
+    found = check_controllers(run, cell)
+    assert found.notes == ()
+    assert found.identities["left"] == ControllerIdentity("UR10", "20153012345", "3.15.8", "0000000a")
+    recorded = json.loads(run.read_result(CONTROLLERS_RESULT) or "")
+    assert recorded["left"] == {
+        "model": "UR10", "serial": "20153012345", "software": "3.15.8", "dh_checksum": "0000000a"
+    }  # fmt: skip
+    left(cell).says = replace(Known.says, software="3.15.9")
+    assert check_controllers(run, cell).notes == ()
+    assert json.loads(run.read_result(CONTROLLERS_RESULT) or "") == recorded
+
+
+def test_a_changed_checksum_warns_each_time_and_is_logged(run: RunFile, cell: Cell) -> None:
+    check_controllers(run, cell)
+    left(cell).says = replace(Known.says, dh_checksum="0000000b")
+    for _ in range(2):
+        (note,) = check_controllers(run, cell).notes
+        assert note.startswith("arm left: ")
+        for words in ("0000000a", "0000000b", "stale"):
+            assert words in note
+    assert [event.text for event in run.events() if event.level == "warning"] == [note, note]
+
+
+def test_another_controller_is_refused(run: RunFile, cell: Cell) -> None:
+    check_controllers(run, cell)
+    left(cell).says = replace(Known.says, serial="20150000000")
+    with pytest.raises(HardwareError, match=r"arm left: .*began with controller 20153012345, this one is 20150000000"):
+        check_controllers(run, cell)
+
+
+def test_what_an_arm_warns_of_is_told(run: RunFile, cell: Cell) -> None:
+    left(cell).notes = ("arm left: the speed slider is set to 40%",)
+    assert check_controllers(run, cell).notes == left(cell).notes
+
+
+def test_a_silent_controller_is_a_fault_of_the_hardware(run: RunFile, cell: Cell) -> None:
+    left(cell).silent = True
+    with pytest.raises(HardwareError, match="arm left: gone"):
+        check_controllers(run, cell)
+
+
+def test_collecting_records_the_controllers(run: RunFile) -> None:
+    run.write_plan({name: q[:12] for name, q in plan_stops(run.profile).items()})
+    collect_run(run)
+    recorded = json.loads(run.read_result(CONTROLLERS_RESULT) or "")
+    assert {name: who["serial"] for name, who in recorded.items()} == {"left": "SIM-left", "right": "SIM-right"}
+
+
+# -- the UR driver of a profile ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def real() -> Profile:
+    return load_profile(PROFILES / "ur10-ur5.yaml")
+
+
+def test_a_profiles_ur_arm_is_opened_with_what_the_profile_says(real: Profile) -> None:
+    arm = real.arms["left"]
+    assert isinstance(arm.driver, UrSettings)
+    opened = arm.driver.open(arm_context("left", arm))
+    assert isinstance(opened, UrArm)
+    assert opened.name == "left"
+    expected = arm.driver.expectation(arm_context("left", arm))
+    assert (expected.model, expected.serial) == ("UR10", None)
+    assert expected.payload_kg == pytest.approx(0.35)
+    np.testing.assert_allclose(expected.limits.position[1], np.radians([-170.0, -10.0]))
+    np.testing.assert_allclose(expected.limits.speed[:2], np.radians([30.0, 30.0]))
+    np.testing.assert_allclose(expected.payload_center_m, [0.015, 0.007, 0.030])
+    assert expected.tcp is None
+
+
+def test_an_arm_of_seven_joints_is_no_ur(real: Profile) -> None:
+    arm = real.arms["left"]
+    seven = arm.model_copy(
+        update={"type": arm.type.model_copy(update={"joints": (*arm.type.joints, arm.type.joints[0])})}
+    )
+    profile = real.model_copy(update={"arms": {"left": seven}})
+    with pytest.raises(InputError, match=r"arms\.left\.type: UR10 has 7 joints, a UR arm has 6"), open_cell(profile):
+        pass
+
+
+def test_a_damaged_record_is_named(run: RunFile, cell: Cell) -> None:
+    run.write_result(CONTROLLERS_RESULT, '{"left": {"model": 1}}')
+    with pytest.raises(InputError, match="the record of its controllers is damaged"):
+        check_controllers(run, cell)
+
+
+def test_a_cell_whose_controllers_are_not_there_is_a_fault_of_the_hardware(real: Profile) -> None:
+    nobody = own_address(48)
+    driver = real.arms["left"].driver.model_copy(update={"host": nobody, "timeout": 1.0})
+    arms = {"left": real.arms["left"].model_copy(update={"driver": driver})}
+    tracker = small_twin(12).tracker
+    profile = real.model_copy(update={"arms": arms, "tracker": tracker, "plant": small_twin(12).plant})
+    with pytest.raises(HardwareError, match=f"arm left: {re.escape(nobody)}:29999: no connection"), open_cell(profile):
+        pass

@@ -1,0 +1,233 @@
+"""A stop is reached as planned: legs, start of the approach, last motion; around where the gate refuses a leg."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.planning.check import check_plan_run
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.stored_stops import write_planned_stops
+from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.ground.control import JobControl, Stopped
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.collection import Collection, Reference
+from cellapp.ground.progress import MotionBegun, Progress
+from drivers.arms.simulated import SimulatedArm
+from tests.cell.planning.hand_made import drivable_stops
+from tests.twin import small_twin
+
+pytestmark = pytest.mark.fast
+
+STOPS = 5
+STEP = np.array([0.04, -0.03, 0.02, -0.02, 0.03, 0.05])
+"""Last motion to every stop of the arm left; of the right one the opposite."""
+Refuse = Callable[[Mapping[str, np.ndarray], Mapping[str, np.ndarray]], str]
+
+
+@pytest.fixture(scope="module")
+def plan() -> PlannedStops:
+    """Visible stops with an approach each, and a way through two more positions to the third one."""
+    stops = drivable_stops(STOPS, STEP)
+    middle = {name: 0.5 * (q[1] + q[2]) for name, q in stops.q.items()}
+    legs: list[tuple[Mapping[str, np.ndarray], ...]] = [()] * STOPS
+    legs[2] = (middle, {"right": middle["right"] + 0.02})
+    return replace(stops, legs=tuple(legs))
+
+
+class Driven:
+    """Collects a run and keeps the goals of all motions; ``refuse`` adds what the gate refuses."""
+
+    def __init__(self, run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.run = run
+        self.goals: list[tuple[str, np.ndarray]] = []
+        self.motions: list[MotionBegun] = []
+        self.refuse: Refuse = lambda start, end: ""
+        self.control = JobControl()
+        driven = self
+
+        class Arm(SimulatedArm):
+            def start_move(self, q: Any, *rest: Any) -> None:
+                driven.goals.append((self.name, np.array(q)))
+                super().start_move(q, *rest)
+
+        monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
+
+    @contextmanager
+    def opened(self, profile: Profile, **options: Any) -> Iterator[Cell]:
+        def gate(bodies: CellBodies, start: Mapping[str, np.ndarray], end: Mapping[str, np.ndarray]) -> str:
+            return self.refuse(start, end) or refuse_motion(bodies, start, end)
+
+        with open_cell(profile, **options) as cell:
+            yield replace(cell, gate=gate)
+
+    def hear(self, event: Progress) -> None:
+        if isinstance(event.detail, MotionBegun):
+            self.motions.append(event.detail)
+
+    def collect(self, **options: Any) -> tuple[str, ...]:
+        return collect_run(self.run, self.hear, self.control, opened=self.opened, **options).notes
+
+    def places(self, name: str, *qs: np.ndarray) -> list[int]:
+        """Where goals of an arm stand among all of its goals; -1 for one to which it never went."""
+        goals = [goal for arm, goal in self.goals if arm == name]
+        return [next((k for k, goal in enumerate(goals) if np.allclose(goal, q)), -1) for q in qs]
+
+
+@pytest.fixture
+def driven(plan: PlannedStops, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Driven]:
+    with RunFile.create(tmp_path / "run", small_twin(STOPS)) as run:
+        write_planned_stops(run, plan)
+        yield Driven(run, monkeypatch)
+
+
+def arrived_by_the_planned_step(run: RunFile, stops: int = STOPS) -> None:
+    for name, sign in (("left", 1.0), ("right", -1.0)):
+        readings = run.readings(name)
+        assert len(readings) == stops
+        assert readings.step is not None
+        np.testing.assert_allclose(readings.step, np.tile(sign * STEP, (stops, 1)), atol=1e-9)
+        np.testing.assert_array_equal(readings.approach, np.tile(np.sign(sign * STEP), (stops, 1)))
+
+
+def test_stops_are_reached_along_their_legs_and_by_the_planned_last_motion(driven: Driven, plan: PlannedStops) -> None:
+    assert check_plan_run(driven.run).refused == ()
+    driven.collect()
+    arrived_by_the_planned_step(driven.run)
+    for name in plan.q:
+        way = [leg[name] for leg in plan.legs[2] if name in leg]
+        places = driven.places(name, plan.q[name][1], *way, plan.approach_from[name][2], plan.q[name][2])
+        assert places == sorted(places)
+        assert len(set(places)) == len(places)
+        assert -1 not in places
+
+
+def test_a_refused_leg_is_never_driven_and_the_stop_is_reached_straight(driven: Driven, plan: PlannedStops) -> None:
+    into_the_floor = np.array([0.0, 0.9, 0.0, 0.0, 0.0, 0.0])
+    legs = list(plan.legs)
+    legs[1], legs[3] = ({"left": into_the_floor},), ({"left": np.full(6, 50.0)},)
+    write_planned_stops(driven.run, replace(plan, legs=tuple(legs)))
+    check = check_plan_run(driven.run)
+    assert [(one.configuration, one.detour) for one in check.refused] == [(1, "straight"), (3, "straight")]
+    assert "motion 1 of 3: arm left: collides with the floor" in check.refused[0].reason
+    assert check.is_safe
+    assert driven.collect() == ()
+    arrived_by_the_planned_step(driven.run)
+    assert driven.places("left", into_the_floor, np.full(6, 50.0)) == [-1, -1]
+
+
+def test_arms_go_one_after_the_other_before_they_go_home(driven: Driven, plan: PlannedStops) -> None:
+    def refuse(start: Mapping[str, np.ndarray], end: Mapping[str, np.ndarray]) -> str:
+        to_stop_4 = all(np.allclose(end[name], q[3]) for name, q in plan.approach_from.items())
+        moving = sum(not np.array_equal(start[name], end[name]) for name in end)
+        return "a column" if to_stop_4 and moving > 1 else ""
+
+    driven.refuse = refuse
+    driven.collect()
+    arrived_by_the_planned_step(driven.run)
+    ways = [motion for motion in driven.motions if motion.stop == 3]
+    assert [len(motion.q_target) for motion in ways] == [1, 1, 2], "one arm, the other, the last motion"
+
+
+def test_arms_go_home_before_a_stop_is_left_out(driven: Driven, plan: PlannedStops) -> None:
+    homes = home_positions(driven.run.profile)
+
+    def refuse(start: Mapping[str, np.ndarray], end: Mapping[str, np.ndarray]) -> str:
+        to_begin = np.allclose(end["left"], plan.approach_from["left"][3])
+        return "a column" if to_begin and not np.allclose(start["left"], homes["left"]) else ""
+
+    driven.refuse = refuse
+    assert driven.collect() == ()
+    arrived_by_the_planned_step(driven.run)
+    assert sum(np.allclose(goal, homes["left"]) for name, goal in driven.goals if name == "left") == 2
+
+
+def test_a_last_motion_that_is_refused_defers_the_stop_then_leaves_it_out(driven: Driven, plan: PlannedStops) -> None:
+    driven.refuse = lambda start, end: "a column" if np.allclose(end["left"], plan.q["left"][1]) else ""
+    (note,) = driven.collect()
+    assert note.startswith("stop 2: left out: refused to move: a column")
+    arrived_by_the_planned_step(driven.run, STOPS - 1)
+    assert driven.places("left", plan.q["left"][1], plan.approach_from["left"][1]) == [-1, -1]
+
+
+@pytest.mark.parametrize("moment", range(4, 10))
+def test_the_side_holds_after_a_stop_on_the_way_and_a_resume(driven: Driven, plan: PlannedStops, moment: int) -> None:
+    began = 0
+
+    def stop_in_the_midst(event: Progress) -> None:
+        nonlocal began
+        began += isinstance(event.detail, MotionBegun)
+        if isinstance(event.detail, MotionBegun) and began == moment:
+            driven.control.stop()
+
+    with pytest.raises(Stopped):
+        collect_run(driven.run, stop_in_the_midst, driven.control, opened=driven.opened)
+    driven.control = JobControl()
+    driven.collect(resume=True)
+    arrived_by_the_planned_step(driven.run)
+
+
+def test_the_side_holds_after_reference_measurements_and_warm_up(driven: Driven) -> None:
+    reference = Reference(every=2)
+    driven.run.profile = driven.run.profile.model_copy(
+        update={"collection": Collection(reference=reference, warm_up=60.0)}
+    )
+    driven.collect()
+    arrived_by_the_planned_step(driven.run)
+    assert len({row.stops_done for row in driven.run.references()}) == 4
+
+
+def test_controllers_are_asked_about_legs_and_starts_of_last_motions(
+    driven: Driven, plan: PlannedStops, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forbidden = (plan.legs[2][1]["right"], plan.approach_from["right"][4])
+
+    def refused(self: SimulatedArm, q: np.ndarray) -> np.ndarray:
+        return np.array([any(np.allclose(row, one) for one in forbidden) for row in q])
+
+    monkeypatch.setattr(SimulatedArm, "refused_by_controller", refused)
+    notes = driven.collect()
+    assert [note[:19] for note in notes] == ["stop 3: left out: a", "stop 5: left out: a"]
+    assert driven.places("right", *forbidden) == [-1, -1]
+    arrived_by_the_planned_step(driven.run, STOPS - 2)
+
+
+def test_a_person_confirms_the_first_leg_and_nothing_moves_without(driven: Driven, plan: PlannedStops) -> None:
+    first = {name: 0.5 * (home + plan.q[name][0]) for name, home in home_positions(driven.run.profile).items()}
+    write_planned_stops(driven.run, replace(plan, legs=((first,), *plan.legs[1:])))
+    asked: list[Mapping[str, np.ndarray]] = []
+
+    def refuse(start: Mapping[str, np.ndarray], goal: Mapping[str, np.ndarray]) -> bool:
+        asked.append(goal)
+        return False
+
+    with pytest.raises(InputError, match="nothing was moved"):
+        driven.collect(confirm=refuse)
+    assert driven.goals == []
+    for name in first:
+        np.testing.assert_array_equal(asked[0][name], first[name])
+    driven.collect(confirm=lambda start, goal: True)
+    for name in first:
+        assert driven.places(name, first[name]) == [0]
+
+
+def test_readings_after_splits_were_drawn_are_for_training(driven: Driven, plan: PlannedStops) -> None:
+    driven.collect()
+    for name in plan.q:
+        driven.run.assign_splits(name, ["identify", "validate", "train", "identify", "validate"])
+    more = plan.take([*range(STOPS), 0])
+    more.q["left"][-1] += 0.01
+    write_planned_stops(driven.run, more)
+    driven.collect(resume=True)
+    assert driven.run.readings("left").split == ("identify", "validate", "train", "identify", "validate", "train")

@@ -1,0 +1,237 @@
+"""The weather station and the LMF tracker as a profile names them: opening, collecting, ``doctor``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.cell import open_cell
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.commands.doctor.doctor import examine
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
+from drivers.plant import Plant
+from drivers.sensors.protocol import AirReading, SensorLinkLost
+from drivers.sensors.serial_station import SerialStation
+from drivers.sensors.simulated import SimulatedAirSensor
+from drivers.trackers.lmf import LmfTracker
+from tests.drivers.trackers.fake_lmf import Scene
+from tests.twin import small_twin, write_profile
+
+pytestmark = pytest.mark.fast
+
+STOPS = 4
+
+
+@pytest.fixture(scope="module")
+def plan() -> dict[str, np.ndarray]:
+    return plan_stops(small_twin(STOPS))
+
+
+def with_sections(folder: Path, sensors: str = "", driver: str = "") -> Profile:
+    """The twin with a section ``sensors`` and another tracker driver, as YAML."""
+    path = write_profile(folder)
+    text = path.read_text("utf-8").replace("stops: 30", f"stops: {STOPS}")
+    if driver:
+        assert text.count("driver: {kind: simulated}\n  # 3.8 m") == 1
+        text = text.replace("driver: {kind: simulated}\n  # 3.8 m", f"driver: {driver}\n  # 3.8 m")
+    path.write_text(f"{text}\nsensors: {sensors}\n" if sensors else text, "utf-8")
+    return load_profile(path)
+
+
+# -- profile ----------------------------------------------------------------------------------------------------------
+
+
+def test_without_a_section_there_is_no_sensor() -> None:
+    assert small_twin().sensors.air is None
+
+
+@pytest.mark.parametrize(
+    ("air", "message"),
+    [
+        ("{kind: serial, url: /dev/ttyUSB0}", "give either format or pattern"),
+        ("{kind: serial, url: /dev/ttyUSB0, format: vaisala-ptu300, pattern: x}", "give either format or pattern"),
+        ("{kind: serial, url: /dev/ttyUSB0, format: vaisala-ptu30}", "did you mean 'vaisala-ptu300'"),
+        ("{kind: serial, url: 'http://x', format: vaisala-ptu300}", "'http://' is not known; write a device"),
+        ("{kind: serial, url: x, pattern: 'T=('}", "air.pattern: not a regular expression: missing"),
+        ("{kind: serial, url: x, pattern: 'T=(.*)'}", r"air.pattern: it has no group (?P<temperature>...)"),
+        ("{kind: serial, url: x, pattern: '(?P<temperature>.*)(?P<wind>.*)'}", "group wind is not known; known are"),
+        ("{kind: serial, url: x, format: vaisala-ptu300, units: {pressure: atm}}", "expected 'hPa', 'mbar'"),
+        ("{kind: serial, url: x, format: vaisala-ptu300, framing: 9N1}", "air.framing"),
+        ("{kind: serial, url: x, format: vaisala-ptu300, max_age: 0}", "max_age"),
+        ("{kind: modbus}", "expected 'simulated' or 'serial'"),
+    ],
+)
+def test_bad_sensors_are_refused_at_load(tmp_path: Path, air: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        with_sections(tmp_path, f"{{air: {air}}}")
+    assert message in str(caught.value)
+    assert "twin.yaml:" in str(caught.value)
+
+
+def test_a_serial_station_is_built_as_the_profile_says(tmp_path: Path) -> None:
+    air = (
+        "{kind: serial, url: 'rfc2217://10.0.0.5:4001', pattern: '(?P<temperature>\\S+) (?P<pressure>\\S+)',"
+        ' units: {pressure: kPa}, poll: "R\\r\\n", baud: 19200, framing: 7O2, max_age: 2 min}'
+    )
+    settings = with_sections(tmp_path, f"{{air: {air}}}").sensors.air
+    assert settings is not None
+    station = settings.open(None)
+    assert isinstance(station, SerialStation)
+    assert station._layout.poll == b"R\r\n"
+    assert station._layout.units["pressure"] == "kPa"
+    assert (station._max_age_s, station._options["baudrate"], station._options["stopbits"]) == (120.0, 19200, 2)
+
+
+# -- collecting -------------------------------------------------------------------------------------------------------
+
+
+class Station(SimulatedAirSensor):
+    """Two degrees warmer than the tracker's own sensor, silent at the stops it is told."""
+
+    silent: tuple[int, ...] = ()
+
+    def __init__(self, plant: Plant) -> None:
+        super().__init__(plant)
+        self.asked = 0
+
+    def read(self) -> AirReading:
+        self.asked += 1
+        if self.asked in self.silent:
+            raise SensorLinkLost("air sensor: it is silent")
+        reading = super().read()
+        return AirReading(reading.time_s, reading.temperature_c + 2.0, 1000.0, 40.0, object_temperature_c=25.0)
+
+
+def collected(
+    folder: Path, profile: Profile, plan: dict[str, np.ndarray]
+) -> tuple[np.ndarray, tuple[str, ...], list[str]]:
+    """Temperatures of the left arm's readings, the notes, and the run's log."""
+    with RunFile.create(folder / "run", profile) as run:
+        run.write_plan(plan)
+        notes = collect_run(run).notes
+        temperature = run.readings("left").temperature_c
+        assert temperature is not None
+        return temperature, notes, [event.text for event in run.events()]
+
+
+def test_the_stations_temperature_goes_with_the_readings(
+    tmp_path: Path, plan: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.sensors.simulated.SimulatedAirSensor", Station)
+    without, _, _ = collected(tmp_path / "without", with_sections(tmp_path / "a"), plan)
+    profile = with_sections(tmp_path / "b", "{air: {kind: simulated}}")
+    with_station, _, log = collected(tmp_path / "with", profile, plan)
+    assert with_station - without == pytest.approx(np.full(STOPS, 2.0), abs=0.01)
+    assert sum("air 2" in line and "1000.0 hPa, 40 %, object 25.0 degC, 0 s old" in line for line in log) == 1
+
+
+def test_a_silent_station_leaves_a_gap_and_one_note(
+    tmp_path: Path, plan: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.sensors.simulated.SimulatedAirSensor", Station)
+    monkeypatch.setattr(Station, "silent", (2, 3))
+    profile = with_sections(tmp_path / "a", "{air: {kind: simulated}}")
+    temperature, notes, _ = collected(tmp_path, profile, plan)
+    assert np.isnan(temperature).tolist() == [False, True, True, False]
+    assert [note for note in notes if "silent" in note] == [
+        "stop 2: readings go without air temperature: air sensor: it is silent"
+    ]
+
+
+def test_a_station_that_cannot_be_opened_stops_before_anything_moves(tmp_path: Path) -> None:
+    profile = with_sections(tmp_path, "{air: {kind: serial, url: /dev/there-is-none, format: vaisala-ptu300}}")
+    with pytest.raises(HardwareError, match="air sensor /dev/there-is-none: cannot be opened"), open_cell(profile):
+        pass
+
+
+# -- doctor -----------------------------------------------------------------------------------------------------------
+
+
+def found(profile: Profile, subject: str) -> tuple[str, str]:
+    return next((finding.status, finding.text) for finding in examine(profile) if finding.subject == subject)
+
+
+@pytest.mark.parametrize(
+    ("poll", "status", "text"),
+    [
+        (r"x\r\nT=21.5\r\n", "ok", "loop://: air 21.5 degC, 0 s old"),
+        (r"x\r\nT=294.6\r\n", "failed", "is it in another unit than degC?"),
+        ("", "failed", "it is silent; check its power"),
+    ],
+)
+def test_doctor_reads_the_station(tmp_path: Path, poll: str, status: str, text: str) -> None:
+    """What is sent into a loop comes back."""
+    air = f"{{kind: serial, url: 'loop://', pattern: 'T=(?P<temperature>.*)', timeout: 0.5, poll: \"{poll}\"}}"
+    found_status, found_text = found(with_sections(tmp_path, f"{{air: {air}}}"), "sensor air")
+    assert found_status == status
+    assert text in found_text
+
+
+def test_doctor_says_what_a_simulated_station_is(tmp_path: Path) -> None:
+    assert found(with_sections(tmp_path, "{air: {kind: simulated}}"), "sensor air")[0] == "ok"
+
+
+# -- LMF --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def scene(monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
+    """LMF's stand-in behind the profile's driver."""
+    scene = Scene(targets={"left": np.array([3.0, 0.4, -0.2])}, network=(("192.168.0.7", "AT960", "750123"),))
+
+    monkeypatch.setattr("drivers.trackers.lmf.LmfTracker", partial(LmfTracker, load=lambda library: scene.lmf()))
+    yield scene
+    assert scene.violations == []
+    assert scene.connected == []
+
+
+def test_lmf_is_initialised_and_set_up_as_the_profile_says(tmp_path: Path, scene: Scene) -> None:
+    driver = (
+        "{kind: lmf, address: AT960LRSimulator, reflector: Red Ring, accuracy: precise, serial: '750123',"
+        " search_radius: 30 mm, air: {temperature: 22 degC, pressure_hpa: 990.0, humidity_percent: 33.0}}"
+    )
+    with open_cell(with_sections(tmp_path, driver=driver)) as cell:
+        point = cell.tracker.measure(np.array([3.0, 0.4, -0.2]), 1.0)
+    assert (point.temperature_c, point.pressure_hpa, point.reflector) == (22.0, 990.0, "RRR 1.5in")
+    assert scene.calls.count("Initialize") == 1
+    assert scene.persistent["tracker"].TargetSearch.Radius.Value == 0.03
+    assert str(scene.persistent["tracker"].Measurement.Profiles.Selected.Accuracy.Value) == "Precise"
+
+
+def test_lmf_that_is_not_ready_or_not_there(tmp_path: Path, scene: Scene) -> None:
+    scene.quick_release = False
+    profile = with_sections(tmp_path / "a", driver="{kind: lmf, address: 192.168.0.1}")
+    with open_cell(profile) as cell, pytest.raises(HardwareError, match="its quick release is open: close it"):
+        cell.require_tracker()
+    scene.quick_release = True
+    profile = with_sections(tmp_path / "b", driver="{kind: lmf, address: 192.168.0.1, reflector: Cateye}")
+    with pytest.raises(InputError, match="none matches 'Cateye'"), open_cell(profile):
+        pass
+
+
+def test_an_unknown_simulator_of_lmf_is_refused_at_load(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"yaml:\d+: tracker\.driver\.address: 'AT961Simulator' is not a simulator"):
+        with_sections(tmp_path, driver="{kind: lmf, address: AT961Simulator}")
+
+
+def test_doctor_asks_lmf_without_moving_the_head(tmp_path: Path, scene: Scene) -> None:
+    profile = with_sections(tmp_path / "a", driver="{kind: lmf, address: 192.168.0.1}")
+    status, text = found(profile, "tracker")
+    assert status == "warning"
+    assert text.startswith("AT960-LR, serial 750123, firmware 2.3.0.1; before it measures: Tracker not initialized")
+    scene.initialised = True
+    assert found(profile, "tracker") == ("ok", "AT960-LR, serial 750123, firmware 2.3.0.1; ready")
+    scene.compatible = False
+    assert "this LMF was made for 2.3" in found(profile, "tracker")[1]
+    assert not {"Initialize", "PositionTo", "Face.Change", "GetInclinationToGravity"} & set(scene.calls)
+    status, text = found(with_sections(tmp_path / "b", driver="{kind: lmf, address: 10.0.0.9}"), "tracker")
+    assert status == "failed"
+    assert text.endswith("LMF sees AT960 750123 at 192.168.0.7")

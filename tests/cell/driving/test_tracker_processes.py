@@ -1,0 +1,102 @@
+"""The tracker's bridge is a process of its own that dies, hangs or restarts while the arms move."""
+
+from __future__ import annotations
+
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from cellapp.cell.driving.tracker_watch import monitored, watched
+from drivers.trackers.bridge import BridgeTracker
+
+_PATIENT_S = 20.0
+
+BRIDGE = """
+import sys
+import threading
+from drivers.trackers.bridge_server import TrackerService
+
+class There:
+    data_age_s = lambda self: 0.0
+    connect = disconnect = halt = lambda self: None
+    confirm = lambda self, within_s: None
+
+with TrackerService(There(), host=sys.argv[1]) as service:
+    print(service.url, flush=True)
+    sys.stdin.read()
+"""
+
+_WATCHER = """
+import sys
+import threading
+from cellapp.cell.driving.tracker_watch import monitored, watched
+from drivers.trackers.bridge import BridgeTracker
+
+tracker = BridgeTracker(sys.argv[1])
+tracker.connect()
+with monitored(tracker) as monitor, watched(monitor, lambda reason: print(reason, flush=True)):
+    print("watching", flush=True)
+    sys.stdin.readline()
+tracker.disconnect()
+"""
+
+
+@contextmanager
+def process(program: str, argument: str) -> Iterator[subprocess.Popen[str]]:
+    """A Python program that ends when its standard input does."""
+    with subprocess.Popen(
+        [sys.executable, "-c", program, argument], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as running:
+        try:
+            yield running
+        finally:
+            running.kill()
+
+
+def first_line(running: subprocess.Popen[str]) -> str:
+    assert running.stdout is not None
+    return running.stdout.readline().strip()
+
+
+@pytest.mark.parametrize(
+    ("how", "within_s", "words"),
+    [
+        (signal.SIGKILL, 0.3, "see that the tracker's computer runs 'cellapp tracker-bridge'"),
+        (signal.SIGSTOP, 0.8, "no answer"),
+    ],
+)
+def test_a_bridge_that_dies_or_hangs_while_the_arms_move(how: signal.Signals, within_s: float, words: str) -> None:
+    died = queue.SimpleQueue[str]()
+    with process(BRIDGE, "127.0.0.1") as bridge:
+        tracker = BridgeTracker(first_line(bridge))
+        tracker.connect()
+        with monitored(tracker) as monitor, watched(monitor, died.put):
+            monitor.confirm()
+            assert monitor.data_age_s() < 0.3
+            began_s = time.monotonic()
+            bridge.send_signal(how)
+            assert words in died.get(timeout=_PATIENT_S)
+            assert time.monotonic() - began_s < within_s
+        tracker.disconnect()
+
+
+def test_a_program_that_was_suspended_does_not_take_the_tracker_for_dead() -> None:
+    with process(BRIDGE, "127.0.0.1") as bridge, process(_WATCHER, first_line(bridge)) as watcher:
+        assert first_line(watcher) == "watching"
+        for _ in range(3):
+            watcher.send_signal(signal.SIGSTOP)
+            threading.Event().wait(0.7)  # longer than any silence that is allowed
+            watcher.send_signal(signal.SIGCONT)
+            threading.Event().wait(0.1)
+        assert watcher.stdin is not None
+        assert watcher.stdout is not None
+        watcher.stdin.write("\n")
+        watcher.stdin.close()
+        assert watcher.stdout.read() == ""

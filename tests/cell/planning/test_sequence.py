@@ -1,0 +1,218 @@
+"""Planned sequences: the gate accepts every motion, factors correlate with nothing, less travel than by chance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from cellapp.cell.planning.factor_correlations import correlations, travel_time
+from cellapp.cell.planning.plan import all_smrs_visible, draw_stops
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.sequence import Sequenced, distinct_stops, nearest_turns, sequenced
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Cancelled, CancelToken
+from tests.cell.planning.hand_made import same_stops
+from tests.cell.planning.planned_cells import one_arm, planned_twin, refusals, seven_joints, three_arms
+from tests.twin import with_arms
+
+SPARE = 1.2
+"""Drawn stops for each that is planned: some lie nearer to the floor than motions may come."""
+
+
+def planned(profile: Profile, seed: int = 1, **rest) -> Sequenced:
+    cell = cell_bodies(profile)
+    count = math.ceil(SPARE * (profile.plan.stops + profile.plan.reserve))
+    chosen = draw_stops(cell, profile, count, np.random.default_rng(seed))
+    return sequenced(profile, cell, chosen, np.random.default_rng(seed), **rest)
+
+
+@cache
+def large() -> tuple[Profile, PlannedStops]:
+    """A plan of 100 stops of the twin."""
+    profile = planned_twin(100, repeats=6, dwell=(0.0, 2.0))
+    return profile, planned(profile).stops
+
+
+def test_the_gate_accepts_every_motion_of_a_plan() -> None:
+    profile, stops = large()
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    assert len(stops) == 100
+    assert refusals(cell, stops, homes, homes) == []
+    assert all(all_smrs_visible(cell, stops.targets(stop)) for stop in range(100))
+
+
+@pytest.mark.parametrize(
+    ("make", "stops"),
+    [
+        (one_arm, 1),
+        (one_arm, 12),
+        (three_arms, 12),
+        (seven_joints, 12),
+        (planned_twin, 1),
+        (planned_twin, 2),
+        (planned_twin, 5),
+    ],
+)
+def test_plans_of_other_cells_and_sizes(make: Callable[[int], Profile], stops: int) -> None:
+    profile = make(stops)
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    plan = planned(profile).stops
+    assert len(plan) == stops
+    assert list(plan.q) == list(profile.arms)
+    assert refusals(cell, plan, homes, homes) == []
+    assert all(abs(one.correlation) <= 1.0 + 1e-9 for one in correlations(profile, cell, plan))
+
+
+@pytest.mark.parametrize("plane", [{"floor": -0.08}, {"ceiling": 1.75}])
+def test_tight_cells_are_planned_with_detours_or_sentences(plane: dict[str, float]) -> None:
+    """The arms stand close to a plane, so that many straight ways are blocked."""
+    profile = planned_twin(25, **plane)
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    found = planned(profile)
+    assert len(found.stops) >= 20
+    assert refusals(cell, found.stops, homes, homes) == []
+    assert all("cannot be reached" in one or "no way" in one for one in found.given_up)
+
+
+def test_the_seed_makes_the_plan() -> None:
+    profile = planned_twin(8)
+    same_stops(planned(profile).stops, planned(profile).stops)
+    assert not np.array_equal(planned(profile, 2).stops.q["left"], planned(profile).stops.q["left"])
+
+
+def test_factors_of_a_hundred_stops_correlate_little() -> None:
+    profile, stops = large()
+    found = correlations(profile, cell_bodies(profile), stops)
+    worst = max(found, key=lambda one: abs(one.correlation))
+    assert abs(worst.correlation) <= 0.2, worst  # of random signs it would be some 0.3
+    assert {one.arm for one in found} == {"all", "left", "right"}
+    assert {"time", "dwell"} <= {one.factor for one in found}
+
+
+def test_the_order_saves_travel() -> None:
+    profile, stops = large()
+    travel = travel_time(profile, stops, np.random.default_rng(0))
+    assert travel.saved > 0.2  # blocks of 25 stops; with 400 stops more than a third
+
+
+def test_blocks_are_equal_fair_samples_one_after_the_other() -> None:
+    _, stops = large()
+    assert np.all(np.diff(stops.block) >= 0)
+    sizes = np.bincount(stops.block)
+    assert len(sizes) == 4
+    assert np.ptp(sizes) <= 4  # one more or less, and the repeats that were inserted
+    for q in stops.q.values():
+        for function in (np.sin(q), np.cos(q)):
+            means = np.array([function[stops.block == block].mean(axis=0) for block in range(4)])
+            chance = function.std(axis=0) / math.sqrt(sizes.min())
+            assert np.sqrt(np.mean(((means - function.mean(axis=0)) / chance) ** 2)) < 0.8
+
+
+def test_repeats_come_from_the_other_side_much_later() -> None:
+    _, stops = large()
+    copies = np.flatnonzero(stops.repeat_of >= 0)
+    assert len(copies) == 6
+    first = stops.repeat_of[copies]
+    assert np.all(copies - first >= 25)
+    assert len(set(first.tolist())) == 6
+    for name, q in stops.q.items():
+        np.testing.assert_array_equal(q[copies], q[first])
+        step = q - stops.approach_from[name]
+        np.testing.assert_allclose(step[copies], -step[first], atol=1e-12)
+
+
+def test_last_motions_are_steps_of_the_profile_inside_the_limits() -> None:
+    profile, stops = large()
+    cell = cell_bodies(profile)
+    for name, q in stops.q.items():
+        start = stops.approach_from[name]
+        low, high = cell.arms[name].limits.T
+        rows = np.isfinite(start).all(axis=1)
+        assert rows.mean() > 0.95
+        assert np.all((start[rows] >= low) & (start[rows] <= high))
+        sizes = np.abs(q - start)[rows]
+        assert np.all(np.isclose(sizes[..., None], profile.plan.steps).any(axis=-1) | np.isclose(sizes, 0.0))
+        assert np.all(np.isin(stops.dwell_s[name], profile.plan.dwell))
+        assert abs(np.mean(np.sign(q - start)[rows])) < 0.15
+    np.testing.assert_array_equal(stops.dwell_s["left"], stops.dwell_s["right"])
+    assert 0.4 < np.mean(stops.dwell_s["left"] == 2.0) < 0.6
+
+
+def test_joints_near_a_limit_come_from_inside() -> None:
+    limits = tuple((-2.6, -0.5) if joint == 1 else (-3.1, 3.1) for joint in range(6))
+    profile = with_arms(planned_twin(15), limits=limits)
+    stops = planned(profile).stops
+    for name in stops.q:
+        start = stops.approach_from[name]
+        assert np.nanmin(start[:, 1]) >= -2.6
+        assert np.nanmax(start[:, 1]) <= -0.5
+
+
+def test_without_steps_the_ways_are_straight() -> None:
+    stops = planned(planned_twin(8, steps=(), repeats=0)).stops
+    assert all(np.isnan(start).all() for start in stops.approach_from.values())
+
+
+def test_reserves_follow_and_are_reached_from_the_asked_stops() -> None:
+    profile = planned_twin(12, reserve=4, repeats=2)
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    stops = planned(profile).stops
+    assert len(stops) == 16
+    assert np.all(stops.repeat_of[12:] < 0)
+    assert stops.block[12] > stops.block[11]
+    assert refusals(cell, stops, homes, homes) == []
+
+
+def test_an_extension_begins_at_the_last_stop_that_exists() -> None:
+    profile, before = large()
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    kept = {name: q.copy() for name, q in before.q.items()}
+    chosen = draw_stops(cell, profile, 12, np.random.default_rng(9))
+    stops = sequenced(profile, cell, chosen, np.random.default_rng(9), after=kept).stops
+    assert refusals(cell, stops, before.targets(99), homes) == []
+    for name, q in kept.items():
+        np.testing.assert_array_equal(q, before.q[name])
+        assert len(stops.q[name]) <= 12
+
+
+def test_joints_are_planned_in_the_turn_nearest_to_home() -> None:
+    profile = planned_twin(30)
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    for name, q in draw_stops(cell, profile, 30, np.random.default_rng(3)).items():
+        turned = nearest_turns(profile, cell, name, q)
+        np.testing.assert_allclose(np.sin(turned), np.sin(q), atol=1e-9)
+        np.testing.assert_allclose(np.cos(turned), np.cos(q), atol=1e-9)
+        assert np.all(np.abs(turned - homes[name]) <= math.pi + 1e-9)
+        ranged = planned_twin(30, ranges=((-math.pi, math.pi),) * 6)
+        np.testing.assert_allclose(nearest_turns(ranged, cell, name, q), q)
+
+
+def test_stops_that_no_motion_reaches_are_given_up_with_the_reason() -> None:
+    """An arm below the floor is reached by nothing."""
+    profile = planned_twin(6, repeats=0)
+    cell = cell_bodies(profile)
+    chosen = draw_stops(cell, profile, 6, np.random.default_rng(1))
+    chosen["left"][:2, 1] = 1.2
+    found = sequenced(profile, cell, chosen, np.random.default_rng(1))
+    assert len(found.stops) <= 4
+    assert any(one.startswith("arm left: 2 of 6 chosen") and "floor" in one for one in found.given_up)
+    chosen["left"][:, 1] = 1.2
+    with pytest.raises(InputError, match=r"none of the chosen stops can be reached.*floor"):
+        sequenced(profile, cell, chosen, np.random.default_rng(1))
+
+
+def test_repeats_are_at_most_a_quarter() -> None:
+    assert [distinct_stops(planned_twin(repeats=10), n) for n in (400, 40, 39, 8, 3, 1)] == [390, 30, 30, 6, 3, 1]
+
+
+def test_planning_can_be_cancelled() -> None:
+    token = CancelToken()
+    token.cancel()
+    with pytest.raises(Cancelled):
+        planned(planned_twin(8), cancel=token)

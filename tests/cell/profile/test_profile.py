@@ -1,0 +1,408 @@
+"""The profile door: good profiles come through unchanged, every bad one is refused in a sentence that says where."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.acceptance import Traceability
+
+pytestmark = pytest.mark.fast
+
+PROFILES = Path(__file__).parents[3] / "profiles"
+SHIPPED = sorted(PROFILES.glob("*.yaml"))
+
+
+@pytest.fixture
+def twin(tmp_path: Path) -> Path:
+    """A copy of the simulated cell that a test may spoil."""
+    shutil.copytree(PROFILES, tmp_path / "profiles")
+    return tmp_path / "profiles" / "twin.yaml"
+
+
+def edit(path: Path, old: str, new: str) -> int:
+    """Replace the first ``old``, which must be there; the line of the replacement."""
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), "utf-8")
+    return text[: text.index(old)].count("\n") + 1
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        load_profile(path)
+    return str(caught.value)
+
+
+def test_there_are_profiles() -> None:
+    assert {path.stem for path in SHIPPED} >= {"twin", "ur10-ur5", "ur10-real", "ur10-real-d", "ur5-real"}
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_profiles_load_and_survive_json_exactly(path: Path) -> None:
+    profile = load_profile(path)
+    text = profile_to_json(profile)
+    assert profile_from_json(text) == profile
+    assert profile_to_json(profile_from_json(text)) == text
+
+
+def test_units_become_si() -> None:
+    profile = load_profile(PROFILES / "twin.yaml")
+    ur10 = profile.arms["left"].type
+    assert ur10.joints[0].alpha == pytest.approx(math.pi / 2.0, abs=1e-15)
+    assert ur10.joints[0].speed == pytest.approx(math.radians(120.0), rel=1e-15)
+    assert ur10.joints[5].speed == pytest.approx(math.radians(180.0), rel=1e-15)
+    assert profile.plant is not None
+    assert profile.plant.geometry.length == pytest.approx(0.3e-3, rel=1e-15)
+    assert profile.tracker.transverse.proportional == pytest.approx(6e-6, rel=1e-15)
+
+
+def test_splits_of_the_imported_arm() -> None:
+    profile = load_profile(PROFILES / "ur10-real.yaml")
+    assert (profile.splits.identify, profile.splits.train, profile.splits.validate_) == (300, 0, "rest")
+    assert profile.arms["left"].smr.offset == "unknown"
+
+
+@pytest.mark.parametrize(("name", "top"), [("left", 1.427), ("right", 1.001)])
+def test_bodies_of_an_upright_arm_stand_above_its_base_and_touch(name: str, top: float) -> None:
+    arm = load_profile(PROFILES / "twin.yaml").arms[name].type
+    frames = [np.eye(4)]
+    for angle, joint in zip(np.radians([0, -90, 0, -90, 0, 0]), arm.joints, strict=True):
+        c, s, ca, sa = math.cos(angle), math.sin(angle), math.cos(joint.alpha), math.sin(joint.alpha)
+        step = [
+            [c, -s * ca, s * sa, joint.a * c],
+            [s, c * ca, -c * sa, joint.a * s],
+            [0, sa, ca, joint.d],
+            [0, 0, 0, 1],
+        ]
+        frames.append(frames[-1] @ np.array(step))
+    assert [capsule.frame for capsule in arm.capsules] == sorted(capsule.frame for capsule in arm.capsules)
+    along = np.linspace(0.0, 1.0, 101)[:, None]
+    before = None
+    for capsule in arm.capsules:
+        start, end = (frames[capsule.frame] @ [*point, 1.0] for point in (capsule.start, capsule.end))
+        line = (start + along * (end - start))[:, :3]
+        assert np.all(np.abs(line[:, 0]) < 1e-9)
+        assert np.all(np.abs(line[:, 1]) < 0.35)
+        assert line[:, 2].min() > -1e-9
+        if before is not None:
+            gap = np.linalg.norm(line[:, None] - before[0][None], axis=2).min() - capsule.radius - before[1]
+            assert gap < 0.0
+        before = (line, capsule.radius)
+    assert before is not None
+    assert before[0][:, 2].max() == pytest.approx(top, abs=1e-3)
+    # the two long links are as long as the arm's D-H table says
+    for number in (2, 3):
+        (link,) = [capsule for capsule in arm.capsules if capsule.frame == number]
+        assert math.dist(link.start, link.end) == pytest.approx(abs(arm.joints[number - 1].a), abs=1e-12)
+
+
+WRONG = [
+    # old text, new text, key, what the message says
+    ("  stops: 400", "  stpos: 400", "plan.stpos", "unknown key; did you mean 'stops'?"),
+    ("seed: 1 ", "sede: 1 ", "sede", "unknown key; did you mean 'seed'?"),
+    ("  clearance:", "  zzz: 3\n  clearance:", "plan.zzz", "unknown key; known here are stops, clearance"),
+    ("  stops: 400", "  stops: many", "plan.stops", "expected a whole number, got 'many'"),
+    ("  stops: 400", "  stops: 1.5", "plan.stops", "expected a whole number, got 1.5"),
+    ("  stops: 400", "  stops: true", "plan.stops", "expected a whole number, got true"),
+    ("  stops: 400", "  stops: 0", "plan.stops", "expected at least 1, got 0"),
+    ("  stops: 400", "  stops:", "plan.stops", "expected a whole number, got nothing"),
+    ("  stops: 400", "  stops: .inf", "plan.stops", "expected a finite number, got .inf"),
+    ("  stops: 400", "  stops: 1" + "0" * 400, "plan.stops", "too large a number"),
+    ("  stops: 400", "  stops: !!int x", "plan.stops", "'x' is not of type int"),
+    ("  stops: 400", "  stops: !!python/name:os.system x", "plan.stops", "is not used in profiles"),
+    ("  noise: true", "  noise: perhaps", "plant.noise", "expected true or false, got 'perhaps'"),
+    ('"50 mm"', '"50 deg"', "plan.clearance", "'deg' is not a unit of length; use one of m, cm, mm"),
+    ('"50 mm"', "50 furlongs", "plan.clearance", "'furlongs' is not a unit of length"),
+    ('"50 mm"', "wide", "plan.clearance", "expected a length: a number in m"),
+    ('"50 mm"', "[1, 2]", "plan.clearance", "expected a length in m, got list"),
+    ('"50 mm"', '"-50 mm"', "plan.clearance", "expected at least 0 (SI), got '-50 mm'"),
+    ('"50 mm"', "500", "plan.clearance", "write '500 mm' for mm"),
+    ("averaging: 1.0", "averaging: 100 s", "tracker.averaging", "expected at most 60 (SI), got '100 s'"),
+    ("speed_scale: 0.5 ", "speed_scale: 2 ", "arms.left.speed_scale", "expected at most 1, got 2"),
+    ("speed_scale: 0.5 ", "speed_scale: 0 ", "arms.left.speed_scale", "expected more than 0, got 0"),
+    ("false_alarm: 0.003", "false_alarm: 0.5", "discovery.false_alarm", "expected less than 0.5, got 0.5"),
+    ("offset: [0.045, 0.020, 0.060]", "offset: [45, 20, 60]", "arms.left.smr.offset[0]", "write '45 mm' for mm"),
+    ("offset: [0.045, 0.020, 0.060]", "offset: [1, 2]", "arms.left.smr.offset", "expected 3 values, got a list of 2"),
+    (
+        "offset: [0.045, 0.020, 0.060]",
+        "offset: [1, 2, 3, 4]",
+        "arms.left.smr.offset",
+        "at most 3 values, got a list of 4",
+    ),
+    (
+        "offset: [0.045, 0.020, 0.060]",
+        "offset: known",
+        "arms.left.smr.offset",
+        "expected a list or 'unknown', got 'known'",
+    ),
+    ("normal: [0, 0, 1]", "normal: [0, 0, 7]", "arms.left.smr.normal", "normal must be a unit vector"),
+    ('rpy: [0.0, 0.0, "90 deg"]', "rpy: [0, 0, 90]", "arms.left.base.rpy[2]", "write '90 deg' for degrees"),
+    (
+        "{kind: simulated}",
+        "{kind: imaginary}",
+        "arms.left.driver.kind",
+        "expected 'simulated', 'ur' or 'none', got 'imag",
+    ),
+    ("{kind: simulated}", "{sort: simulated}", "arms.left.driver.kind", "missing; it must be given"),
+    ("{kind: simulated}", "{kind: ur}", "arms.left.driver.host", "missing; it must be given"),
+    ("{kind: simulated}", "{kind: ur, hots: x}", "arms.left.driver.hots", "unknown key; did you mean 'host'?"),
+    ("{kind: simulated}", "{kind: ur, host: 5}", "arms.left.driver.host", "expected a text, got 5; put it in quotes"),
+    ("{kind: simulated}", "simulated", "arms.left.driver", "expected keys with values, got 'simulated'"),
+    ("  driver: {kind: simulated}\n  # 3.8", "  # 3.8", "tracker.driver", "missing; it must be given"),
+    ("parameter_set: auto", "parameter_set: papr", "calibration.parameter_set", "did you mean 'paper'?"),
+    ("validate: 100 ", "validate: some ", "splits.validate", "expected a whole number or 'rest', got 'some'"),
+    (
+        "version: 1",
+        "version: 2",
+        "version",
+        "of version 2, this cellapp reads versions up to 1; install a newer",
+    ),
+    ("version: 1", "version: one", "version", "expected 1, got 'one'"),
+    ("schema: cellapp-profile", "schema: other", "schema", "expected 'cellapp-profile', got 'other'"),
+    ("schema: cellapp-profile\n", "", "schema", "missing; it must be given"),
+    (
+        "    right:\n      backlash",
+        "    middle:\n      backlash",
+        "plant.effects.middle",
+        "unknown arm; arms are left, right",
+    ),
+    ("  stops: 400", "  stops: 400\n  ranges: [[-1, 1]]", "plan.ranges", "1 ranges for the 6 joints of arm left"),
+    ("    speed_scale: 0.5 ", "    limits: [[-1, 1]]\n    #", "arms.left.limits", "1 ranges for the 6 joints of UR10"),
+    ("  stops: 400", "  stops: 400\n  stops: 500", "plan.stops", "duplicate key (first in line"),
+    ("  stops: 400", "  5: 400", "'5' is not a key", "a key is a word"),
+    ("type: arms/ur10.yaml", "type: arms/ur11.yaml", "arms.left.type", "file not found"),
+    ("type: arms/ur10.yaml", "type: " + 5000 * "x", "arms.left.type", "file not found"),
+    ("type: arms/ur10.yaml", 'type: "a\\0b"', "arms.left.type", "file not found"),
+    ("name: twin", 'name: "\\ud800"', "name", "half a character"),
+    ("averaging: 1.0", "averaging:", "tracker.averaging", "expected a time in s, got nothing"),
+    ("type: arms/ur10.yaml", "type: 7", "arms.left.type", "expected keys with values, got 7"),
+    ("    home: ", "    # ", "arms.left.home", "missing; arm left has a driver: planning and pointing need it"),
+    ("    base: ", "    # ", "arms.left.base", "missing; arm left has a driver"),
+    ("  pose: ", "  # ", "tracker.pose", "missing; arm left has a driver"),
+    ('"-90 deg", 0.0, 0.0]', '"-90 deg", 0.0]', "arms.left.home", "5 positions for 6 joints"),
+    ("name: twin", "name: ''", "name", "expected a text, got an empty one"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "key", "says"), WRONG, ids=[f"{wrong[2]}-{wrong[3][:30]}" for wrong in WRONG])
+def test_a_wrong_value_is_named_with_file_line_and_key(twin: Path, old: str, new: str, key: str, says: str) -> None:
+    line = edit(twin, old, new)
+    message = refusal(twin)
+    assert says in message
+    assert "Traceback" not in message
+    assert "Value error" not in message
+    (told,) = [text for text in message.splitlines() if f": {key}" in text]
+    assert told.startswith(f"{twin}:")
+    number = int(told.removeprefix(f"{twin}:").partition(":")[0])
+    if "missing" not in says:
+        # some replacements put the wrong key on a line after the first one
+        assert line <= number <= line + new.count("\n")
+
+
+def test_an_error_in_an_arm_type_names_that_file(twin: Path) -> None:
+    ur10 = twin.parent / "arms" / "ur10.yaml"
+    line = edit(ur10, "a: -0.612", "a: -612")
+    assert refusal(twin) == (
+        f"{ur10}:{line}: joints[1].a: -612 m is beyond 10 m; a plain number is metres, write '-612 mm' for mm"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("capsules:", "capsuls:", "capsuls: unknown key; did you mean 'capsules'?"),
+        ("model: UR10\n", "", "model: missing; it must be given"),
+        ("{frame: 6,", "{frame: 7,", "capsules[6].frame: 7 is beyond the last, 6"),
+        ('["-360 deg", "360 deg"]', '["360 deg", "-360 deg"]', "joints[0].limit: the lower one"),
+        ("mass: 7.1", "mass: 7.1 m", "joints[0].mass: 'm' is not a unit of mass; use one of kg, g"),
+        ("mass: 7.1", "mass: 7.1, mass: 7.2", "joints[0].mass: duplicate key"),
+        ("joints:", "joints: [", "not YAML"),
+    ],
+)
+def test_errors_of_an_arm_type_file(twin: Path, old: str, new: str, says: str) -> None:
+    ur10 = twin.parent / "arms" / "ur10.yaml"
+    edit(ur10, old, new)
+    message = refusal(twin)
+    assert message.startswith(f"{ur10}:")
+    assert says in message
+
+
+def test_joint_count_of_another_arm_type(twin: Path) -> None:
+    ur5 = twin.parent / "arms" / "ur5.yaml"
+    text = ur5.read_text("utf-8")
+    first = text.index("  - {d: 0.0823")
+    ur5.write_text(text[:first] + text[text.index("\n# Bodies") :].partition("capsules:")[0], "utf-8")
+    text = twin.read_text("utf-8")
+    right = text.index("  right:")
+    twin.write_text(text[:right] + text[right:].replace('"-90 deg", 0.0, 0.0]', '"-90 deg", 0.0]', 1), "utf-8")
+    line = edit(twin, "  stops: 400", "  stops: 400\n  ranges: [[-1,1],[-1,1],[-1,1],[-1,1],[-1,1],[-1,1]]") + 1
+    assert refusal(twin) == f"{twin}:{line}: plan.ranges: 6 ranges for the 5 joints of arm right"
+
+
+def test_an_arm_type_may_stand_in_the_profile(twin: Path) -> None:
+    edit(twin, "type: arms/ur10.yaml", "type: {model: two, joints: [{d: 0.1}, {a: 200 mm}]}")
+    edit(twin, 'home: [0.0, "-90 deg", 0.0, "-90 deg", 0.0, 0.0]', "home: [0, 0]")
+    profile = load_profile(twin)
+    assert profile.arms["left"].type.model == "two"
+    assert profile.arms["left"].type.joints[1].a == pytest.approx(0.2)
+    line = edit(twin, "{model: two,", "{model: two, maker: x,")
+    assert refusal(twin).startswith(f"{twin}:{line}: arms.left.type.maker: unknown key")
+
+
+def test_several_errors_one_a_line_in_the_order_of_the_file(twin: Path) -> None:
+    wrong = [("stops: 400", "stops: x"), ("robust: none", "robust: yes"), ("simulations: 400", "simulations: 1")]
+    for old, new in wrong:
+        edit(twin, old, new)
+    lines = refusal(twin).splitlines()
+    assert [line.split(": ")[1] for line in lines] == ["plan.stops", "calibration.robust", "discovery.null_simulations"]
+
+
+def test_many_errors_are_counted(twin: Path) -> None:
+    edit(twin, "plan:\n", "plan:\n" + "".join(f"  {letter}{letter}q: 1\n" for letter in "abcdefgh"))
+    lines = refusal(twin).splitlines()
+    assert len(lines) == 6
+    assert lines[-1] == "and 3 more"
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "says"),
+    [
+        (b"", None, "the file is empty"),
+        (b"# only a comment\n", None, "the file is empty"),
+        (b"- a\n- b\n", 1, "expected keys with values at the top, got a list"),
+        (b"just words\n", 1, "expected keys with values at the top, got 'just words'"),
+        (b"schema: cellapp-profile\nname: \xff\xfe\n", 2, "not UTF-8 text"),
+        (b"schema: cellapp-profile\nname: [1, 2\nseed: 3\n", 3, "not YAML"),
+        (b"schema: x\n\tname: y\n", 2, "not YAML"),
+        (b"schema: x\nname: \x07\n", 2, "not YAML"),
+        (b"a: 1\n--- \nb: 2\n", 2, "not YAML"),
+        (b"a: &a [*a]\n", 1, "nested too deeply"),
+        (b"a: *nothing\n", 1, "not YAML"),
+        (b"a: " + b"[" * 2000, None, "nested too deeply"),
+        (b"a: &a [x,x,x,x,x,x,x,x,x,x]\n" + b"".join(
+            b"%c: &%c [%s]\n" % (letter, letter, b",".join([b"*%c" % (letter - 1)] * 10)) for letter in b"bcdefgh"
+        ), None, "more than 100000 values"),
+        (b"version: 99\nbrand: new\n", 1, "install a newer cellapp"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_no_profile(tmp_path: Path, content: bytes, line: int | None, says: str) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_bytes(content)
+    message = refusal(path)
+    assert message.startswith(f"{path}:{line}: " if line else f"{path}:")
+    assert says in message
+    assert "\n" not in message
+    assert path.read_bytes() == content
+
+
+def test_a_missing_file_and_a_folder(tmp_path: Path) -> None:
+    assert "file not found" in refusal(tmp_path / "none.yaml")
+    assert "cannot be read" in refusal(tmp_path)
+
+
+def test_simulated_drivers_need_a_plant(twin: Path) -> None:
+    text = twin.read_text("utf-8")
+    twin.write_text(text[: text.index("# The true simulated cell")], "utf-8")
+    assert "plant: simulated drivers need a section 'plant'" in refusal(twin)
+
+
+def test_short_forms_of_numbers(twin: Path) -> None:
+    """YAML 1.1 would leave 1e-8 and 9.0e4 as texts."""
+    edit(twin, "robust: none", "tolerance: 1e-9\n  robust: none")
+    edit(twin, "[9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]", "[9.0e4, .inf, 1e5, 2E+4, .5e5, -1e-3]")
+    profile = load_profile(twin)
+    assert profile.calibration.tolerance == 1e-9
+    assert profile.plant is not None
+    stiffness = profile.plant.effects["left"]["joint_compliance"]["stiffness"]
+    assert stiffness == [9.0e4, math.inf, 1e5, 2e4, 0.5e5, -1e-3]
+    assert profile_from_json(profile_to_json(profile)) == profile
+
+
+@settings(deadline=None)
+@given(
+    offset=st.tuples(*[st.floats(-10.0, 10.0)] * 3),
+    angle=st.floats(-12.5, 12.5),
+    number=st.floats(allow_nan=False),
+    name=st.text(min_size=1).filter(lambda text: text.isprintable()),
+)
+def test_json_gives_back_every_float_and_text(
+    offset: tuple[float, float, float], angle: float, number: float, name: str
+) -> None:
+    data = {
+        "schema": "cellapp-profile",
+        "version": 1,
+        "name": name,
+        "arms": {
+            name: {
+                "type": {"model": name, "joints": [{"theta": angle}, {"alpha": -angle}]},
+                "driver": {"kind": "simulated"},
+                "smr": {"offset": offset},
+                "base": {"position": offset},
+                "home": (angle, 0.0),
+            }
+        },
+        "tracker": {"driver": {"kind": "none"}, "pose": {"position": offset}},
+        "plant": {"effects": {name: {"e": {"p": number}}}},
+    }
+    profile = Profile.model_validate(data)
+    again = profile_from_json(profile_to_json(profile))
+    assert again == profile
+    assert repr(again) == repr(profile)  # equality takes -0.0 for 0.0
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", "{", '{"schema": "cellapp-profile", "version": 2}'])
+def test_stored_text_that_is_no_profile(text: str) -> None:
+    with pytest.raises(InputError, match="stored profile: "):
+        profile_from_json(text)
+
+
+def test_limits_of_the_air_need_a_station(twin: Path) -> None:
+    edit(twin, "splits:", "collection: {air: {temperature: [18.0, 24.0]}}\nsplits:")
+    assert "collection.air: limits of the air need a weather station; add 'sensors.air'" in refusal(twin)
+
+
+@pytest.mark.parametrize(
+    ("section", "says"),
+    [
+        ("{air: {temperature: [24.0, 18.0]}}", "the lower limit must be below the upper one"),
+        ("{reference: {every: -1}}", "expected at least 0"),
+        ("{suspend: {weather: {times: 1}}}", "weather"),
+        ("{slow_start: {speed: 0.0}}", "expected more than 0"),
+        ("{repeat: {precision: '8 deg'}}", "length"),
+        ("{tolerated: 2.0}", "expected at most 1"),
+    ],
+)
+def test_a_wrong_collection_section_is_refused(twin: Path, section: str, says: str) -> None:
+    edit(twin, "splits:", f"collection: {section}\nsplits:")
+    found = refusal(twin)
+    assert "collection" in found
+    assert says in found
+
+
+def test_keys_that_came_later_do_not_change_the_text_of_earlier_profiles() -> None:
+    """Stored results rest on the hash of that text: they would all be out of date."""
+    text = profile_to_json(load_profile(PROFILES / "twin.yaml"))
+    assert not {"mpe", "client", "procedure", "air_pressure", "relative_humidity"} & set(re.findall(r'"(\w+)":', text))
+    stated = load_profile(PROFILES / "twin.yaml").model_copy(
+        update={"traceability": Traceability(client="Client Ltd", air_pressure=(1000.0, 1010.0))}
+    )
+    assert profile_from_json(profile_to_json(stated)) == stated
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in the file system here")
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(InputError, match="is a pipe, not a file"):
+        load_profile(tmp_path / "pipe.yaml")

@@ -1,0 +1,500 @@
+"""Readings as CSV: export and import give every bit back; every bad file is refused with file, line and column."""
+
+from __future__ import annotations
+
+import csv
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile, import_csv, read_readings_csv, write_readings_csv
+from cellapp.estimation.readings import Reading, Readings
+from cellapp.ground.errors import InputError
+from tests.cell.run.two_arm_cell import assert_same, two_arms
+
+ROOT = Path(__file__).parents[3]
+REAL = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"
+JOINTS = {"left": 2, "right": 3}
+HEADER = "configuration,arm,time_s,q1,q2,q3,x_m,y_m,z_m,sigma_m,split,mood"
+ROWS = [
+    "0,left,1.5,0.1,0.2,,1,2,3,1e-5,identify,good",
+    "0,right,1.5,0.1,0.2,0.3,1,2,3.5,2e-5,identify,",
+    "1,left,2.5,-0.1,0.25,,1,2,3,1e-5,train,bad",
+    "1,right,2.5,0.1,0.2,-0.3,1,2,3.5,,validate,\"so, so\"",
+]  # fmt: skip
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "readings.csv"
+
+
+def write(path: Path, *rows: str, header: str = HEADER) -> None:
+    path.write_text("\n".join([header, *rows]) + "\n", "utf-8")
+
+
+def refusal(path: Path) -> str:
+    """The message, after a look that neither reading nor importing leaves anything behind."""
+    before = path.read_bytes() if path.is_file() else None
+    with pytest.raises(InputError) as caught:
+        read_readings_csv(path, JOINTS)
+    run = path.parent / "run"
+    with pytest.raises(InputError):
+        import_csv(two_arms(), path, run)
+    assert not run.exists()
+    assert before is None or path.read_bytes() == before
+    return str(caught.value)
+
+
+@pytest.mark.fast
+def test_a_file_of_two_arms(path: Path) -> None:
+    write(path, *ROWS)
+    readings, notes = read_readings_csv(path, JOINTS)
+    assert list(readings) == ["left", "right"]
+    left, right = readings["left"], readings["right"]
+    np.testing.assert_array_equal(left.q, [[0.1, 0.2], [-0.1, 0.25]])
+    np.testing.assert_array_equal(right.q, [[0.1, 0.2, 0.3], [0.1, 0.2, -0.3]])
+    np.testing.assert_array_equal(left.time_s, [1.5, 2.5])
+    np.testing.assert_array_equal(right.sigma_m, [2e-5, np.nan])
+    np.testing.assert_array_equal(left.approach, np.zeros((2, 2)))
+    assert left.split == ("identify", "train")
+    assert right.extras == {"mood": ("", "so, so")}
+    assert left.payload_kg is None
+    assert left.covariance_M is None
+    assert notes == [f"{path}: column 'mood' is unknown; it is kept and not used"]
+
+
+@pytest.mark.fast
+def test_rows_come_back_in_the_order_of_configurations(path: Path) -> None:
+    write(path, *reversed(ROWS))
+    readings, _ = read_readings_csv(path, JOINTS)
+    np.testing.assert_array_equal(readings["left"].configuration, [0, 1])
+    np.testing.assert_array_equal(readings["left"].time_s, [1.5, 2.5])
+    assert readings["left"].extras == {"mood": ("good", "bad")}
+
+
+@pytest.mark.fast
+def test_what_is_optional_may_be_absent(path: Path) -> None:
+    write(path, "5,left,1,2,3,4,5", header="configuration,arm,q1,q2,x_m,y_m,z_m")
+    readings, notes = read_readings_csv(path, JOINTS)
+    left = readings["left"]
+    assert np.all(np.isnan(left.time_s))
+    assert (left.payload_kg, left.temperature_c, left.joint_temperature_c, left.sigma_m) == (None, None, None, None)
+    assert left.split is None
+    assert left.extras == {}
+    assert notes == [f"{path}: arm 'right' of the profile has no readings in this file"]
+
+
+@pytest.mark.fast
+def test_spaces_byte_order_mark_blank_lines_and_windows_line_ends(path: Path) -> None:
+    text = "\r\n".join([HEADER.replace(",", " , "), ROWS[0].replace(",", " , "), "", ROWS[2], "", ""])
+    path.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    readings, _ = read_readings_csv(path, JOINTS)
+    assert len(readings["left"]) == 2
+
+
+@pytest.mark.fast
+def test_a_misspelt_optional_column_is_pointed_out(path: Path) -> None:
+    write(path, *ROWS, header=HEADER.replace("sigma_m", "sigma"))
+    readings, notes = read_readings_csv(path, JOINTS)
+    assert readings["left"].sigma_m is None
+    assert readings["left"].extras["sigma"] == ("1e-5", "1e-5")
+    assert f"{path}: column 'sigma' is unknown (is 'sigma_m' meant?); it is kept and not used" in notes
+
+
+BAD_CELLS = [
+    # row, old, new, column, what the message says
+    (0, "0,left", ",left", "configuration", "the value is missing"),
+    (0, "0,left", "0.5,left", "configuration", "expected a whole number, got '0.5'"),
+    (0, "0,left", "zero,left", "configuration", "expected a whole number, got 'zero'"),
+    (0, "0,left", "9999999999999999999999,left", "configuration", "expected a whole number"),
+    (0, "0,left", "0,", "arm", "the value is missing"),
+    (0, "0,left", "0,middle", "arm", "arm 'middle' is not in the profile; arms are left, right"),
+    (2, "0.25", "", "q2", "the value is missing"),
+    (2, "0.25", "abc", "q2", "expected a finite number such as 0.25, got 'abc'"),
+    (2, "0.25", "nan", "q2", "expected a finite number such as 0.25, got 'nan'"),
+    (2, "0.25", "-inf", "q2", "got '-inf'"),
+    (2, "0.25", "1e999", "q2", "got '1e999'"),
+    (2, "0.25", "1_0", "q2", "got '1_0'"),
+    (2, "0.25", "٣", "q2", "got '٣'"),
+    (2, "0.25", "1 2", "q2", "got '1 2'"),
+    (2, "0.25", "1.2.3", "q2", "got '1.2.3'"),
+    (2, "0.25", "0.1 rad", "q2", "got '0.1 rad'"),
+    (0, "0.2,,", "0.2,0.3,", "q3", "there is a value, but arm left has 2 joints in the profile"),
+    (1, ",0.3,", ",,", "q3", "the value is missing"),
+    (1, "3.5", "", "z_m", "the value is missing"),
+    (1, "3.5", "3500", "z_m", "expected metres, got 3500; no tracker reaches 100 m"),
+    (1, "2e-5", "0", "sigma_m", "expected an uncertainty above 0 m, got 0"),
+    (1, "2e-5", "-1e-5", "sigma_m", "expected an uncertainty above 0 m, got -1e-05"),
+    (1, "2e-5", "nan", "sigma_m", "got 'nan'"),
+    (0, "1.5", "noon", "time_s", "got 'noon'"),
+    (2, "train", "test", "split", "expected identify, train, validate or nothing, got 'test'"),
+    (2, "1,left", "0,left", "configuration", "0 of arm left was given in line 2 already"),
+    (3, "3.5,", "3.5,7,8,", "column 13", "the row has 14 cells, the header has 12"),
+    (3, "3.5,", "", "mood", "the row has 11 cells, the header has 12"),
+]
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(("row", "old", "new", "column", "says"), BAD_CELLS)
+def test_a_bad_cell_is_named_with_file_line_and_column(
+    path: Path, row: int, old: str, new: str, column: str, says: str
+) -> None:
+    rows = list(ROWS)
+    assert old in rows[row]
+    rows[row] = rows[row].replace(old, new, 1)
+    write(path, *rows)
+    message = refusal(path)
+    assert message.startswith(f"{path}:{row + 2}: {column}: ")
+    assert says in message
+    assert "\n" not in message
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("old", "new", "column", "says"),
+    [
+        ("configuration", "config", "configuration", "the column is missing"),
+        (",arm", ",robot", "arm", "the column is missing"),
+        ("x_m", "x_mm", "x_m", "the column is missing; is 'x_mm' meant? Its name and unit"),
+        ("q1", "joint1", "q1", "the column is missing"),
+        ("q2", "j2", "q2", "the column is missing; arm left has 2 joints"),
+        ("q3", "j3", "q3", "the column is missing; arm right has 3 joints"),
+        ("y_m", "x_m", "x_m", "the column is there twice; keep one"),
+        ("mood", "split", "split", "the column is there twice; keep one"),
+        ("mood", "", "column 12", "has no name"),
+        ("mood", "sxx", "sxy", "the column is missing; give all six (sxx, sxy, sxz, syy, syz, szz) or none"),
+        ("mood", "approach1", "approach2", "the column is missing; arm left has 2 joints"),
+        ("mood", "joint_temperature2", "joint_temperature1", "the column is missing; arm left has 2 joints"),
+    ],
+)
+def test_a_bad_header_names_the_column(path: Path, old: str, new: str, column: str, says: str) -> None:
+    write(path, *ROWS, header=HEADER.replace(old, new, 1))
+    lines = refusal(path).splitlines()
+    (told,) = [line for line in lines if line.startswith(f"{path}:1: {column}: ")]
+    assert says in told
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("sign", ["2", "0.5", "+", "-2"])
+def test_approach_is_a_sign(path: Path, sign: str) -> None:
+    header = "configuration,arm,q1,q2,x_m,y_m,z_m,approach1,approach2"
+    write(path, "0,left,1,2,3,4,5,-1,", f"1,left,1,2,3,4,5,0,{sign}", header=header)
+    assert refusal(path).startswith(f"{path}:3: approach2: expected")
+    write(path, "0,left,1,2,3,4,5,-1,", "1,left,1,2,3,4,5,0,+1", header=header)
+    readings, _ = read_readings_csv(path, JOINTS)
+    np.testing.assert_array_equal(readings["left"].approach, [[-1, 0], [0, 1]])
+
+
+COVARIANCES = [
+    ("1e-10,0,0,1e-10,0,", "szz", "the value is missing; give all six of the covariance or none"),
+    ("1e-10,0,0,1e-10,0,0", "sxx..szz", "positive definite"),
+    ("1e-10,0,0,-1e-10,0,1e-10", "sxx..szz", "positive definite"),
+    ("1e-10,1e-10,0,1e-10,0,1e-10", "sxx..szz", "positive definite"),
+    ("1e-10,0,0,1e-10,5e-10,1e-10", "sxx..szz", "positive definite"),
+    ("1e-10,1e300,0,1e-10,0,1e-10", "sxx..szz", "positive definite"),
+]
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(("six", "column", "says"), COVARIANCES)
+def test_a_covariance_that_is_none(path: Path, six: str, column: str, says: str) -> None:
+    header = "configuration,arm,q1,q2,x_m,y_m,z_m,sxx,sxy,sxz,syy,syz,szz"
+    good = "2.5e-10,1e-11,-2e-11,1e-10,3e-12,5e-12"
+    # a tracker's beam 1:100 across, askew: hard, but positive definite
+    askew = "5.0e-9,4.9995e-9,0,5.0e-9,0,1e-12"
+    write(path, f"0,left,1,2,3,4,5,{good}", "1,left,1,2,3,4,5,,,,,,", f"2,left,1,2,3,4,5,{askew}", header=header)
+    readings, _ = read_readings_csv(path, JOINTS)
+    covariance = readings["left"].covariance_M
+    assert covariance is not None
+    np.testing.assert_array_equal(
+        covariance[0], [[2.5e-10, 1e-11, -2e-11], [1e-11, 1e-10, 3e-12], [-2e-11, 3e-12, 5e-12]]
+    )
+    assert np.all(np.isnan(covariance[1]))
+    write(path, f"0,left,1,2,3,4,5,{good}", f"1,left,1,2,3,4,5,{six}", header=header)
+    message = refusal(path)
+    assert message.startswith(f"{path}:3: {column}: ")
+    assert says in message
+
+
+@pytest.mark.fast
+def test_degrees_are_noticed_and_a_far_turned_joint_is_not_degrees(path: Path) -> None:
+    header = "configuration,arm,q1,q2,x_m,y_m,z_m"
+    write(path, "0,left,1,2,3,4,5", "1,left,90,2,3,4,5", "2,left,10,-45,3,4,5", header=header)
+    assert refusal(path).startswith(f"{path}:3: q1: expected radians, got 90, and most rows are beyond two turns")
+    write(path, "0,left,1,2,3,4,5", "1,left,13,2,3,4,5", "2,left,1,2,3,4,5", header=header)
+    readings, _ = read_readings_csv(path, JOINTS)
+    assert readings["left"].q[1, 0] == 13.0
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("content", "where", "says"),
+    [
+        (b"", "", "is empty"),
+        (b"\n\n\n", "", "is empty"),
+        (HEADER.encode(), ":1", "there is a header row but no reading"),
+        (HEADER.encode() + b"\n,,,,,,,,,,,\n", ":1", "there is a header row but no reading"),
+        (HEADER.replace(",", ";").encode() + b"\n", ":1", "separate columns by commas"),
+        (HEADER.encode() + b"\n\xff\xfe\n", "", "not UTF-8 text"),
+        (HEADER.encode() + b'\n0,"left,1\n', ":2", "not CSV"),
+        (HEADER.encode() + b'\n0,"le"ft",1\n', ":2", "not CSV"),
+        (HEADER.encode() + b"\n" + b"1" * 200_000, ":2", "not CSV"),
+        (b"SQLite format 3\x00" + bytes(100), "", ""),
+    ],
+)
+def test_a_file_that_holds_no_readings(path: Path, content: bytes, where: str, says: str) -> None:
+    path.write_bytes(content)
+    message = refusal(path)
+    assert message.startswith(f"{path}{where}")
+    assert says in message
+
+
+@pytest.mark.fast
+def test_a_missing_file_and_a_folder(path: Path) -> None:
+    assert "file not found" in refusal(path)
+    path.mkdir()
+    assert "cannot be read" in refusal(path)
+
+
+@pytest.mark.fast
+def test_several_errors_are_told_together(path: Path) -> None:
+    rows = [row.replace("0.2,", "x,", 1).replace("3.5", "y") for row in ROWS]
+    write(path, *rows)
+    lines = refusal(path).splitlines()
+    assert [line.split(": ")[0] + ": " + line.split(": ")[1] for line in lines] == [
+        f"{path}:2: q2",
+        f"{path}:3: q2",
+        f"{path}:3: z_m",
+    ]
+
+
+@pytest.mark.fast
+def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
+    write(path, *ROWS)
+    with import_csv(two_arms(), path, tmp_path / "run") as run:
+        assert run.arms() == ["left", "right"]
+        assert run.stops_done() == {0, 1}
+        texts = [(event.level, event.text) for event in run.events()]
+        run.add_stop(2, {"left": Reading(q=np.zeros(2), p_M=np.zeros(3))})
+    assert ("info", f"imported {path}: 2 of arm left, 2 of arm right") in texts
+    assert ("note", f"{path}: column 'mood' is unknown; it is kept and not used") in texts
+    with pytest.raises(InputError, match="already holds a run"):
+        import_csv(two_arms(), path, tmp_path / "run")
+
+
+@pytest.mark.fast
+def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path: Path) -> None:
+    write(path, *(row for row in ROWS if "left" in row))
+    with pytest.raises(InputError, match=r"readings\.csv: arm: no reading of arm right"):
+        import_csv(two_arms(), path, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.fast
+def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> None:
+    header = "zeta," + HEADER + ",alpha,payload_kg"
+    write(path, *(f"{index},{row},x y,," for index, row in enumerate(ROWS)), header=header + ",empty")
+    with import_csv(two_arms(), path, tmp_path / "run") as run:
+        write_readings_csv(run, tmp_path / "out.csv")
+    with (tmp_path / "out.csv").open(newline="", encoding="utf-8") as file:
+        names, *rows = list(csv.reader(file))
+    assert sorted(names) == sorted([*header.split(","), "empty"])
+    assert [name for name in names if name in ("zeta", "mood", "alpha", "empty")] == ["zeta", "mood", "alpha", "empty"]
+    assert [row[names.index("zeta")] for row in rows] == ["0", "1", "2", "3"]
+    assert [row[names.index("mood")] for row in rows] == ["good", "", "bad", "so, so"]
+    assert not (tmp_path / "out.csv.new").exists()
+
+
+@pytest.mark.fast
+def test_export_of_nothing_and_to_nowhere(path: Path, tmp_path: Path) -> None:
+    with RunFile.create(tmp_path / "run", two_arms()) as run:
+        with pytest.raises(InputError, match="no readings yet"):
+            write_readings_csv(run, path)
+        assert not path.exists()
+        run.add_stop(0, {"left": Reading(q=np.zeros(2), p_M=np.zeros(3))})
+        with pytest.raises(InputError, match="cannot be written"):
+            write_readings_csv(run, tmp_path / "none" / "out.csv")
+        path.mkdir()
+        with pytest.raises(InputError, match="is a folder"):
+            write_readings_csv(run, path)
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["readings.csv", "run"]
+
+
+NEAR = st.floats(-100.0, 100.0)
+SIGMA = st.floats(1e-10, 1.0)
+SECONDS = st.floats(-1e11, 1e11)
+
+
+@st.composite
+def some_readings(draw: st.DrawFn, joints: int, extras: tuple[str, ...]) -> Readings:
+    n = draw(st.integers(1, 4))
+
+    def column(elements: st.SearchStrategy[float], shape: int | tuple[int, ...]) -> np.ndarray | None:
+        values = draw(hnp.arrays(np.float64, shape, elements=elements | st.just(math.nan)))
+        return None if np.all(np.isnan(values)) else values
+
+    covariance = None
+    if draw(st.booleans()):
+        roots = draw(hnp.arrays(np.float64, (n, 3), elements=st.floats(1e-9, 1e-3)))
+        covariance = np.einsum("ni,ij,nj->nij", roots, np.eye(3) + 0.2, roots)
+        covariance = np.triu(covariance) + np.swapaxes(np.triu(covariance, 1), 1, 2)
+        covariance[draw(hnp.arrays(np.bool_, n))] = np.nan
+        covariance = None if np.all(np.isnan(covariance)) else covariance
+    split = draw(st.lists(st.sampled_from([None, "identify", "train", "validate"]), min_size=n, max_size=n))
+    times = column(SECONDS, n)
+    # any text that CSV can carry: all but the characters that cannot be encoded
+    texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=6)
+    numbers = draw(st.lists(st.integers(-(10**17), 10**17), min_size=n, max_size=n, unique=True))
+    places = draw(st.none() | st.permutations(range(n)))
+    return Readings(
+        configuration=np.array(sorted(numbers), dtype=np.int64),
+        sequence=None if places is None else np.array(places, dtype=np.float64),
+        time_s=np.full(n, np.nan) if times is None else times,
+        q=draw(hnp.arrays(np.float64, (n, joints), elements=st.floats(-12.5, 12.5))),
+        approach=draw(hnp.arrays(np.int8, (n, joints), elements=st.integers(-1, 1))),
+        p_M=draw(hnp.arrays(np.float64, (n, 3), elements=NEAR)),
+        payload_kg=column(st.floats(0.0, 1e4), n),
+        temperature_c=column(NEAR, n),
+        joint_temperature_c=column(NEAR, (n, joints)),
+        step=column(NEAR, (n, joints)),
+        dwell_s=column(st.floats(0.0, 1e11), n),
+        covariance_M=covariance,
+        sigma_m=column(SIGMA, n),
+        split=tuple(split) if any(split) else None,
+        extras={name: tuple(draw(st.lists(texts, min_size=n, max_size=n))) for name in extras},
+    )
+
+
+@settings(max_examples=50, deadline=None)
+@given(data=st.data())
+def test_export_then_import_gives_every_bit_back(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    extras = data.draw(st.sampled_from([(), ("note",), ("b", "a, \"quoted\"")]))  # fmt: skip
+    arms = data.draw(st.sampled_from([("left",), ("left", "right")]))
+    before = {arm: data.draw(some_readings(JOINTS[arm], extras)) for arm in arms}
+    profile = two_arms()
+    profile = profile.model_copy(update={"arms": {arm: profile.arms[arm] for arm in arms}})
+    folder = tmp_path_factory.mktemp("bits")
+    with RunFile.create(folder / "run", profile) as run:
+        for arm, readings in before.items():
+            run.add_readings(arm, readings)
+        write_readings_csv(run, folder / "first.csv")
+    with import_csv(profile, folder / "first.csv", folder / "again") as run:
+        write_readings_csv(run, folder / "second.csv")
+        assert run.arms() == list(before)
+        for arm, readings in before.items():
+            assert_same(run.readings(arm), readings)
+    assert (folder / "second.csv").read_bytes() == (folder / "first.csv").read_bytes()
+    shutil.rmtree(folder)
+
+
+@pytest.mark.fast
+@settings(max_examples=50, deadline=None)
+@given(content=st.text(alphabet='configuration,arm"qxyz_m123.\n-e5leftrigh', max_size=120))
+def test_any_text_is_read_or_refused(content: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.mktemp("any") / "file.csv"
+    path.write_text(HEADER + "\n" + ROWS[0] + "\n" + content, "utf-8", newline="")
+    try:
+        readings, _ = read_readings_csv(path, JOINTS)
+    except InputError as error:
+        assert str(error).startswith(str(path))  # noqa: PT017
+    else:
+        assert len(readings["left"]) >= 1
+    shutil.rmtree(path.parent)
+
+
+@pytest.mark.fast
+def test_the_real_arm(tmp_path: Path) -> None:
+    profile = load_profile(ROOT / "profiles" / "ur10-real.yaml")
+    with import_csv(profile, REAL, tmp_path / "run") as run:
+        readings = run.readings("left")
+        write_readings_csv(run, tmp_path / "out.csv")
+    assert len(readings) == 2773
+    with REAL.open(newline="", encoding="utf-8") as file:
+        given_rows = list(csv.DictReader(file))
+    np.testing.assert_array_equal(
+        readings.q, [[float(row[f"q{joint}"]) for joint in range(1, 7)] for row in given_rows]
+    )
+    np.testing.assert_array_equal(readings.p_M, [[float(row[f"{axis}_m"]) for axis in "xyz"] for row in given_rows])
+    np.testing.assert_array_equal(readings.sigma_m, [float(row["sigma_m"]) for row in given_rows])
+    assert np.all(np.isnan(readings.time_s))
+    assert not readings.approach.any()
+    again, notes = read_readings_csv(tmp_path / "out.csv", {"left": 6})
+    assert notes == []
+    assert_same(again["left"], readings)
+    with (tmp_path / "out.csv").open(newline="", encoding="utf-8") as file:
+        assert next(csv.reader(file)) == list(given_rows[0])
+
+
+@pytest.mark.fast
+def test_joints_beyond_their_limits_are_refused_by_row_with_a_guess(tmp_path: Path, path: Path) -> None:
+    """One row in degrees among rows in radians once ruined a calibration without a word."""
+    rows = [f"{k},left,0.1,0.2,1,2,3" for k in range(5)]
+    rows[2], rows[4] = "2,left,0.1,-55,1,2,3", "4,left,4000,0.2,1,2,3"
+    rows += [f"{k},right,0.1,0.2,1,2,3" for k in range(5)]
+    write(path, *rows, header="configuration,arm,q1,q2,x_m,y_m,z_m")
+    limits = {"left": np.array([[-2.0 * np.pi, 2.0 * np.pi]] * 2)}
+    with pytest.raises(InputError) as refused:
+        read_readings_csv(path, {"left": 2, "right": 2}, limits=limits)
+    first, second = str(refused.value).splitlines()
+    expected = "expected -6.283 to 6.283 rad (limits of the joint) or one revolution more"
+    assert first == f"{path}:4: q2: {expected}, got -55; degrees?"
+    assert second == f"{path}:6: q1: {expected}, got 4000"
+    far = [row.replace("-55", "12.5").replace("4000", "-12.5") for row in rows]
+    write(path, *far, header="configuration,arm,q1,q2,x_m,y_m,z_m")
+    readings, _ = read_readings_csv(path, {"left": 2, "right": 2}, limits=limits)
+    assert readings["left"].q[2, 1] == 12.5
+
+
+@pytest.mark.fast
+def test_a_run_is_not_made_of_a_joint_position_in_degrees(tmp_path: Path) -> None:
+    text = REAL.read_text(encoding="utf-8").splitlines()
+    cells = text[7].split(",")
+    cells[3] = "-55.0"
+    text[7] = ",".join(cells)
+    path = tmp_path / "in.csv"
+    path.write_text("\n".join(text), encoding="utf-8")
+    with pytest.raises(InputError, match=r"in\.csv:8: q2: expected .* got -55; degrees\?"):
+        import_csv(load_profile(ROOT / "profiles" / "ur10-real.yaml"), path, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("q1", "1e300"),
+        ("x_m", "-1e300"),
+        ("sigma_m", "1e300"),
+        ("sigma_m", "1e-300"),
+        ("payload_kg", "1e300"),
+        ("temperature_c", "-1e300"),
+        ("time_s", "1e300"),
+        ("dwell_s", "-1"),
+        ("step1", "1e300"),
+        ("joint_temperature2", "1e300"),
+        ("sequence", "1e300"),
+        ("q2", "nan"),
+        ("q2", "1e999"),
+        ("z_m", "inf"),
+        ("sigma_m", "nan"),
+    ],
+)
+def test_absurd_and_non_finite_values_are_refused_by_row(path: Path, column: str, value: str) -> None:
+    names = ["configuration", "arm", "q1", "q2", "x_m", "y_m", "z_m", "sigma_m", "payload_kg", "temperature_c"]
+    names += ["time_s", "dwell_s", "step1", "step2", "joint_temperature1", "joint_temperature2", "sequence"]
+    good = ["left", "1", "2", "3", "4", "5", "1e-5", "2", "20", "7", "1", "0.1", "0.2", "30", "30"]
+    rows = [[str(k), *good, str(k)] for k in range(4)]
+    rows[2][names.index(column)] = value
+    write(path, *(",".join(row) for row in rows), header=",".join(names))
+    limits = {"left": np.array([[-2.0 * np.pi, 2.0 * np.pi]] * 2)}
+    with pytest.raises(InputError) as refused:
+        read_readings_csv(path, JOINTS, limits=limits)
+    assert str(refused.value).startswith(f"{path}:4: {column}: expected ")

@@ -1,0 +1,582 @@
+"""The run file: what was committed is there, whatever happens; what is no run file is refused and left alone."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from cellapp.cell.run import Outcome, RunFile
+from cellapp.estimation.readings import Reading, Readings
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from tests.cell.run.spoiled import SPOILED
+from tests.cell.run.two_arm_cell import assert_same, two_arms
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+ALL_FLOATS = st.floats(allow_infinity=False)
+
+
+@pytest.fixture
+def profile() -> Profile:
+    return two_arms()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "runs" / "first"
+
+
+def reading(seed: int, joints: int = 2) -> Reading:
+    rng = np.random.default_rng(seed)
+    return Reading(q=rng.normal(size=joints), p_M=rng.normal(size=3), time_s=float(seed))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.fast
+def test_a_run_keeps_its_profile_and_is_one_file_when_closed(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(0, {"left": reading(0), "right": reading(1, 3)})
+    assert list(files(folder)) == ["run.sqlite"]
+    with RunFile.open(folder) as run:
+        assert run.profile == profile
+        assert run.arms() == ["left", "right"]
+        assert run.stops_done() == {0}
+    assert list(files(folder)) == ["run.sqlite"]
+
+
+@pytest.mark.fast
+def test_reading_does_not_change_the_file(profile: Profile, folder: Path) -> None:
+    RunFile.create(folder, profile).close()
+    before = files(folder)
+    with RunFile.open(folder) as run:
+        assert len(run.readings("left")) == 0
+        assert run.readings("left").q.shape == (0, 2)
+        assert run.readings("right").approach.shape == (0, 3)
+        assert run.read_plan() == {}
+        assert run.events() == []
+        assert run.read_result("calibration") is None
+        for write in (
+            lambda: run.add_stop(0, {"left": reading(0)}),
+            lambda: run.log("info", "no"),
+            lambda: run.write_plan({"left": np.zeros((1, 2))}),
+            lambda: run.write_result("a", "b"),
+            lambda: run.assign_splits("left", []),
+        ):
+            with pytest.raises(InputError, match="open for reading only"):
+                write()
+    assert files(folder) == before
+
+
+@pytest.mark.fast
+@settings(max_examples=50, deadline=None)
+@given(data=st.data())
+def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
+    n = data.draw(st.integers(1, 4))
+    configuration = data.draw(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=n, max_size=n, unique=True))
+
+    def column(shape: int | tuple[int, ...]) -> np.ndarray:
+        return data.draw(hnp.arrays(np.float64, shape, elements=ALL_FLOATS))
+
+    def optional(shape: int | tuple[int, ...]) -> np.ndarray | None:
+        values = column(shape)
+        return None if bool(np.isnan(values).all()) or data.draw(st.booleans()) else values
+
+    half = optional((n, 6))
+    covariance = None
+    if half is not None:
+        covariance = np.empty((n, 3, 3))
+        for position, (row, col) in enumerate(zip(*np.triu_indices(3), strict=True)):
+            covariance[:, row, col] = covariance[:, col, row] = half[:, position]
+    split = data.draw(st.lists(st.sampled_from([None, "identify", "train", "validate"]), min_size=n, max_size=n))
+    names = data.draw(st.lists(st.text(), max_size=2, unique=True))
+    given_readings = Readings(
+        configuration=np.array(configuration, dtype=np.int64),
+        time_s=column(n),
+        q=data.draw(hnp.arrays(np.float64, (n, 3), elements=FINITE)),
+        approach=data.draw(hnp.arrays(np.int8, (n, 3), elements=st.integers(-1, 1))),
+        p_M=data.draw(hnp.arrays(np.float64, (n, 3), elements=FINITE)),
+        payload_kg=optional(n),
+        temperature_c=optional(n),
+        joint_temperature_c=optional((n, 3)),
+        step=optional((n, 3)),
+        dwell_s=optional(n),
+        covariance_M=covariance,
+        sigma_m=optional(n),
+        split=None if not any(split) else tuple(split),
+        extras={name: tuple(data.draw(st.lists(st.text(), min_size=n, max_size=n))) for name in names},
+    )
+    folder = tmp_path_factory.mktemp("bits")
+    with RunFile.create(folder, two_arms()) as run:
+        run.add_readings("right", given_readings)
+    with RunFile.open(folder) as run:
+        back = run.readings("right")
+    assert_same(back, given_readings.take(np.argsort(configuration)))
+    shutil.rmtree(folder)
+
+
+@pytest.mark.fast
+def test_a_stop_with_all_its_values(profile: Profile, folder: Path) -> None:
+    full = Reading(
+        q=np.array([0.1, -0.2]),
+        p_M=np.array([1.0, 2.0, 3.0]),
+        time_s=12.5,
+        approach=np.array([-1, 1], dtype=np.int8),
+        payload_kg=0.3,
+        temperature_c=21.5,
+        joint_temperature_c=np.array([30.0, np.nan]),
+        covariance_M=np.diag([1e-10, 2e-10, 3e-10]),
+        sigma_m=1.5e-5,
+        split="train",
+        extras={"operator": "Köhler"},
+    )
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(7, {"left": full})
+        run.add_stop(3, {"left": reading(3), "right": reading(4, 3)})
+        left = run.readings("left")
+    np.testing.assert_array_equal(left.configuration, [3, 7])
+    np.testing.assert_array_equal(left.time_s, [3.0, 12.5])
+    np.testing.assert_array_equal(left.approach, [[0, 0], [-1, 1]])
+    np.testing.assert_array_equal(left.payload_kg, [np.nan, 0.3])
+    np.testing.assert_array_equal(left.joint_temperature_c, [[np.nan, np.nan], [30.0, np.nan]])
+    assert left.covariance_M is not None
+    np.testing.assert_array_equal(left.covariance_M[1], np.diag([1e-10, 2e-10, 3e-10]))
+    assert np.all(np.isnan(left.covariance_M[0]))
+    assert left.split == (None, "train")
+    assert left.extras == {"operator": ("", "Köhler")}
+    np.testing.assert_array_equal(left.in_split("train"), [1])
+
+
+@pytest.mark.fast
+def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(0, {"right": reading(0, 3)})
+        with pytest.raises(InputError, match="a reading of arm right at one of these stops \\(0\\) is stored already"):
+            run.add_stop(0, {"left": reading(1), "right": reading(2, 3)})
+        assert run.arms() == ["right"]
+        assert run.readings("right").time_s[0] == 0.0
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("arm", "wrong", "says"),
+    [
+        ("middle", reading(0), "arm 'middle' not found; arms are left, right"),
+        ("left", reading(0, 3), "3 joint positions for the 2 joints of arm left"),
+        ("left", Reading(q=np.array([0.0, np.nan]), p_M=np.zeros(3)), "not finite"),
+        ("left", Reading(q=np.zeros(2), p_M=np.array([0.0, np.inf, 0.0])), "not finite"),
+        ("left", Reading(q=np.zeros(2), p_M=np.zeros(2)), "expected p_M"),
+        ("left", Reading(q=np.zeros(2), p_M=np.zeros(3), split="test"), "'test' is not a split"),
+        (
+            "left",
+            Reading(q=np.zeros(2), p_M=np.zeros(3), approach=np.array([2, 0], np.int8)),
+            r"is not -1, 0 \(unknown\) or 1",
+        ),
+    ],
+)
+def test_values_that_are_no_reading(profile: Profile, folder: Path, arm: str, wrong: Reading, says: str) -> None:
+    with RunFile.create(folder, profile) as run:
+        with pytest.raises((InputError, ValueError), match=says):
+            run.add_stop(0, {arm: wrong})
+        assert run.stops_done() == set()
+
+
+@pytest.mark.fast
+def test_plan_splits_events_and_results(profile: Profile, folder: Path) -> None:
+    rng = np.random.default_rng(0)
+    plan = {"right": rng.normal(size=(12, 3)), "left": rng.normal(size=(12, 2))}
+    with RunFile.create(folder, profile) as run:
+        run.write_plan({"left": np.zeros((3, 2))})
+        run.write_plan(plan)
+        for stop in (2, 0, 1):
+            run.add_stop(stop, {"left": reading(stop)})
+        run.assign_splits("left", ["identify", None, "validate"])
+        run.log("info", "began")
+        run.log("warning", "target lost", time_s=3.25)
+        run.write_result("calibration", "{}")
+        run.write_result("calibration", '{"a": 1}')
+    with RunFile.open(folder) as run:
+        back = run.read_plan()
+        assert list(back) == ["left", "right"]
+        for arm, q in plan.items():
+            np.testing.assert_array_equal(back[arm], q)
+        assert run.readings("left").split == ("identify", None, "validate")
+        assert [(e.level, e.text, e.time_s) for e in run.events()] == [
+            ("info", "began", None),
+            ("warning", "target lost", 3.25),
+        ]
+        assert run.read_result("calibration") == '{"a": 1}'
+        assert run.read_result("other") is None
+
+
+@pytest.mark.fast
+def test_a_plan_does_not_change_under_measured_stops(profile: Profile, folder: Path) -> None:
+    plan = {"left": np.arange(8.0).reshape(4, 2)}
+    with RunFile.create(folder, profile) as run:
+        run.write_plan(plan)
+        run.add_stop(1, {"left": reading(0)})
+        longer = {"left": np.vstack([plan["left"], [[9.0, 9.0]]])}
+        run.write_plan(longer)
+        other = {"left": longer["left"] + 1e-12}
+        with pytest.raises(InputError, match="stop 1 is measured already"):
+            run.write_plan(other)
+        np.testing.assert_array_equal(run.read_plan()["left"], longer["left"])
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    "plan",
+    [
+        {"left": np.zeros((2, 3))},
+        {"left": np.zeros(2)},
+        {"left": np.full((2, 2), np.nan)},
+        {"left": np.zeros((2, 2)), "right": np.zeros((3, 3))},
+    ],
+)
+def test_a_plan_that_does_not_fit(profile: Profile, folder: Path, plan: dict[str, np.ndarray]) -> None:
+    with RunFile.create(folder, profile) as run:
+        with pytest.raises(ValueError, match=r"stops|expected finite joint positions"):
+            run.write_plan(plan)
+        assert run.read_plan() == {}
+
+
+@pytest.mark.fast
+def test_wrong_splits(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(0, {"left": reading(0)})
+        with pytest.raises(ValueError, match="'test' is not a split"):
+            run.assign_splits("left", ["test"])
+        with pytest.raises(ValueError, match="2 splits for the 1 readings"):
+            run.assign_splits("left", ["train", "train"])
+        assert run.readings("left").split is None
+
+
+@pytest.mark.fast
+def test_a_reader_looks_on_while_another_writes(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run, RunFile.open(folder) as reader:
+        for stop in range(3):
+            run.add_stop(stop, {"left": reading(stop)})
+            assert reader.stops_done() == set(range(stop + 1))
+    with RunFile.open(folder) as run:
+        assert len(run.readings("left")) == 3
+
+
+@pytest.mark.fast
+def test_threads_share_a_run(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+
+        def work(first: int) -> None:
+            for stop in range(first, first + 10):
+                run.add_stop(stop, {"left": reading(stop)})
+                run.log("info", str(stop))
+
+        threads = [threading.Thread(target=work, args=(first,)) for first in (0, 10, 20)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(timeout=60)
+        assert run.stops_done() == set(range(30))
+        assert len(run.events()) == 30
+
+
+@pytest.mark.fast
+def test_a_full_disk_is_a_sentence_and_costs_only_that_stop(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(0, {"left": reading(0)})
+        run._connection.execute("PRAGMA max_page_count=1").fetchall()  # as many as there are
+        with pytest.raises(InputError, match="full; check that the disk"):
+            run.write_result("big", "x" * 100_000)
+        run._connection.execute("PRAGMA max_page_count=1000000").fetchall()
+        run.add_stop(1, {"left": reading(1)})
+    with RunFile.open(folder) as run:
+        assert run.stops_done() == {0, 1}
+        assert run.read_result("big") is None
+
+
+@pytest.mark.fast
+def test_using_a_closed_run_is_a_sentence(profile: Profile, folder: Path) -> None:
+    run = RunFile.create(folder, profile)
+    run.close()
+    run.close()
+    with pytest.raises(InputError, match="closed"):
+        run.stops_done()
+
+
+# -- folders that hold something else ---------------------------------------------------------------------------------
+
+
+@pytest.mark.fast
+def test_a_folder_with_a_run_is_not_used_again(profile: Profile, folder: Path) -> None:
+    RunFile.create(folder, profile).close()
+    before = files(folder)
+    with pytest.raises(InputError, match="already holds a run") as caught:
+        RunFile.create(folder, profile)
+    assert str(folder) in str(caught.value)
+    assert "choose a new folder" in str(caught.value)
+    assert files(folder) == before
+
+
+@pytest.mark.fast
+def test_a_folder_with_something_else_is_not_used(profile: Profile, folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "thesis.tex").write_text("draft")
+    with pytest.raises(InputError, match=r"is not empty \(thesis.tex\)"):
+        RunFile.create(folder, profile)
+    assert files(folder) == {"thesis.tex": b"draft"}
+
+
+@pytest.mark.fast
+def test_a_file_is_no_folder(profile: Profile, tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    path.write_text("x")
+    with pytest.raises(InputError, match="is a file"):
+        RunFile.create(path, profile)
+    with pytest.raises(InputError, match=f"{path}"):
+        RunFile.create(path / "below", profile)
+    with pytest.raises(InputError, match="is not a folder"):
+        RunFile.open(path)
+    assert path.read_text() == "x"
+
+
+@pytest.mark.fast
+def test_an_empty_folder_and_one_of_a_killed_creation_are_used(profile: Profile, folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "run.sqlite.new").write_bytes(b"half")
+    with RunFile.create(folder, profile) as run:
+        run.log("info", "made")
+    assert list(files(folder)) == ["run.sqlite"]
+
+
+@pytest.mark.fast
+def test_a_creation_that_fails_leaves_nothing(profile: Profile, tmp_path: Path) -> None:
+    def fill(run: RunFile) -> None:
+        run.add_stop(0, {"left": reading(0)})
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        RunFile.create(tmp_path / "a" / "b", profile, fill)
+    assert list(tmp_path.iterdir()) == []
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    with pytest.raises(KeyboardInterrupt):
+        RunFile.create(kept, profile, fill)
+    assert list(tmp_path.rglob("*")) == [kept]
+
+
+# -- files that cannot be opened --------------------------------------------------------------------------------------
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("write", [False, True])
+@pytest.mark.parametrize(("spoil", "says"), SPOILED)
+def test_a_file_that_is_no_run_is_refused_and_left_alone(
+    profile: Profile, folder: Path, spoil: Callable[[Path], None], says: str, write: bool
+) -> None:
+    with RunFile.create(folder, profile) as run:
+        for stop in range(200):
+            run.add_stop(stop, {"left": reading(stop)}) if stop < 3 else run.log("info", "x" * 200)
+    path = folder / "run.sqlite"
+    spoil(path)
+    before = files(folder)
+    with pytest.raises(InputError, match=says) as caught:
+        RunFile.open(folder, write=write)
+    assert str(path) in str(caught.value)
+    assert files(folder) == before
+
+
+@pytest.mark.fast
+def test_a_missing_run(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="run folder not found"):
+        RunFile.open(tmp_path / "none")
+    with pytest.raises(InputError, match=r"holds no run \(run.sqlite is missing\)"):
+        RunFile.open(tmp_path, write=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- kill -------------------------------------------------------------------------------------------------------------
+
+WRITER = """
+import sys
+from pathlib import Path
+import numpy as np
+from cellapp.cell.run import Reading, RunFile
+
+with RunFile.open(Path(sys.argv[1]), write=True) as run:
+    stop = max(run.stops_done(), default=-1)
+    while True:
+        stop += 1
+        rows = {
+            name: Reading(q=np.full(len(arm.type.joints), stop + 0.5), p_M=np.full(3, stop / 3.0), time_s=float(stop))
+            for name, arm in run.profile.arms.items()
+        }
+        run.add_stop(stop, rows)
+        print(stop, flush=True)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_nothing_committed_is_lost_by_a_kill_at_any_moment(profile: Profile, folder: Path) -> None:
+    RunFile.create(folder, profile).close()
+    rng = random.Random(20)
+    promised: set[int] = set()
+    for _ in range(5):
+        writer = subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(folder)],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=Path(__file__).parents[3],
+        )
+        assert writer.stdout is not None
+        timer = threading.Timer(60.0, writer.kill)
+        timer.start()
+        # some stops for sure, then a moment that falls anywhere within the transactions that follow
+        for _ in range(rng.randint(1, 30)):
+            promised.add(int(writer.stdout.readline()))
+        threading.Event().wait(rng.uniform(0.0, 0.02))
+        writer.send_signal(signal.SIGKILL)
+        promised.update(int(line) for line in writer.stdout.read().split("\n")[:-1])
+        assert writer.wait(timeout=60) == -signal.SIGKILL
+        timer.cancel()
+        writer.stdout.close()
+
+        with RunFile.open(folder) as run:
+            stored = run.stops_done()
+            assert promised <= stored
+            assert len(stored - promised) <= 5  # at most one a kill was committed and not yet printed
+            assert stored == set(range(len(stored)))
+            for name, joints in (("left", 2), ("right", 3)):
+                rows = run.readings(name)
+                np.testing.assert_array_equal(rows.configuration, sorted(stored))
+                np.testing.assert_array_equal(rows.q, np.repeat(rows.configuration[:, None] + 0.5, joints, axis=1))
+                np.testing.assert_array_equal(rows.p_M[:, 2], rows.configuration / 3.0)
+    with RunFile.open(folder, write=True) as run:
+        assert run.stops_done() == stored
+    assert list(files(folder)) == ["run.sqlite"]
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+
+
+@pytest.mark.fast
+def test_a_commit_waits_for_the_disk(profile: Profile, folder: Path) -> None:
+    """SIGKILL cannot show this: after a power cut only what was synchronised is there."""
+    with RunFile.create(folder, profile) as run:
+        run.log("info", "from the first change on")
+        (synchronous,) = run._connection.execute("PRAGMA synchronous").fetchone()
+        (journal,) = run._connection.execute("PRAGMA journal_mode").fetchone()
+    assert (synchronous, journal) == (2, "wal")
+
+
+@pytest.mark.fast
+def test_who_changes_nothing_leaves_every_byte_as_it_was(profile: Profile, folder: Path) -> None:
+    RunFile.create(folder, profile).close()
+    before = (folder / "run.sqlite").read_bytes()
+    with RunFile.open(folder, write=True) as run:
+        assert run.stops_done() == set()
+    assert (folder / "run.sqlite").read_bytes() == before
+    assert list(files(folder)) == ["run.sqlite"]
+
+
+@pytest.mark.fast
+def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lacks(
+    profile: Profile, folder: Path
+) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(1, {"left": reading(1)})
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        connection.execute("ALTER TABLE reading DROP COLUMN step")
+        connection.execute("ALTER TABLE reading DROP COLUMN dwell_s")
+        connection.execute("ALTER TABLE reading DROP COLUMN sequence")
+        for table in ("stage", "session", "request", "outcome", "reference"):
+            connection.execute(f"DROP TABLE {table}")
+        connection.execute("UPDATE meta SET value = '1' WHERE key = 'version'")
+        connection.execute("PRAGMA user_version=1")
+        connection.commit()
+    before = (folder / "run.sqlite").read_bytes()
+    with RunFile.open(folder) as run:
+        assert run.readings("left").step is None
+    assert (folder / "run.sqlite").read_bytes() == before
+    with RunFile.open(folder, write=True) as run:
+        run.add_stop(2, {"left": replace(reading(2), step=np.array([0.1, -0.2]), dwell_s=1.5)})
+    with RunFile.open(folder) as run:
+        left = run.readings("left")
+        assert left.step is not None
+        assert left.dwell_s is not None
+        np.testing.assert_array_equal(left.step, [[np.nan, np.nan], [0.1, -0.2]])
+        np.testing.assert_array_equal(left.dwell_s, [np.nan, 1.5])
+
+
+@pytest.mark.fast
+def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_stages(
+    profile: Profile, folder: Path
+) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.append_stage("calibrate", None, "{}", None)
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        for table in ("session", "request", "outcome", "reference"):
+            connection.execute(f"DROP TABLE {table}")
+        connection.execute("ALTER TABLE reading DROP COLUMN sequence")
+        connection.execute("PRAGMA user_version=3")
+        connection.commit()
+    with RunFile.open(folder) as run:
+        assert (run.sessions(), run.outcomes(), run.references()) == ([], [], [])
+    with RunFile.open(folder, write=True) as run:
+        session = run.begin_session()
+        run.record_request(session, "pause", "by a person")
+        run.end_session(session, "stopped", "by a person")
+        assert [row.name for row in run.stage_rows()] == ["calibrate"]
+        (found,) = run.sessions()
+    assert (found.outcome, found.reason) == ("stopped", "by a person")
+    assert [request[1:] for request in found.requests] == [("pause", "by a person")]
+
+
+@pytest.mark.fast
+def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(1, {"left": reading(1)})
+        session = run.begin_session()
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        connection.execute("ALTER TABLE reading DROP COLUMN sequence")
+        connection.execute("PRAGMA user_version=4")
+        connection.commit()
+    with RunFile.open(folder) as run:
+        assert run.readings("left").sequence is None
+    with RunFile.open(folder, write=True) as run:
+        run.add_stop(2, {"left": replace(reading(2), sequence=1.0)})
+        run.end_session(session, "stopped", "by a person")
+        np.testing.assert_array_equal(run.readings("left").sequence, [np.nan, 1.0])
+
+
+@pytest.mark.fast
+def test_an_outcome_counts_until_the_stop_is_measured(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(1, {"left": reading(1)}, [Outcome(1, "right", "not measured", "hidden")])
+        run.add_stop(2, {}, [Outcome(2, "left", "left out", "too near"), Outcome(2, "right", "left out", "too near")])
+        assert [(one.stop, one.arm, one.kind) for one in run.outcomes()] == [
+            (1, "right", "not measured"),
+            (2, "left", "left out"),
+            (2, "right", "left out"),
+        ]
+        assert run.stops_done() == {1}
+        run.add_stop(2, {"left": reading(2)}, [Outcome(2, "right", "not measured", "hidden")])
+        assert [(one.stop, one.arm, one.reason) for one in run.outcomes()] == [
+            (1, "right", "hidden"),
+            (2, "right", "hidden"),
+        ]

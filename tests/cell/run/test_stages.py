@@ -1,0 +1,254 @@
+"""Stages of a run: verbs append, nothing edits, and what rests on something that changed is out of date."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cellapp.cell.run import RunFile
+from cellapp.cell.targets.targets import load_targets
+from cellapp.commands.pipeline import calibrate_run, compensate_run, discover_run, push_run, report_run
+from cellapp.commands.show.overview import run_history, run_overview
+from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_results, read_stages, readings_digest
+from cellapp.ground.errors import InputError
+from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY
+from cellapp.interfaces.page.page import page_text
+from cellapp.robot.model import CellModel
+from tests.twin import PROFILES, small_twin
+
+OLD_RUN = Path(__file__).parents[2] / "fixtures" / "run-schema-2"
+NOON = datetime(2026, 1, 2, 12, tzinfo=UTC)
+TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())[:2]
+
+
+def slugs(folder: Path) -> dict[str, list[str]]:
+    """Effects of each arm in the exported model."""
+    return {
+        name: [term.slug for term in arm.effects]
+        for name, arm in CellModel.load(folder / CALIBRATION_FILE).arms.items()
+    }
+
+
+def rows(folder: Path) -> list[tuple[Any, ...]]:
+    """Every column of every stored stage."""
+    connection = sqlite3.connect(folder / "run.sqlite")
+    try:
+        return list(connection.execute("SELECT * FROM stage ORDER BY number"))
+    finally:
+        connection.close()
+
+
+def swap_splits(run: RunFile) -> None:
+    """Use ten readings that validated to identify, and the other way round, in both arms alike."""
+    for name in run.profile.arms:
+        words = list(run.readings(name).split or ())
+        identify = [i for i, word in enumerate(words) if word == "identify"][:10]
+        validate = [i for i, word in enumerate(words) if word == "validate"][:10]
+        for one, other in zip(identify, validate, strict=True):
+            words[one], words[other] = words[other], words[one]
+        run.assign_splits(name, words)
+
+
+def test_every_stage_states_what_it_rests_on(finished_run: Path) -> None:
+    with RunFile.open(finished_run) as run:
+        stages = read_stages(run)
+        assert list(stages.current) == ["calibrate", "discover", "compensate", "verify"]
+        assert stages.out_of_date == {}
+        assert stages.stale_model() == ""
+        assert stages.next_step(finished_run) == ""
+        assert run_overview(run).next_verb == "report"
+        calibrate, discover = stages.current[CALIBRATE], stages.current[DISCOVER]
+        assert stages.in_force == discover
+        assert calibrate.basis is not None
+        assert calibrate.basis.readings["left"].sha256 == readings_digest(run.readings("left"))
+        assert calibrate.basis.readings["left"].n == 120
+        assert calibrate.basis.stages == {}
+        assert discover.basis is not None
+        assert discover.basis.stages == {"calibrate": calibrate.digest}
+        verify = stages.current[VERIFY].basis
+        assert verify is not None
+        assert verify.stages == {"discover": discover.digest}
+        assert verify.targets is not None
+        exported = json.loads((finished_run / CALIBRATION_FILE).read_text("utf-8"))["provenance"]
+        assert exported["stage"] == "discover"
+        assert exported["basis"]["stages"] == {"calibrate": calibrate.digest}
+
+
+def test_the_calibration_keeps_its_own_model_and_is_shown_with_the_effects(finished_run: Path) -> None:
+    with RunFile.open(finished_run) as run:
+        calibrate = read_stages(run).current[CALIBRATE]
+        stored = json.loads(calibrate.text)
+        assert all("effects" not in arm["validate"] for arm in stored["arms"].values())
+        assert "effects" not in stored["pair"]
+        assert calibrate.model is not None
+        assert not any(arm.effects for arm in CellModel.from_json(calibrate.model).arms.values())
+        shown = read_results(run)
+    assert shown.calibrate is not None
+    assert shown.discover is not None
+    for name, arm in shown.calibrate.arms.items():
+        assert arm.best_stage == "effects"
+        assert arm.validate_["effects"] == shown.discover.arms[name].validate_["effects"]
+    assert shown.calibrate.pair["effects"] == shown.discover.pair["effects"]
+    assert slugs(finished_run) == {"left": ["joint_compliance"], "right": ["backlash"]}
+
+
+def test_calibrating_again_with_the_same_outcome_keeps_the_discovery(finished_copy: Path) -> None:
+    before = json.loads((finished_copy / CALIBRATION_FILE).read_text("utf-8"))
+    with RunFile.open(finished_copy, write=True) as run:
+        notes = calibrate_run(run).notes
+        stages = read_stages(run)
+    assert stages.out_of_date == {}
+    assert stages.in_force == stages.current[DISCOVER]
+    assert json.loads((finished_copy / CALIBRATION_FILE).read_text("utf-8")) == before
+    assert f"the discovery still holds; {CALIBRATION_FILE} keeps the effects that were found" in notes
+
+
+def test_calibrating_again_with_another_outcome_outdates_what_rested_on_it(
+    finished_copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    earlier = rows(finished_copy)
+    with RunFile.open(finished_copy, write=True) as run:
+        swap_splits(run)
+        notes = calibrate_run(run).notes
+        reasons = read_stages(run).out_of_date
+        assert set(reasons) == {"discover", "compensate", "verify"}
+        assert "calibrated again since, with another outcome" in reasons[DISCOVER]
+        assert any("the discovery is out of date" in note and "'cellapp discover" in note for note in notes)
+        assert slugs(finished_copy) == {"left": [], "right": []}
+        # shown as out of date
+        shown = read_results(run)
+        assert shown.discover is not None
+        assert shown.verify is not None
+        assert shown.calibrate is not None
+        assert "effects" not in shown.calibrate.arms["left"].validate_
+        states = {stage.name: stage.out_of_date for stage in run_overview(run).stages}
+        assert states["calibrate"] is None
+        assert states["verify"] == reasons[VERIFY]
+        overview = run_overview(run)
+        assert (overview.next_verb, overview.next_step) == ("discover", f"cellapp discover {finished_copy}")
+        assert report_run(run).out_of_date == reasons
+        assert "out of date" in page_text(run, NOON)
+        # refused before any device is opened
+        monkeypatch.setattr(
+            "cellapp.cell.driving.supervision.open_cell", lambda *_, **__: pytest.fail("a device was opened")
+        )
+        before = rows(finished_copy)
+        with pytest.raises(InputError, match=r"'discover' is out of date .* nothing was moved. Run 'cellapp discover"):
+            push_run(run, TARGETS, verify=True)
+        assert rows(finished_copy) == before
+        monkeypatch.undo()
+        # used only if the operator insists, and then said
+        compensated = compensate_run(run, TARGETS)
+        assert "that of 'calibrate', was used although 'discover' is out of date" in compensated.notes[0]
+        insisted = push_run(run, TARGETS, verify=True, out_of_date=True)
+        assert "was used although" in insisted.notes[0]
+        assert any(event.level == "warning" and "was used although" in event.text for event in run.events())
+        # and all is well again after the search
+        discover_run(run)
+        assert VERIFY in read_stages(run).out_of_date, "it measured another model"
+        assert push_run(run, TARGETS, verify=True).complaints() == []
+        assert read_stages(run).out_of_date == {}
+        assert len(run_history(run).stages) == len(rows(finished_copy))
+    assert rows(finished_copy)[: len(earlier)] == earlier, "no earlier row was touched"
+    assert slugs(finished_copy) == {"left": ["joint_compliance"], "right": ["backlash"]}
+
+
+def test_readings_that_are_added_outdate_everything(finished_copy: Path) -> None:
+    with RunFile.open(finished_copy, write=True) as run:
+        for name in run.profile.arms:
+            readings = run.readings(name).take(range(5))
+            readings.configuration[:] += 1000
+            run.add_readings(name, readings)
+        stages = read_stages(run)
+        assert set(stages.out_of_date.values()) == {"10 readings were added since"}
+        assert set(stages.out_of_date) == set(stages.current)
+        assert stages.next_step(finished_copy) == f"cellapp calibrate {finished_copy}"
+        with pytest.raises(InputError, match=r"'calibrate' is out of date \(10 readings were added since\)"):
+            push_run(run, TARGETS, verify=False)
+
+
+def test_another_profile_outdates_everything(finished_copy: Path) -> None:
+    connection = sqlite3.connect(finished_copy / "run.sqlite")
+    text = json.loads(connection.execute("SELECT value FROM meta WHERE key = 'profile'").fetchone()[0])
+    text["seed"] += 1
+    connection.execute("UPDATE meta SET value = ? WHERE key = 'profile'", (json.dumps(text),))
+    connection.commit()
+    connection.close()
+    with RunFile.open(finished_copy) as run:
+        assert set(read_stages(run).out_of_date.values()) == {"the profile was changed since"}
+
+
+# -- runs of versions before the table of stages ----------------------------------------------------------------------
+
+
+@pytest.fixture
+def old_run(tmp_path: Path) -> Path:
+    """A run that version 0.1.0 collected, calibrated and searched."""
+    return Path(shutil.copytree(OLD_RUN, tmp_path / "old"))
+
+
+def test_an_old_run_is_read_and_says_that_its_basis_is_not_recorded(old_run: Path) -> None:
+    with RunFile.open(old_run) as run:
+        stages = read_stages(run)
+        assert set(stages.current) == {"calibrate", "discover"}
+        assert set(stages.out_of_date.values()) == {NOT_RECORDED}
+        shown = read_results(run)
+        assert shown.calibrate is not None
+        assert shown.calibrate.arms["left"].best_stage == "geometry", "its effects belong to the discovery"
+        assert shown.discover is not None
+        assert shown.discover.arms["left"].accepted[0].effect == "joint_compliance"
+        assert all(stage.rests_on == ("not recorded",) for stage in run_overview(run).stages)
+
+
+@pytest.mark.parametrize("verb", [discover_run, lambda run: push_run(run, TARGETS, verify=True)])
+def test_an_old_run_is_refused_where_its_basis_is_needed_and_stays_as_it_was(
+    old_run: Path, verb: Callable[[RunFile], object]
+) -> None:
+    before = {path.name: path.read_bytes() for path in old_run.iterdir()}
+    with RunFile.open(old_run, write=True) as run, pytest.raises(InputError, match="'cellapp calibrate"):
+        verb(run)
+    assert {path.name: path.read_bytes() for path in old_run.iterdir()} == before
+
+
+@pytest.mark.parametrize("text", ["", "x", "[1]", "{}"])
+def test_an_old_model_that_is_damaged_is_named(old_run: Path, text: str) -> None:
+    (old_run / CALIBRATION_FILE).write_text(text)
+    with RunFile.open(old_run, write=True) as run:
+        with pytest.raises(InputError, match=r"calibration\.json is missing or damaged; run 'cellapp calibrate' again"):
+            compensate_run(run, TARGETS)
+        assert set(read_stages(run).current) == {"calibrate", "discover"}
+
+
+def test_an_old_model_is_compensated_with_and_that_is_said(old_run: Path) -> None:
+    with RunFile.open(old_run, write=True) as run:
+        assert NOT_RECORDED in compensate_run(run, TARGETS).notes[0]
+
+
+def test_an_old_run_is_upgraded_by_calibrating_it_again(old_run: Path) -> None:
+    with RunFile.open(old_run, write=True) as run:
+        calibrate_run(run)
+        stages = read_stages(run)
+        assert CALIBRATE not in stages.out_of_date
+        assert stages.out_of_date == {"discover": NOT_RECORDED}
+        assert slugs(old_run) == {"left": [], "right": []}
+        discover_run(run)
+        assert read_stages(run).out_of_date == {}
+    assert slugs(old_run)["left"] == ["joint_compliance"]
+
+
+def test_a_result_that_cannot_be_read_is_named(old_run: Path) -> None:
+    connection = sqlite3.connect(old_run / "run.sqlite")
+    connection.execute("UPDATE result SET text = '{\"schema\": \"cellapp-discover\"}' WHERE name = 'discover'")
+    connection.commit()
+    connection.close()
+    with RunFile.open(old_run) as run:
+        shown = read_results(run)
+    assert shown.discover is None
+    assert "another version of cellapp stored it" in shown.out_of_date[DISCOVER]

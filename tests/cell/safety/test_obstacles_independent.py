@@ -1,0 +1,243 @@
+"""Motions that the gate admits among obstacles of all shapes, checked by a library that the gate does not use."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.covers import cover
+from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, refuse_stop, visible
+from cellapp.cell.safety.mesh_files import load_mesh
+from cellapp.cell.safety.obstacles import Obstacle
+from cellapp.cell.safety.shapes import RoundedBox
+from cellapp.commands.trials.collision_check import CollisionCheck
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.obstacles import BoxObstacle, CylinderObstacle, MeshObstacle, Placement
+from tests.cell.safety.test_obstacles import crowded, random_segments
+from tests.twin import PROFILES, small_twin
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("fcl")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Meshes: a box off its origin, a ring, a ball with a hole in its surface, and files that are no meshes."""
+    folder = tmp_path_factory.mktemp("meshes")
+    box = trimesh.creation.box((400.0, 300.0, 200.0))
+    box.apply_translation((100.0, 0.0, -50.0))
+    box.export(folder / "box.stl")
+    trimesh.creation.annulus(0.15, 0.25, 0.06, sections=24).export(folder / "ring.stl", file_type="stl_ascii")
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
+    trimesh.Trimesh(ball.vertices, ball.faces[:-1]).export(folder / "open.stl")
+    whole = (folder / "box.stl").read_bytes()
+    (folder / "cut.stl").write_bytes(whole[:-70])
+    (folder / "empty.stl").write_bytes(b"")
+    (folder / "words.stl").write_bytes(
+        b"solid x\nfacet normal 0 0 1\nouter loop\nvertex a b c\nendloop\nendfacet\nendsolid"
+    )
+    return folder
+
+
+# -- meshes -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_mesh_of_a_box_is_as_far_as_the_box(folder: Path) -> None:
+    mesh, centre = load_mesh(str(folder / "box.stl"), 0.001)
+    assert centre == pytest.approx([0.1, 0.0, -0.05])
+    start, end = random_segments(np.random.default_rng(1), 400)
+    box = RoundedBox(np.array([0.2, 0.15, 0.1]))
+    assert mesh.segment_distance(start, end) == pytest.approx(box.segment_distance(start, end), abs=1e-9)
+    assert not mesh.segment_distance(0.05 * start, 0.05 * end).any(), "all inside"
+
+
+def test_the_hole_of_a_ring_is_free(folder: Path) -> None:
+    mesh, _ = load_mesh(str(folder / "ring.stl"), 1.0)
+    axis = np.array([[0.0, 0.0, 0.5]])
+    inner = 0.15 * math.cos(math.pi / 24)
+    assert mesh.segment_distance(axis, -axis) == pytest.approx([inner], abs=1e-3)
+    across = np.array([[0.5, 0.0, 0.0]])
+    assert mesh.segment_distance(across, -across).tolist() == [0.0]
+    inside = np.array([[0.2, 0.0, 0.0]])
+    assert mesh.segment_distance(inside, inside + 0.01).tolist() == [0.0]
+    assert np.isnan(mesh.segment_distance(axis, axis * np.nan)).all()
+
+
+def test_meshes_are_as_far_as_the_other_library_says(folder: Path) -> None:
+    coal = pytest.importorskip("coal")
+    mesh, centre = load_mesh(str(folder / "ring.stl"), 1.0)
+    theirs = coal.MeshLoader().load(str(folder / "ring.stl"), np.ones(3))
+    start, end = random_segments(np.random.default_rng(5), 200)
+    ours, compared = mesh.segment_distance(start, end), 0
+    at = coal.Transform3s(np.eye(3), -centre)
+    for a, b, gap in zip(start, end, ours, strict=True):
+        length = float(np.linalg.norm(b - a))
+        z = (b - a) / length if length else np.array([0.0, 0.0, 1.0])
+        x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+        x /= np.linalg.norm(x)
+        capsule = coal.Transform3s(np.stack([x, np.cross(z, x), z], axis=1), 0.5 * (a + b))
+        args = (theirs, at, coal.Capsule(1e-3, length), capsule, coal.DistanceRequest(), coal.DistanceResult())
+        found = coal.distance(*args) + 1e-3
+        if gap > 1e-3:  # the other library knows the surface, not the inside
+            assert gap == pytest.approx(found, abs=2e-6)
+            compared += 1
+    assert compared > 150
+
+
+def test_the_cover_of_a_mesh_contains_it(folder: Path) -> None:
+    mesh, _ = load_mesh(str(folder / "ring.stl"), 1.0)
+    found = cover(Obstacle("ring", mesh, np.eye(4)))
+    points = mesh.vertices[:, None]
+    along = np.clip(np.einsum("vca,ca->vc", points - found.start, found.end - found.start), 0.0, None)
+    length = np.linalg.norm(found.end - found.start, axis=1)
+    share = np.clip(along / np.maximum(length, 1e-9) ** 2, 0.0, 1.0)[..., None]
+    gaps = np.linalg.norm(points - found.start - share * (found.end - found.start), axis=2) - found.radius
+    assert gaps.min(axis=1).max() <= 1e-9
+
+
+def meshed(profile: Profile, file: Path, **keys: Any) -> Profile:
+    part = MeshObstacle(shape="mesh", file=str(file), **keys)
+    return profile.model_copy(update={"obstacles": {**profile.obstacles, "part": part}})
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("open.stl", "the mesh is not closed"),
+        ("cut.stl", "not an STL file, or cut short; export it again"),
+        ("empty.stl", "holds no triangles"),
+        ("words.stl", "not an STL file"),
+        ("box.stl", "reaches 300 m with scale 1; a file in millimetres needs scale 0.001"),
+        ("gone.stl", "cannot be read (No such file or directory)"),
+    ],
+)
+def test_bad_meshes_are_named(folder: Path, name: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        cell_bodies(meshed(crowded(), folder / name))
+    assert "obstacles.part.file: " in str(caught.value)
+    assert name in str(caught.value)
+    assert words in str(caught.value)
+
+
+def test_a_mesh_that_is_missing_is_told_with_its_line(tmp_path: Path, folder: Path) -> None:
+    text = (PROFILES / "twin.yaml").read_text("utf-8").replace("type: arms/", f"type: {PROFILES}/arms/")
+    path = tmp_path / "cell.yaml"
+    path.write_text(f"{text}\nobstacles:\n  part: {{shape: mesh, file: part.stl, scale: 0.001}}\n", "utf-8")
+    line = len(text.splitlines()) + 3
+    with pytest.raises(InputError, match=rf"cell\.yaml:{line}: obstacles\.part\.file: file not found: .*part\.stl"):
+        load_profile(path)
+    (tmp_path / "part.stl").write_bytes((folder / "box.stl").read_bytes())
+    part = load_profile(path).obstacles["part"]
+    assert isinstance(part, MeshObstacle)
+    assert Path(part.file) == tmp_path / "part.stl"
+
+
+def test_without_the_libraries_a_mesh_is_refused_with_what_to_install(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "fcl", None)
+    with pytest.raises(InputError, match=r"obstacles\.part\.file: .*ring\.stl: .* pip install 'cellapp\[meshes\]'"):
+        cell_bodies(meshed(crowded(), folder / "ring.stl", scale=0.5))
+    monkeypatch.setitem(sys.modules, "coal", None)
+    with pytest.raises(InputError, match="the independent collision check needs the package coal"):
+        CollisionCheck(crowded())
+
+
+def test_a_mesh_in_the_beam_hides_the_smr(folder: Path) -> None:
+    profile = crowded()
+    q = np.random.default_rng(2).uniform(-math.pi, math.pi, (20_000, 6))
+    seen = visible(cell_bodies(profile), "left", q)
+    assert profile.tracker.pose is not None
+    x, y, z = profile.tracker.pose.position
+    wall = Placement(position=(x - 1.0, y + 0.2, z))
+    hidden = seen & ~visible(cell_bodies(meshed(profile, folder / "box.stl", scale=0.001, pose=wall)), "left", q)
+    assert 5 < hidden.sum() < seen.sum()
+
+
+# -- whole motions ----------------------------------------------------------------------------------------------------
+
+
+def of_all_shapes(folder: Path) -> Profile:
+    """The crowded twin with a mesh in the cell, one on a flange and one on a base."""
+    ring, box = str(folder / "ring.stl"), str(folder / "box.stl")
+    more = {
+        "ring": MeshObstacle(shape="mesh", file=ring, pose=Placement(position=(0.45, -0.8, 0.8), rpy=(0.5, 0.3, 0.0))),
+        "tool": MeshObstacle(
+            shape="mesh", file=box, scale=0.0003, fixed_to="flange", arm="right", pose=Placement(position=(0, 0, 0.09))
+        ),
+        "cabinet": MeshObstacle(
+            shape="mesh", file=box, scale=0.001, fixed_to="base", arm="right", pose=Placement(position=(-0.5, 0.3, 0.3))
+        ),
+        "shelf": BoxObstacle(shape="box", fixed_to="base", arm="left", size=(0.3, 0.8, 0.05),
+                             pose=Placement(position=(-0.6, 0.0, 0.7))),
+        "drum": CylinderObstacle(shape="cylinder", fixed_to="flange", arm="left", radius=0.05, length=0.12,
+                                 pose=Placement(position=(0.0, 0.0, 0.1))),
+    }  # fmt: skip
+    profile = crowded()
+    return profile.model_copy(update={"obstacles": {**profile.obstacles, **more}})
+
+
+Motion = tuple[dict[str, np.ndarray], dict[str, np.ndarray]]
+
+
+def drawn_motions(cell: CellBodies, homes: dict[str, np.ndarray], count: int, seed: int) -> list[Motion]:
+    rng = np.random.default_rng(seed)
+    stops = [{name: q + rng.uniform(-1.6, 1.6, len(q)) for name, q in homes.items()} for _ in range(2 * count)]
+    return list(zip(stops[:count], stops[count:], strict=True))
+
+
+def test_motions_that_the_gate_admits_collide_with_nothing(folder: Path) -> None:
+    pytest.importorskip("coal")
+    profile = of_all_shapes(folder)
+    cell = cell_bodies(profile)
+    motions = drawn_motions(cell, home_positions(profile), 120, 11)
+    admitted = [motion for motion in motions if not refuse_motion(cell, *motion)]
+    assert len(admitted) > 12
+    check = CollisionCheck(profile)
+    assert list(check.collisions(admitted, np.random.default_rng(0))) == []
+    # and it sees collisions: with all motions it names obstacles of every kind, and the arms
+    found = list(check.collisions(motions, np.random.default_rng(0), timings=1, samples=40))
+    met = {name for one in found for name in (one.first, one.second)}
+    assert {"table", "ring", "drum", "gripper"} <= met
+
+
+def test_arms_that_reach_for_each_other_are_seen_to_collide() -> None:
+    pytest.importorskip("coal")
+    profile = small_twin(plan={"floor": -5.0, "clearance": 0.0})
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    turns = np.arange(-math.pi, math.pi, math.pi / 2)
+    stops = [
+        {"left": np.array([a, 0.0, *homes["left"][2:]]), "right": np.array([b, 0.0, *homes["right"][2:]])}
+        for a in turns
+        for b in turns
+    ]
+    found = list(CollisionCheck(profile).collisions([(q, q) for q in stops], np.random.default_rng(0), samples=1))
+    assert [one.motion for one in found] == [k for k, q in enumerate(stops) if refuse_stop(cell, q)]
+    assert [(one.first[:4], one.second[:5]) for one in found] == [("left", "right")]
+
+
+def test_stops_that_the_gate_refuses_for_a_collision_collide(folder: Path) -> None:
+    """Where no cover is involved, what the gate calls a collision is one, and what collides is refused."""
+    pytest.importorskip("coal")
+    profile = of_all_shapes(folder)
+    standing = {name: one for name, one in profile.obstacles.items() if one.fixed_to != "flange"}
+    profile = profile.model_copy(update={"obstacles": standing})
+    cell = cell_bodies(profile)
+    stops = [motion[0] for motion in drawn_motions(cell, home_positions(profile), 300, 2)]
+    together = {name: np.array([stop[name] for stop in stops]) for name in stops[0]}
+    refusals = [refuse_stop(cell, stop) for stop in stops]
+    assert clear_stops(cell, together).tolist() == [not refusal for refusal in refusals]
+    collided = {one.motion for one in CollisionCheck(profile).collisions(
+        [(stop, stop) for stop in stops], np.random.default_rng(0), timings=1, samples=1)}  # fmt: skip
+    said = {k for k, refusal in enumerate(refusals) if "collide" in refusal}
+    assert len(said) > 20
+    assert said <= collided
+    assert collided <= {k for k, refusal in enumerate(refusals) if refusal}

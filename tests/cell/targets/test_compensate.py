@@ -1,0 +1,208 @@
+"""Inverting the calibrated model: exact in prediction, inside the limits, refused with a reason where it cannot be."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import refuse_stop, visible
+from cellapp.cell.targets.compensate import (
+    Command,
+    compensate,
+    compensate_result,
+    invert_model,
+    with_approach,
+    without_effects,
+)
+from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.ground.errors import InputError
+from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.kinematics.chain import flange_poses
+from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
+from cellapp.robot.model import ArmModel, CellModel
+from tests.twin import PROFILES, small_twin, with_arms
+
+TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
+
+
+def term(slug: str, **values: float) -> EffectTerm:
+    size = np.array(list(values.values()))
+    return EffectTerm(slug, tuple(values), size, np.zeros(len(size)), ("",) * len(size), EFFECTS[slug].law())
+
+
+COMPLIANCE = term("joint_compliance", compliance2=1.0 / 6e4, compliance3=1.0 / 3e4, compliance5=1.0 / 1e4)
+ECCENTRICITY = term("encoder_eccentricity", cos1q1=8e-5, sin1q1=-5e-5, sin1q4=2e-4)
+BACKLASH = term("backlash", half_play1=1e-4, half_play2=2e-4, half_play6=5e-5)
+
+
+@pytest.fixture(scope="module")
+def commands(run: RunFile, model: CellModel) -> tuple[Command, ...]:
+    return compensate(run.profile, model, TARGETS)
+
+
+def with_effects(model: CellModel, name: str, *terms: EffectTerm) -> ArmModel:
+    return dataclasses.replace(model.arms[name], effects=terms)
+
+
+def test_the_prediction_of_a_compensated_command_is_its_target(model: CellModel, commands: tuple[Command, ...]) -> None:
+    assert [command.target for command in commands] == list(TARGETS)
+    assert sum(not command.refusal for command in commands) >= 30
+    differences = []
+    for command in commands:
+        if command.refusal:
+            continue
+        assert command.q_compensated is not None
+        assert command.q_nominal is not None
+        assert command.expected_M is not None
+        arm = model.arms[command.target.arm]
+        T = arm.geometry.T_M_B()
+        wanted = T[:3, :3] @ np.array(command.target.position) + T[:3, 3]
+        np.testing.assert_allclose(command.expected_M, wanted, atol=1e-12)
+        predicted = arm.predict(command.q_compensated[None], conditions=command.conditions)[0]
+        np.testing.assert_allclose(predicted, wanted, atol=1e-9, err_msg="from the side that stands beside it")
+        roll, pitch, yaw = command.target.rpy or (0.0, 0.0, 0.0)
+        true = arm.true_joints(command.q_compensated[None], conditions=command.conditions)
+        rotation, _ = flange_poses(arm.geometry, true)
+        np.testing.assert_allclose(rotation[0], T[:3, :3] @ rotation_zyx(yaw, pitch, roll), atol=1e-9)
+        differences.append(np.abs(command.q_compensated - command.q_nominal).max())
+    assert 1e-4 < np.median(differences) < 0.05, "the same posture, made good"
+
+
+def test_commands_are_inside_the_limits_safe_and_seen(
+    run: RunFile, model: CellModel, commands: tuple[Command, ...]
+) -> None:
+    bodies, home = cell_bodies(run.profile, model), home_positions(run.profile)
+    for command in commands:
+        name = command.target.arm
+        others = {other: q[None] for other, q in home.items() if other != name}
+        for q in () if command.refusal else (command.q_nominal, command.q_compensated):
+            assert q is not None
+            assert refuse_stop(bodies, {**home, name: q}) == ""
+        if command.q_compensated is not None:
+            assert command.visible == visible(bodies, name, command.q_compensated[None], others)[0]
+    assert sum(command.visible or False for command in commands) >= 30
+
+
+@pytest.mark.parametrize("effects", [(), (COMPLIANCE,), (COMPLIANCE, ECCENTRICITY), (BACKLASH, COMPLIANCE)])
+def test_the_model_is_inverted_with_all_its_effects(model: CellModel, effects: tuple[EffectTerm, ...]) -> None:
+    arm = with_effects(model, "left", *effects)
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 6)) + np.array([0, -1.2, 0.8, -1.4, 0.9, 0])
+    q = q[np.abs(np.sin(q[:, 2])) > 0.2]
+    q = q[np.abs(np.sin(q[:, 4])) > 0.2]
+    rotation, _ = arm.flange(q)
+    back, reached = invert_model(arm, arm.predict(q), rotation, q + 1e-3)
+    assert reached.mean() > 0.9
+    assert len(q) > 10
+    np.testing.assert_allclose(arm.predict(back[reached]), arm.predict(q)[reached], atol=1e-9)
+
+
+class Waves:
+    """A correction in the base frame that varies with the joints, as a residual network's does."""
+
+    def correct(self, q: np.ndarray) -> np.ndarray:
+        return 3e-4 * np.sin(q[:, :3])
+
+
+def test_what_the_network_adds_is_aimed_off_for(model: CellModel, commands: tuple[Command, ...]) -> None:
+    network: Any = Waves()
+    arm = dataclasses.replace(with_effects(model, "left", COMPLIANCE), network=network)
+    q = np.array([c.q_nominal for c in commands if c.target.arm == "left" and c.q_nominal is not None])
+    q = q[np.abs(np.sin(q[:, 4])) > 0.2]
+    rotation, _ = arm.flange(q)
+    back, reached = invert_model(arm, arm.predict(q), rotation, q + 1e-3)
+    bare = arm.predict(q) - with_effects(model, "left", COMPLIANCE).predict(q)
+    assert np.linalg.norm(bare, axis=1).min() > 1e-5
+    assert len(q) >= 5
+    assert reached.all()
+    np.testing.assert_allclose(arm.predict(back), arm.predict(q), atol=1e-9)
+
+
+def test_the_side_that_a_joint_arrives_from_is_made_good(model: CellModel) -> None:
+    """By the play's own rule: a joint stays half the play behind its last motion."""
+    arm = with_effects(model, "right", BACKLASH, COMPLIANCE)
+    command = np.array([0.3, -1.2, 0.9, -1.0, 0.7, 0.2])
+    half = np.array([1e-4, 2e-4, 0.0, 0.0, 0.0, 5e-5])
+    middle = arm.true_joints(command[None])[0]
+    for here in (command + 1.0, command - 1.0, command + np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])):
+        side = np.sign(command - here)
+        sent = with_approach(arm, command, here)
+        np.testing.assert_allclose(arm.true_joints(sent[None], side[None])[0], middle, atol=1e-11)
+        np.testing.assert_allclose(sent - command, side * half, atol=1e-6)
+    np.testing.assert_allclose(with_approach(arm, command, command), command, atol=1e-12)
+
+
+def test_effects_are_taken_out_to_the_last_bit_that_counts(model: CellModel) -> None:
+    strong = term("joint_compliance", compliance2=1e-4, compliance3=1e-4)  # 10 mrad: far beyond any sound arm
+    arm = with_effects(model, "left", strong, ECCENTRICITY)
+    true = np.random.default_rng(1).uniform(-2.0, 2.0, (50, 6))
+    q = without_effects(arm, true, np.zeros((50, 6)))
+    assert np.abs(q - true).max() > 5e-3
+    np.testing.assert_allclose(arm.true_joints(q), true, atol=1e-11)
+
+
+def one(arm: str, position: tuple[float, float, float], rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Target:
+    return Target(name="it", arm=arm, position=position, rpy=rpy)
+
+
+def test_out_of_reach_out_of_sight_and_unsafe(run: RunFile, model: CellModel) -> None:
+    looking_away = []
+    for target in TARGETS[:8]:
+        roll, pitch, yaw = target.rpy or (0.0, 0.0, 0.0)
+        z, y, x = zyx_angles(rotation_zyx(yaw, pitch, roll) @ np.diag([1.0, -1.0, -1.0]))
+        looking_away.append(target.model_copy(update={"rpy": (x, y, z)}))
+    refused = compensate(run.profile, model, [*looking_away, one("left", (3.0, 0.0, 0.5))])
+    assert refused[-1].refusal.startswith("out of reach: ")
+    assert refused[-1].q_nominal is refused[-1].q_compensated is refused[-1].expected_M is None
+    hidden = [command for command in refused[:-1] if not command.refusal]
+    assert len(hidden) >= 3, "production needs no tracker"
+    assert not any(command.visible for command in hidden)
+    high = run.profile.model_copy(update={"plan": run.profile.plan.model_copy(update={"floor": 0.05})})
+    refusals = [command.refusal for command in compensate(high, model, TARGETS)]
+    assert any("the floor" in refusal for refusal in refusals)
+    (entry,) = json.loads(compensate_result(refused[-1:]).to_json())["targets"]
+    place = {"name": "it", "arm": "left", "position": [3.0, 0.0, 0.5], "rpy": [0.0, 0.0, 0.0], "tolerance_mm": None}
+    nothing = {"q_nominal": None, "q_compensated": None, "uncertainty_mm": None, "verdict": ""}
+    expected = {**place, **nothing}
+    assert {name: entry[name] for name in expected} == expected
+    assert entry["refusal"] == refused[-1].refusal
+
+
+@pytest.mark.parametrize("middle", [-1.5 * math.pi, 1.5 * math.pi])
+def test_whole_turns_bring_a_joint_into_its_limits(run: RunFile, model: CellModel, middle: float) -> None:
+    """The last joint may only stand beyond half a turn: the same postures, a turn further on."""
+    limits = tuple([(-2 * math.pi, 2 * math.pi)] * 5 + [(middle - 0.5 * math.pi, middle + 0.5 * math.pi)])
+    left = run.profile.arms["left"].model_copy(update={"limits": limits})
+    profile = run.profile.model_copy(update={"arms": {**run.profile.arms, "left": left}})
+    reached = 0
+    for command in compensate(profile, model, TARGETS[:10]):
+        if command.q_compensated is not None and command.q_nominal is not None:
+            reached += 1
+            assert command.expected_M is not None
+            for q in (command.q_compensated, command.q_nominal):
+                assert abs(q[5] - middle) <= 0.5 * math.pi
+            predicted = model.predict(command.target.arm, command.q_compensated[None])[0]
+            np.testing.assert_allclose(predicted, command.expected_M, atol=1e-9)
+        else:
+            assert command.refusal
+    assert reached >= 3
+
+
+def test_the_same_seed_gives_the_same_commands(run: RunFile, model: CellModel, commands: tuple[Command, ...]) -> None:
+    for first, again in zip(commands[:4], compensate(run.profile, model, TARGETS[:4])):
+        np.testing.assert_array_equal(first.q_compensated, again.q_compensated)
+
+
+def test_a_profile_or_calibration_that_does_not_fit(run: RunFile, model: CellModel) -> None:
+    with pytest.raises(InputError, match=r"arms\.left\.home is needed"):
+        compensate(with_arms(run.profile, home=None), model, TARGETS)
+    with pytest.raises(InputError, match=r"arms\.left\.base and tracker\.pose are needed"):
+        compensate(with_arms(run.profile, base=None), model, TARGETS)
+    with pytest.raises(InputError, match="the calibration is of arms left, the profile of arms left, right"):
+        compensate(run.profile, CellModel(arms={"left": model.arms["left"]}), TARGETS)

@@ -1,0 +1,241 @@
+"""What is stated of a command beforehand: bounds of the error, its parts, unknown conditions, extrapolation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cellapp.cell.run import RunFile
+from cellapp.cell.targets.invert import Inverted
+from cellapp.cell.targets.measuring_noise import MeasuringNoise
+from cellapp.cell.targets.prediction import outside_notes, predictions, spread_of
+from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.sides import sided_commands
+from cellapp.cell.targets.tolerance import length_bounds, predicted_verdict
+from cellapp.cell.targets.unknown_conditions import approach_sides, unknown_conditions
+from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.posterior import PosteriorDraws
+
+NORMAL = np.random.default_rng(2).standard_normal((400_000, 3))
+HOME = np.array([0.0, -1.2, 0.8, -1.4, 0.9, 0.0])
+NOTHING = MeasurementConditions()
+
+
+def term(slug: str, **values: float) -> EffectTerm:
+    size = np.array(list(values.values()))
+    return EffectTerm(slug, tuple(values), size, np.zeros(len(size)), ("",) * len(size), EFFECTS[slug].law())
+
+
+@pytest.fixture(scope="module")
+def arm(model: CellModel) -> ArmModel:
+    """An arm with geometry alone, and draws of its base's height and of one joint zero."""
+    own = model.arms["left"]
+    draws = np.random.default_rng(0).standard_normal((64, 2)) * np.array([2e-5, 1e-5])
+    return replace(own, effects=(), network=None, posterior=PosteriorDraws((2, 16), draws, (), 1.5e-5))
+
+
+def configurations(n: int) -> np.ndarray:
+    return HOME + np.random.default_rng(1).uniform(-0.5, 0.5, (n, 6))
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.integers(0, 100))
+def test_95_percent_of_normal_errors_are_within_the_bound(second: float, third: float, seed: int) -> None:
+    """Against 400 000 draws, whose share is known to 0.035 %; for any shape and direction of the covariance."""
+    sizes = np.array([1.0, second, second * third])
+    turn = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
+    low, high = (bound[0] for bound in length_bounds((turn * sizes**2 @ turn.T)[None] * 1e-10))
+    lengths = np.linalg.norm(NORMAL * sizes, axis=1) * 1e-5
+    assert np.mean(lengths <= high) == pytest.approx(0.95, abs=0.003)
+    assert np.mean(lengths <= low) <= 0.0515
+
+
+def test_bounds_of_published_cases() -> None:
+    """Of one, two and three equal weights: quantiles of chi with as many degrees of freedom (tables)."""
+    shapes = np.array([np.diag(d) for d in ([1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0])])
+    low, high = length_bounds(shapes)
+    np.testing.assert_allclose(high, [1.95996, 2.44775, 2.79548], rtol=1e-4)
+    np.testing.assert_allclose(low, [0.06271, 0.32029, 0.59317], rtol=1e-3)
+    assert not np.any(length_bounds(np.zeros((2, 3, 3))))
+
+
+def test_a_verdict_is_about_the_true_position() -> None:
+    assert [predicted_verdict(0.01, 0.05, size) for size in (0.05, 0.049, 0.01, 0.0099, None)] == [
+        "in",
+        "cannot say",
+        "cannot say",
+        "out",
+        "",
+    ]
+
+
+def test_parts_add_up_and_a_measurement_strays_further_than_the_smr(arm: ArmModel) -> None:
+    q = configurations(50)
+    known = predictions(arm, q, NOTHING, [0.1] * 50, HOME, ConditionRanges())
+    for one, size in zip(known, arm.uncertainty(q), strict=True):
+        assert one is not None
+        parts = one.parts
+        own = (parts.parameters, parts.effects, parts.network, parts.extrapolation, parts.conditions)
+        assert np.linalg.norm(own) == pytest.approx(size * 1e3)
+        assert parts.noise == pytest.approx(0.015)
+        assert one.uncertainty_mm == pytest.approx(np.hypot(size * 1e3, 0.015))
+        assert 1.959 * np.sqrt(3.0) <= one.within_mm / one.uncertainty_mm * np.sqrt(1.5) <= 1.96 * 3.0
+        assert one.unknown == ()
+    silent = replace(arm, posterior=None)
+    assert predictions(silent, q, NOTHING, [None] * 50, HOME, ConditionRanges()) == [None] * 50
+
+
+def test_stated_distances_hold_for_errors_drawn_from_the_model(arm: ArmModel) -> None:
+    q = configurations(40)
+    assert arm.posterior is not None
+    known = predictions(arm, q, NOTHING, [None] * 40, HOME, ConditionRanges())
+    stated = np.array([one.within_mm for one in known if one is not None])
+    rng = np.random.default_rng(5)
+    drawn = replace(arm.posterior, geometry=rng.standard_normal((4000, 2)) * arm.posterior.geometry.std(axis=0))
+    moved = drawn.displacements(arm.geometry, (), arm.context(q)) + rng.standard_normal((4000, 40, 3)) * 1.5e-5
+    assert np.mean(np.linalg.norm(moved, axis=2) * 1e3 <= stated) == pytest.approx(0.95, abs=0.01)
+
+
+def test_an_unknown_side_counts_with_what_it_moves(arm: ArmModel) -> None:
+    played = replace(arm, effects=(term("backlash", half_play1=1e-4, half_play2=2e-4),))
+    q = configurations(10)
+    sides = approach_sides(played, q, NOTHING, ConditionRanges())
+    assert sides is not None
+    unknown = sides.other_sides(np.zeros(q.shape))
+    assert (unknown.condition, unknown.effects) == ("approach", ("backlash",))
+    signs = np.tile([1.0, -1.0, 0.0, 0.0, 0.0, 0.0], (10, 1))
+    chosen = sides.other_sides(signs)
+    assert not chosen.covariance.any(), "a command says for which side it holds"
+    for k, here in enumerate(q):
+        ends, own = [], played.predict(here[None], signs[:1])[0]
+        for first in (-1.0, 1.0):
+            for second in (-1.0, 1.0):
+                side = np.array([[first, second, 0.0, 0.0, 0.0, 0.0]])
+                ends.append(played.predict(here[None], side)[0] - played.predict(here[None])[0])
+        assert unknown.largest_m[k] == pytest.approx(np.linalg.norm(ends, axis=1).max(), rel=1e-3)
+        np.testing.assert_allclose(unknown.covariance[k], np.cov(np.array(ends).T, bias=True), rtol=2e-3, atol=1e-13)
+        away = np.array(ends) + played.predict(here[None])[0] - own
+        assert chosen.largest_m[k] == pytest.approx(np.linalg.norm(away, axis=1).max(), rel=1e-3)
+    stated = MeasurementConditions(approach=np.tile([1.0, -1.0, 0.0, 0.0, 0.0, 0.0], (10, 1)))
+    whole = approach_sides(played, q, stated, ConditionRanges())
+    assert whole is not None
+    assert not whole.matter.any()
+    half = MeasurementConditions(approach=np.tile([1.0, 0.0, 0.0, 0.0, 0.0, 0.0], (10, 1)))
+    less = approach_sides(played, q, half, ConditionRanges())
+    assert less is not None
+    assert np.all(less.other_sides(np.zeros(q.shape)).largest_m < unknown.largest_m)
+
+
+def test_a_side_is_chosen_where_it_matters_and_the_command_is_for_it(arm: ArmModel) -> None:
+    posterior = replace(arm.posterior, terms=(np.zeros((64, 1)),)) if arm.posterior else None
+    played = replace(arm, effects=(term("backlash", half_play2=2e-4),), posterior=posterior)
+    q = HOME + np.array([[0.2, -0.3, 0.1, 0.2, 0.2, 0.2]])
+    wanted_M, rotation_M = played.predict(q), played.flange(q)[0]
+    middle = Inverted(q, np.zeros(1), np.zeros(1))
+    sided = sided_commands(played, wanted_M, rotation_M, middle, NOTHING, HOME, ConditionRanges())
+    assert sided.approach(0) == (0, -1, 0, 0, 0, 0)
+    assert sided.found.q[0, 1] - q[0, 1] == pytest.approx(-2e-4, rel=0.01)
+    np.testing.assert_allclose(played.predict(sided.found.q, sided.signs), wanted_M, atol=1e-9)
+    (one,) = predictions(played, sided.found.q, sided.conditions, [0.06], HOME, ConditionRanges(), sided.others)
+    assert one is not None
+    assert [entry.condition for entry in one.unknown] == ["approach"]
+    assert one.unknown[0].mm > 0.05, "what the other side would do"
+    assert one.parts.conditions == 0.0
+    assert one.verdict == "in"
+    assert one.within_mm < 0.06
+
+
+@pytest.mark.parametrize(
+    ("slug", "values", "ranges", "condition", "stated"),
+    [
+        (
+            "joint_compliance",
+            {"compliance2": 1.0 / 6e4},
+            ConditionRanges(payload_kg=(0.0, 5.0)),
+            "payload",
+            {"payload_kg": np.full(5, 2.0)},
+        ),
+        (
+            "thermal_growth",
+            {"growth": 1e-5},
+            ConditionRanges(air_c=(18.0, 26.0)),
+            "temperature",
+            {"air_c": np.full(5, 20.0)},
+        ),
+    ],
+    ids=["payload", "temperature"],
+)
+def test_payload_and_temperature(
+    arm: ArmModel, slug: str, values: dict[str, float], ranges: ConditionRanges, condition: str, stated: Any
+) -> None:
+    effect = EFFECTS[slug]
+    law = effect.law() if slug != "thermal_growth" else effect.law("air", {"mean_c": 21.0})
+    one = replace(term(slug, **values), law=law)
+    with_effect = replace(arm, effects=(one,))
+    q = configurations(5)
+    (found,) = unknown_conditions(with_effect, q, NOTHING, ranges)
+    assert found.condition == condition
+    assert found.largest_m.max() > 1e-5
+    assert unknown_conditions(with_effect, q, MeasurementConditions(**stated), ranges) == []
+    assert unknown_conditions(with_effect, q, NOTHING, ConditionRanges()) == [], "the run covered one value"
+
+
+class Waves:
+    """A correction with a spread, which fades out beyond its range as a residual network's does."""
+
+    def correct(self, q: np.ndarray) -> np.ndarray:
+        return np.tile([2e-4, 0.0, 0.0], (len(q), 1)) * (np.abs(q[:, :1] - HOME[0]) < 0.6)
+
+    def spread(self, q: np.ndarray) -> np.ndarray:
+        return np.full((len(q), 3), 1e-5) * (np.abs(q[:, :1] - HOME[0]) < 0.6)
+
+
+def test_beyond_the_readings_extrapolation_is_a_part_of_its_own(arm: ArmModel) -> None:
+    network: Any = Waves()
+    ranges = ConditionRanges(q=np.stack([HOME - 0.5, HOME + 0.5]))
+    far, near = HOME + np.array([[1.0, 0, 0, 0, 0, 0]]), HOME[None]
+    with_network = replace(arm, network=network)
+    inside, outside = (spread_of(with_network, q, NOTHING, ranges) for q in (near, far))
+    assert not inside.extrapolation.any()
+    bare = spread_of(arm, far, NOTHING, ranges)
+    lost = np.trace(outside.extrapolation[0] - bare.extrapolation[0])
+    np.testing.assert_allclose(lost, 2e-4**2, rtol=1e-9, err_msg="what the network no longer corrects, in full")
+    np.testing.assert_allclose(np.trace(outside.network[0]), 3e-10)
+    np.testing.assert_allclose(np.trace(bare.of_model[0]), 3.0 * arm.uncertainty(far)[0] ** 2)
+    notes = outside_notes(np.vstack([near, far]), NOTHING, ranges, [None, None], 0.3)
+    assert notes == ["", "outside the calibrated joint ranges: joint 1 by 27 deg"]
+
+
+def test_what_a_measurement_finds_is_judged_with_all_of_its_scatter(arm: ArmModel) -> None:
+    q = configurations(1)
+    tolerance = [0.045]
+    exact = MeasuringNoise(along=(1.5e-5, 0.0), across=(1.5e-5, 0.0), typical=1.5e-5**2)
+    better = MeasuringNoise(along=(1e-6, 0.0), across=(1e-6, 0.0), typical=1e-12)
+    (of_tracker,) = predictions(arm, q, NOTHING, tolerance, HOME, ConditionRanges(noise=exact))
+    (of_arm,) = predictions(arm, q, NOTHING, tolerance, HOME, ConditionRanges(noise=better))
+    assert of_tracker is not None
+    assert of_arm is not None
+    assert of_tracker.within_mm == pytest.approx(of_arm.within_mm, rel=1e-6)
+    assert of_tracker.uncertainty_mm == of_arm.uncertainty_mm
+    assert (of_tracker.verdict, of_arm.verdict) == ("cannot say", "cannot say")
+    bound = [of_tracker.within_mm]
+    (met,) = predictions(arm, q, NOTHING, bound, HOME, ConditionRanges(noise=exact))
+    assert met is not None
+    assert met.verdict == "in", "the bound that the row states decides"
+
+
+def test_ranges_of_a_run(run: RunFile) -> None:
+    readings = run.readings("left")
+    ranges = ConditionRanges.of(readings)
+    assert ranges.q is not None
+    np.testing.assert_array_equal(ranges.q[1], readings.q.max(axis=0))
+    assert ranges.time_s is not None
+    assert ranges.time_s[0] < ranges.time_s[1]
+    assert ranges.step is not None
+    assert np.all(ranges.step > 0.0)
+    assert ConditionRanges.of(readings.take(np.empty(0, dtype=np.intp))).q is None

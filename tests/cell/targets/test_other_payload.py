@@ -1,0 +1,72 @@
+"""Commands for a payload that no reading had: the bound covers what the arm really does, and says what it adds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.run import RunFile
+from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.targets.other_payload import open_compliance
+from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.targets import WorkingConditions, load_targets
+from cellapp.robot.model import CellModel
+from tests.twin import PROFILES
+
+LOAD_KG = 2.0
+"""The readings of the twin have 0.3 kg."""
+
+
+def errors_and_parts(
+    run: RunFile, model: CellModel, ranges: dict[str, ConditionRanges], load_kg: float
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """True errors (n, 3) [mm] of the left arm, whose joints give way, the uncertainty (n,) of its position, notes."""
+    every = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)
+    loaded = WorkingConditions(payload=load_kg)
+    targets = [one.model_copy(update={"conditions": loaded}) for one in every if one.arm == "left"]
+    commands = [one for one in compensate(run.profile, model, targets, ranges=ranges) if not one.refusal]
+    q = np.array([one.q_compensated for one in commands])
+    sides = np.array([one.side or (0,) * 6 for one in commands], dtype=float)
+    true_M = build_plant(run.profile).smr_positions("left", q, approach=sides, payload=np.full(len(q), load_kg))
+    errors = (true_M - np.array([one.expected_M for one in commands])) * 1e3
+    parts = [one.prediction.parts for one in commands if one.prediction is not None]
+    own = [np.hypot(np.hypot(one.parameters, one.effects), np.hypot(one.network, one.extrapolation)) for one in parts]
+    return errors, np.array(own), [one.note for one in commands]
+
+
+def normalised(errors: np.ndarray, own: np.ndarray) -> float:
+    """Root mean square of coordinates in units of their standard uncertainty, without noise of measuring: some 1."""
+    return float(np.sqrt(np.mean(errors**2 / own[:, None] ** 2)))
+
+
+def test_a_payload_that_was_never_measured_widens_the_bound_to_what_the_arm_does(
+    run: RunFile, model: CellModel
+) -> None:
+    ranges = {name: ConditionRanges.of(run.readings(name), arm) for name, arm in model.arms.items()}
+    silent = {name: replace(one, compliance=None) for name, one in ranges.items()}
+    errors, own, notes = errors_and_parts(run, model, ranges, LOAD_KG)
+    _, narrow, _ = errors_and_parts(run, model, silent, LOAD_KG)
+    assert normalised(errors, own) < 1.2
+    assert np.mean(own) > 1.2 * np.mean(narrow)
+    assert np.mean(np.linalg.norm(errors, axis=1) <= 2.8 * own) >= 0.93, "95 % of three coordinates"
+    assert all(
+        note.startswith("payload 2 kg was never measured (the readings had 0.3 kg); this adds ") for note in notes
+    )
+    measured, as_measured, silent_notes = errors_and_parts(run, model, ranges, 0.3)
+    assert set(silent_notes) == {""}
+    assert np.mean(as_measured) < np.mean(own)
+    assert len(measured) == len(errors)
+
+
+def test_what_readings_leave_open(run: RunFile, model: CellModel) -> None:
+    """A joint that the arm's own weight loads is known, the last one is not; without draws nothing is."""
+    arm, readings = model.arms["left"], run.readings("left")
+    found = open_compliance(arm, readings)
+    assert found is not None
+    size = np.sqrt(np.diag(found))
+    assert size[1] < 1e-6 < size[4]
+    assert size[5] > 5e-5
+    assert open_compliance(replace(arm, posterior=None), readings) is None
+    assert open_compliance(arm, readings.take(np.empty(0, dtype=np.intp))) is None

@@ -1,0 +1,448 @@
+"""Work frames, rotations, conditions and partners in YAML: what is read, refused, written again and typed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from cellapp.cell.targets.goals import work_frame_pose
+from cellapp.cell.targets.target_text import (
+    FIELDS,
+    TypedTarget,
+    frame_choices,
+    new_texts,
+    targets_text,
+    typed_target,
+    typed_texts,
+)
+from cellapp.cell.targets.targets import (
+    FramePoint,
+    Partner,
+    Target,
+    WorkFrame,
+    WorkingConditions,
+    load_targets,
+    same_target,
+    target_record,
+)
+from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.transforms import rotation_zyx
+from tests.twin import small_twin
+
+pytestmark = pytest.mark.fast
+
+PROFILE = small_twin()
+HEAD = "schema: cellapp-targets\nversion: 1\n"
+FRAME = "frames:\n  table: {in: tracker, origin: [1, 0, 0], x: [1, 500 mm, 0], xy: [0.5, 0, 0]}\n"
+ONE = "targets:\n  - {name: one, arm: left, position: [-0.4, 0.25, 1.0], rpy: [0, 0, 0]}\n"
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "targets.yaml"
+
+
+def loaded(path: Path, text: str) -> tuple[Target, ...]:
+    path.write_text(HEAD + text, encoding="utf-8")
+    return load_targets(path, PROFILE)
+
+
+def refusal(path: Path, text: str) -> str:
+    """The message, without the folder of the file."""
+    with pytest.raises(InputError) as told:
+        loaded(path, text)
+    return str(told.value).replace(f"{path.parent}/", "")
+
+
+def one(**keys: str) -> str:
+    """The list with one target, with keys added or replaced."""
+    more = {"name": "one", "arm": "left", "position": "[-0.4, 0.25, 1.0]", **keys}
+    return "targets:\n  - {" + ", ".join(f"{key}: {value}" for key, value in more.items()) + "}\n"
+
+
+# -- work frames ------------------------------------------------------------------------------------------------------
+
+
+def test_a_work_frame_by_origin_x_axis_and_plane(path: Path) -> None:
+    (target,) = loaded(path, FRAME + one(frame="table"))
+    assert target.work_frame is not None
+    T_M_W, rms = work_frame_pose(target.work_frame)
+    np.testing.assert_allclose(T_M_W, [[0, -1, 0, 1], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], atol=1e-15)
+    assert rms < 1e-15
+
+
+def test_a_work_frame_by_points(path: Path) -> None:
+    points = [
+        f"{{nominal: [{x}, {y}, 0], measured: [{2 + x}, {y}, 1]}}" for x, y in ((0, 0), (0.3, 0), (0, 0.2), (0.1, 0.1))
+    ]
+    frame = f"frames:\n  plate: {{in: right, points: [{', '.join(points)}]}}\n"
+    first, second = loaded(path, frame + one(frame="plate") + one(frame="plate", name="two").removeprefix("targets:\n"))
+    assert first.work_frame is second.work_frame
+    assert first.work_frame is not None
+    assert first.work_frame.parent == "right"
+    np.testing.assert_allclose(work_frame_pose(first.work_frame)[0][:3, 3], [2, 0, 1], atol=1e-15)
+
+
+CORNERS = ((0, 0, 0), (0.5, 0, 0), (0, 0.5, 0), (0, 0, 0.5))
+LINE = ((0, 0, 0), (1, 0, 0), (2, 0.001, 0))
+
+
+def points_text(measured: Sequence[Sequence[float]], nominal: Sequence[Sequence[float]] = CORNERS) -> str:
+    """A frame as block YAML."""
+    pairs = zip(nominal, measured, strict=True)
+    return "frames:\n  table:\n    points:\n" + "".join(
+        f"    - {{nominal: {list(n)}, measured: {list(m)}}}\n" for n, m in pairs
+    )
+
+
+@pytest.mark.parametrize(
+    ("frame", "says"),
+    [
+        (points_text(LINE[:2], LINE[:2]), "5: frame 'table': points: expected at least 3 values, got a list of 2"),
+        (points_text(LINE, LINE), "4: frame 'table': the nominal points lie on one line"),
+        (points_text([(0, 0, 0)] * 4), "4: frame 'table': the measured points lie on one line"),
+        (
+            points_text([(1, 0, 0), (1.5, 0, 0), (1, 0.512, 0), (1, 0, 0.5)]),
+            "4: frame 'table': point 3 is 500.000 mm from point 1 by its nominal coordinates and 512.000 mm as"
+            " measured, 12.000 mm apart; expected at most 5 mm: check the order",
+        ),
+        (
+            points_text([*CORNERS[:3], (0, 0, -0.5)]),
+            "4: frame 'table': the measured points are the mirror image of the nominal ones: point ",
+        ),
+        (points_text([*CORNERS[:2], (0, 500, 0), CORNERS[3]]), "8: frame 'table': points[2].measured[1]: 500 m is"),
+        (FRAME.replace("tracker", "middle"), "4: frame 'table': in: expected tracker, left, right, where its points"),
+        (FRAME.replace("table", "left"), "4: frame 'left': 'left' is the name of a frame that every cell has"),
+        (FRAME.replace("table", "base"), "4: frame 'base': 'base' is the name of a frame that every cell has"),
+        (FRAME.replace("table", "tracker"), "4: frame 'tracker': 'tracker' is the name of a frame"),
+        (FRAME.replace("xy:", "yx:"), "4: frame 'table': xy: missing; give origin, x, xy, or points"),
+        (FRAME.replace("500 mm", "500 deg"), "4: frame 'table': x[1]: 'deg' is not a unit of length"),
+        (FRAME.replace("{in:", "{inn:"), "4: frame 'table': inn: unknown key; did you mean 'in'?"),
+        (FRAME.replace("xy: [0.5", "xy: [1"), "4: frame 'table': the nominal points lie on one line"),
+        ("frames: [1]\n", "3: frames: expected keys with values, got a list of 1"),
+        ("frames:\n", "3: frames: expected keys with values, got nothing"),
+        ("frames: {table: 1}\n", "3: frame 'table': expected keys with values"),
+        (FRAME + "  table: {in: left}\n", "5: not YAML: key 'table' is there twice"),
+    ],
+)
+def test_a_work_frame_that_is_refused(path: Path, frame: str, says: str) -> None:
+    assert f"targets.yaml:{says}" in refusal(path, frame + ONE)
+
+
+# -- rotations --------------------------------------------------------------------------------------------------------
+
+
+@given(
+    quaternion=st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
+    off=st.floats(-8e-4, 8e-4),
+)
+def test_every_kind_of_rotation_is_the_same_rotation(quaternion: tuple[float, ...], off: float) -> None:
+    rotation = Rotation.from_quat(quaternion)
+    x, y, z, w = (rotation.as_quat() * (1.0 + off)).tolist()
+    kinds = {
+        "quaternion": (w, x, y, z),
+        "rotation_vector": rotation.as_rotvec().tolist(),
+        "matrix": (rotation.as_matrix() * (1.0 + 0.4 * off)).tolist(),
+    }
+    for kind, value in kinds.items():
+        target = Target.model_validate({"name": "one", "arm": "left", "position": [0, 0, 0], kind: value})
+        assert target.rpy is not None
+        np.testing.assert_allclose(rotation_zyx(*target.rpy[::-1]), rotation.as_matrix(), rtol=0.0, atol=1e-12)
+
+
+def test_units_in_a_rotation_vector_and_no_rotation(path: Path) -> None:
+    (target,) = loaded(path, one(rotation_vector="[90 deg, 0, 0]"))
+    assert target.rpy == pytest.approx((math.pi / 2.0, 0.0, 0.0))
+    (target,) = loaded(path, one(matrix="null", rpy="null"))
+    assert target.rpy is None
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"quaternion": "[1, 0, 0]"}, "quaternion[3]: missing; it must be given"),
+        ({"quaternion": "[0.99, 0, 0, 0]"}, "quaternion: its norm is 0.99, 0.01 from one (at most 0.001), so it is no"),
+        ({"quaternion": "[.nan, 0, 0, 1]"}, "quaternion[0]: "),
+        ({"quaternion": "1"}, "quaternion: expected a list, got 1"),
+        (
+            {"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0.01, 1]]"},
+            "matrix: its rows are off unit length and right angles by 0.01",
+        ),
+        ({"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0, -1]]"}, "matrix: its determinant is -1: a reflection, no rotation"),
+        (
+            {"matrix": "[[1e200, 0, 0], [0, 1, 0], [0, 0, 1]]"},
+            "matrix: its rows are off unit length and right angles",
+        ),
+        ({"matrix": "[[1, 0, 0], [0, 1, 0]]"}, "matrix[2]: missing"),
+        ({"matrix": "[[1, 0, 0], [0, 1, x], [0, 0, 1]]"}, "matrix[1][2]: expected a number, got 'x'"),
+        ({"rotation_vector": "[180, 0, 0]"}, "rotation_vector[0]: 180 rad is more than two turns"),
+        (
+            {"rpy": "[0, 0, 0]", "quaternion": "[1, 0, 0, 0]"},
+            "quaternion: 'rpy' is there too; give one of rpy, quaternion",
+        ),
+    ],
+)
+def test_a_rotation_that_is_none(path: Path, keys: dict[str, str], says: str) -> None:
+    assert refusal(path, one(**keys)).startswith(f"targets.yaml:4: target 'one': {says}")
+
+
+# -- the rest of a target ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            one(frame="tabel"),
+            "targets.yaml:4: target 'one': no frame 'tabel'; frames are base, tracker, left, right; ",
+        ),
+        (
+            FRAME + one(frame="tabel"),
+            "6: target 'one': no frame 'tabel'; frames are base, tracker, left, right, table",
+        ),
+        (one(frame="3"), "target 'one': frame: expected a text, got 3; put it in quotes"),
+        (
+            one(position="[-0.4, 0.25, 50]"),
+            "target 'one': 50 m is farther from the base than any arm reaches; is it 50 mm?",
+        ),
+        (one(approach="[1, 0]"), "target 'one': approach: expected 6 signs, one for each joint of arm left, got 2"),
+        (one(approach="[1, 0, 0, 0, 0, 3]"), "target 'one': approach[5]: expected -1, 0 or 1, got 3"),
+        (
+            one(partner="{arm: left, position: [0, 0, 0]}", rpy="[0, 0, 0]"),
+            "arm left cannot be its own partner; the",
+        ),
+        (
+            one(partner="{arm: top, position: [0, 0, 0]}", rpy="[0, 0, 0]"),
+            "partner: no arm 'top'; the others are right",
+        ),
+        (one(partner="{arm: right, position: [0, 0, 0]}"), "give the target a rotation"),
+        (one(partner="{arm: right, position: [0, 0, 50]}"), "target 'one': partner.position[2]: 50 m is beyond 10 m"),
+        (
+            one(partner="{arm: right, positon: [0, 0, 0]}"),
+            "partner.positon: unknown key; did you mean 'position'?",
+        ),
+        (
+            one(partner="{arm: right, position: [0, 0, 0], quaternion: [2, 0, 0, 0]}"),
+            "partner.quaternion: its norm is 2",
+        ),
+        (one(conditions="{payload: -1}"), "target 'one': conditions.payload: expected at least 0, got -1"),
+        (
+            one(conditions="{load: 1}"),
+            "target 'one': conditions.load: unknown key; did you mean 'payload'?",
+        ),
+        (
+            one(colour="red"),
+            "target 'one': colour: unknown key; known here are name, arm, position, rpy, frame",
+        ),
+        (
+            "conditions: {middle: {payload: 1}}\n" + ONE,
+            "targets.yaml:3: conditions: no arm 'middle'; arms are left",
+        ),
+        ("conditions: {left: {payload: 1 m}}\n" + ONE, "3: conditions.left.payload: 'm' is not a unit of mass"),
+        ("tragets: 1\n" + ONE, "targets.yaml:3: tragets: unknown key; did you mean 'targets'?"),
+        (one(position="[0, 0, 0], position: [0, 0, 1]"), "targets.yaml:4: not YAML: key 'position' is there twice"),
+        ("targets: " + "[" * 60 + "]" * 60, "targets.yaml:3: nested too deeply"),
+        ("targets: " + "[" * 100_000, "targets.yaml:3: nested too deeply"),
+        ("targets: " + "- " * 100_000, "targets.yaml:3: not YAML"),
+        ("targets:\n  " + "- " * 100_000, "targets.yaml:4: nested too deeply"),
+        ("targets: [2026-99-99]\n", "targets.yaml: not YAML: month must be in 1..12"),
+    ],
+)
+def test_a_list_that_is_refused(path: Path, text: str, says: str) -> None:
+    assert says in refusal(path, text)
+
+
+def test_numbers_with_an_exponent_and_merged_keys(path: Path) -> None:
+    first = one(position="[1e-3, 2.5E2 mm, 0.0]", rpy="[0, 0, 0]").replace("- {", "- &first {")
+    (_, two) = loaded(path, first + "  - {<<: *first, name: two}\n")
+    assert two.position == (1e-3, 0.25, 0.0)
+
+
+def test_conditions_of_the_file_hold_where_a_target_states_none(path: Path) -> None:
+    usual = "conditions: {left: {payload: 2 kg, temperature: 23}, right: {dwell: 1}}\n"
+    partner = "{arm: right, position: [0, 0, 0.1]}"
+    (target,) = loaded(path, usual + one(conditions="{payload: 1}", rpy="[0, 0, 0]", partner=partner))
+    assert target.conditions == WorkingConditions(payload=1.0, temperature=23.0)
+    assert target.partner is not None
+    assert target.partner.conditions == WorkingConditions(dwell=1.0)
+
+
+def test_what_is_wrong_in_many_places_is_counted(path: Path) -> None:
+    lines = "".join(one(name=f"t{number}", position="[0, 0, 500]").removeprefix("targets:\n") for number in range(9))
+    message = refusal(path, "targets:\n" + lines).splitlines()
+    assert [line.split(":")[1] for line in message[:-1]] == ["4", "5", "6", "7", "8"]
+    assert message[-1] == "and 4 more"
+
+
+# -- written again ----------------------------------------------------------------------------------------------------
+
+finite = st.floats(-9.0, 9.0)
+points = st.tuples(finite, finite, finite)
+angles = st.none() | st.tuples(*[st.floats(-12.0, 12.0)] * 3)
+conditions = st.builds(
+    WorkingConditions,
+    payload=st.none() | st.floats(0.0, 50.0),
+    temperature=st.none() | st.floats(-10.0, 60.0),
+    time=st.none() | st.floats(0.0, 1e6),
+    dwell=st.none() | st.floats(0.0, 60.0),
+)
+TABLE = WorkFrame(
+    name="Tisch: 'ä'",
+    parent="right",
+    points=tuple(
+        FramePoint(nominal=(x, y, 1.0 / 3.0), measured=(x + 1e-17, y, 1.0 / 3.0))
+        for x, y in ((0.0, 0.0), (0.1, 0.0), (0.0, 0.3))
+    ),
+)
+
+
+@st.composite
+def targets(draw: st.DrawFn, name: str) -> Target:
+    frame: str | WorkFrame = draw(st.sampled_from(["base", "tracker", "left", "right"]) | st.just(TABLE))
+    rpy = draw(angles)
+    partner = None
+    if rpy is not None and draw(st.booleans()):
+        partner = Partner(arm="right", position=draw(points), rpy=draw(angles), conditions=draw(conditions))
+    return Target(
+        name=name,
+        arm="left",
+        position=draw(points),
+        rpy=rpy,
+        frame=frame if isinstance(frame, str) else frame.name,
+        work_frame=None if isinstance(frame, str) else frame,
+        tolerance=draw(st.none() | st.floats(1e-6, 1e-2)),
+        approach=draw(st.none() | st.tuples(*[st.sampled_from([-1, 0, 1])] * 6)),
+        conditions=draw(conditions | st.just(WorkingConditions(payload=2.0))),
+        partner=partner,
+    )
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(listed=st.integers(1, 3).flatmap(lambda n: st.tuples(*[targets(f"t{k}") for k in range(n)])))
+def test_every_list_is_written_and_read_bit_for_bit(path: Path, listed: tuple[Target, ...]) -> None:
+    path.write_text(targets_text(listed), encoding="utf-8")
+    assert load_targets(path, PROFILE) == listed
+
+
+def test_conditions_that_all_targets_of_an_arm_share_are_written_once() -> None:
+    usual = WorkingConditions(payload=2.0)
+    listed = [Target(name=name, arm="left", position=(0, 0, 0), conditions=usual) for name in ("one", "two")]
+    assert targets_text(listed).count("payload") == 1
+    varied = [*listed, listed[0].model_copy(update={"name": "three", "conditions": WorkingConditions()})]
+    assert targets_text(varied).count("payload") == 2
+
+
+# -- typed ------------------------------------------------------------------------------------------------------------
+
+FULL = Target(
+    name="one",
+    arm="left",
+    position=(0.1, 0.2, 1.0 / 3.0),
+    rpy=(0.1, 0.2, math.pi),
+    frame=TABLE.name,
+    work_frame=TABLE,
+    tolerance=1e-4,
+    approach=(1, 0, -1, 0, 0, 1),
+    conditions=WorkingConditions(payload=2.0),
+    partner=Partner(
+        arm="right", position=(0.0, 0.0, 0.1), rpy=(math.pi, 0.0, 1.0 / 3.0), conditions=WorkingConditions(dwell=1.0)
+    ),
+)
+
+
+def typed(before: Target | None = FULL, **texts: str) -> TypedTarget:
+    shown = new_texts("left") if before is None else typed_texts(before)
+    return typed_target({**shown, **texts}, before, [FULL.model_copy(update={"name": "two"})], PROFILE)
+
+
+def test_what_is_not_touched_keeps_its_value() -> None:
+    assert set(typed_texts(FULL)) == {field.name for field in FIELDS} == set(new_texts("left"))
+    assert typed() == TypedTarget(FULL, {})
+
+
+def test_every_field_can_be_typed() -> None:
+    found = typed(partner="right: 0, 0, 200 mm", approach="", frame="tracker")
+    assert found.target == FULL.model_copy(
+        update={
+            "frame": "tracker",
+            "work_frame": None,
+            "approach": None,
+            "partner": FULL.partner and FULL.partner.model_copy(update={"position": (0.0, 0.0, 0.2), "rpy": None}),
+        }
+    )
+    assert typed(partner="", rpy="", approach="0, 0, 0, 0, 0, +1").target == FULL.model_copy(
+        update={"partner": None, "rpy": None, "approach": (0, 0, 0, 0, 0, 1)}
+    )
+    assert typed(partner="right: 0, 0, 100 mm; 180 deg, 0, 0").problems == {}
+    assert typed(frame="").target == FULL.model_copy(update={"frame": "base", "work_frame": None})
+
+
+def test_a_new_target_takes_work_frames_and_conditions_of_the_list() -> None:
+    found = typed(None, position="0, 0, 1", frame=TABLE.name, partner="right: 0, 0, 0.1")
+    assert found.target is not None
+    assert found.target.work_frame is TABLE
+    assert found.target.conditions == FULL.conditions
+    assert found.target.partner is not None
+    assert found.target.partner.conditions == WorkingConditions(dwell=1.0)
+    assert frame_choices([FULL], PROFILE) == ("base", "tracker", "left", "right", TABLE.name)
+
+
+@pytest.mark.parametrize(
+    ("field", "text", "says"),
+    [
+        ("frame", "tabel", "no frame 'tabel'; frames are base, tracker, left, right, Tisch: 'ä'"),
+        ("rpy", "", "a partner's place is given in the axes of the first arm's flange; give"),
+        ("approach", "1, 0", "expected 6 signs"),
+        ("approach", "1, 0, 0, 0, 0, 2", "value 6: expected -1, 0 or 1, got 2"),
+        ("partner", "right", "expected keys with values"),
+        ("partner", "left: 0, 0, 0", "arm left cannot be its own partner; the others are right"),
+        ("partner", "top: 0, 0, 0", "no arm 'top'; the others are right"),
+        ("partner", "right: 0, 100, 0", "y: 100 m is beyond 10 m"),
+        ("partner", "right: 0, 0", "z: missing"),
+        ("partner", "right:", "position: missing"),
+        ("partner", "right: 0, 0, 0; 0, 90, 0", "pitch: 90 rad is more than two turns"),
+        ("partner", ": 0, 0, 0", "no arm ''; the others are right"),
+    ],
+)
+def test_what_is_typed_wrongly(field: str, text: str, says: str) -> None:
+    found = typed(FULL, **{field: text})
+    assert found.target is None
+    assert list(found.problems) == [field]
+    assert found.problems[field].startswith(says)
+
+
+def test_a_far_position_in_a_base_frame_is_said_at_its_field() -> None:
+    assert typed(frame="left", position="20, 0, 0").problems == {
+        "position": "20 m is farther from the base than any arm reaches; is it 20 mm?"
+    }
+
+
+# -- results ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arm", ["left", "right"])
+def test_a_result_is_about_a_target_while_nothing_of_it_changed(arm: str) -> None:
+    stored = target_record(FULL, arm)
+    assert stored.partner == ({"left", "right"} - {arm}).pop()
+    assert same_target(FULL, stored)
+    assert FULL.partner is not None
+    moved = TABLE.model_copy(update={"parent": "left"})
+    changes = (
+        {"work_frame": moved},
+        {"partner": FULL.partner.model_copy(update={"position": (0.0, 0.0, 0.2)})},
+        {"partner": None},
+        {"conditions": WorkingConditions()},
+        {"approach": None},
+        {"rpy": None},
+        {"frame": "tracker", "work_frame": None},
+    )
+    assert not any(same_target(FULL.model_copy(update=change), stored) for change in changes)
+    assert not same_target(FULL, stored.model_copy(update={"arm": "middle"}))
+    assert same_target(FULL, stored.model_copy(update={"definition": ""})), "an earlier version"

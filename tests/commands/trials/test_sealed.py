@@ -1,0 +1,635 @@
+"""Blind trials: a run contains nothing of its truth, a broken seal is refused, judging continues, scores are right."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+import sqlite3
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.commands.stages import read_stages
+from cellapp.commands.trials.judge import TRIAL_RESULT, judge_run, judge_trials, source_digest
+from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
+from cellapp.commands.trials.run_score import score_run
+from cellapp.commands.trials.scoring import scores
+from cellapp.commands.trials.sealed import (
+    ExpectedTerm,
+    GroundTruth,
+    HiddenLaw,
+    SealHeader,
+    check_seal,
+    open_truth,
+    seal_trials,
+)
+from cellapp.commands.trials.sealed_cases import EXPECTED, KINDS, LOOK_ALIKES, PAIRS, TRIPLES, cases, library_name
+from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.tables import judge_sentences, judge_tables
+from cellapp.commands.trials.visible_size import beyond_geometry
+from cellapp.commands.view.table import markdown
+from cellapp.estimation.discovery.records import BeforeAfter
+from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Cancelled, CancelToken, Progress
+from cellapp.interfaces import cli
+from cellapp.robot.effects import EFFECTS
+from cellapp.robot.kinematics.chain import JointAngles, jacobian, parameter_names, smr_positions
+from cellapp.robot.kinematics.transforms import transform
+from cellapp.robot.model.nominal import nominal_arm
+from drivers.plant import OUTSIDE, REALISTIC
+from tests.twin import PROFILES, small_twin
+
+STOPS, SEED = 60, 5
+ROWS = {"identify": 20, "train": 20, "validate_": 20, "pair_identify": 10, "pair_validate": 10}
+
+
+def small() -> Profile:
+    """The twin with few stops, and few simulations to set the threshold from."""
+    profile = small_twin(STOPS)
+    return profile.model_copy(
+        update={
+            "splits": profile.splits.model_copy(update=ROWS),
+            "discovery": profile.discovery.model_copy(update={"null_simulations": 20}),
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def all_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten sealed runs, of every kind; nobody may change them."""
+    folder = tmp_path_factory.mktemp("sealed") / "trials"
+    assert seal_trials(small(), folder, 10, Setup(kind="mixed"), seed=SEED).runs == 10
+    return folder
+
+
+@pytest.fixture(scope="module")
+def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], JudgeResult]:
+    """Three sealed runs that hide nothing, judged in two goes: folder, what the first go left in them, and outcome."""
+    folder = tmp_path_factory.mktemp("judged") / "trials"
+    seal_trials(small(), folder, 3, Setup(kind="none"), seed=SEED)
+    cancel = CancelToken()
+
+    def stop_after_the_first(event: Progress) -> None:
+        if event.done == 1:
+            cancel.cancel()
+
+    with pytest.raises(Cancelled):
+        judge_trials(folder, listener=stop_after_the_first, cancel=cancel)
+    first = stored(folder)
+    return folder, first, judge_trials(folder)
+
+
+@pytest.fixture
+def mine(all_kinds: Path, tmp_path: Path) -> Path:
+    """A copy to spoil."""
+    return Path(shutil.copytree(all_kinds, tmp_path / "trials"))
+
+
+def stored(folder: Path) -> list[str]:
+    """What stands in the runs that were judged, in their order; empty for the others."""
+    texts = []
+    for path in sorted(folder.glob("run-*")):
+        with RunFile.open(path) as run:
+            texts.append(run.read_result(TRIAL_RESULT) or "")
+    return texts
+
+
+def call(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: object
+) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    monkeypatch.setattr(sys, "argv", ["cellapp", *map(str, arguments)])
+    code = 0
+    try:
+        cli.main()
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+# -- sealing ----------------------------------------------------------------------------------------------------------
+
+
+def test_each_run_is_an_ordinary_one_with_all_factors(all_kinds: Path) -> None:
+    folders = sorted(path for path in all_kinds.iterdir() if path.is_dir())
+    assert [path.name for path in folders] == [f"run-{k:04d}" for k in range(1, 11)]
+    for path in folders:
+        assert [file.name for file in path.iterdir()] == ["run.sqlite"]
+        with RunFile.open(path) as run:
+            assert run.profile.network.kind == "none"
+            for name in run.profile.arms:
+                readings = run.readings(name)
+                assert len(readings) == STOPS
+                assert readings.split is not None
+                assert Counter(readings.split) == {"identify": 20, "train": 20, "validate": 20}
+                for factor in ("time_s", "approach", "payload_kg", "temperature_c", "joint_temperature_c", "step",
+                               "dwell_s"):  # fmt: skip
+                    assert np.ptp(getattr(readings, factor)) > 0.0, factor
+                assert readings.covariance_M is not None
+
+
+def numbers_in(value: Any) -> Iterator[str]:
+    """Every number of a truth as JSON writes it, if it is long enough not to be met by chance."""
+    if isinstance(value, Mapping):
+        for part in value.values():
+            yield from numbers_in(part)
+    elif isinstance(value, list | tuple):
+        for part in value:
+            yield from numbers_in(part)
+    elif isinstance(value, int | float) and len(repr(value)) >= 7:
+        yield repr(value)
+
+
+def test_a_run_contains_nothing_of_its_truth(all_kinds: Path) -> None:
+    content = json.loads((all_kinds / "truth.json").read_text("utf-8"))
+    plant_effects = ('"effects":{', '"effects": {')  # the plan's own list of effects is null
+    words = {*REALISTIC, *OUTSIDE, *plant_effects, "look_alike", "truth", "hidden", content["sealed"]["profile"] + '"'}
+    for entry in content["trials"]:
+        data = (all_kinds / entry["run"] / "run.sqlite").read_bytes()
+        assert b"sealed-" in data
+        assert [word for word in words if word.encode() in data] == []
+        assert re.search(rb'"effects": *[^ n]', data) is None, "the plan's own key says null"
+        secret = [entry["effects"], entry["seeds"], entry["noise_um"], entry["held_out_um"], content["sealed"]["seed"]]
+        numbers = set(numbers_in(secret))
+        assert len(numbers) >= 7
+        assert [number for number in numbers if number.encode() in data] == []
+        with RunFile.open(all_kinds / entry["run"]) as run:
+            assert run.profile.plant is None
+            assert run.profile.seed == int(entry["run"].removeprefix("run-"))
+            assert run.events() == []
+            assert run.read_plan() == {}
+
+
+def test_the_truth_names_kinds_and_arms_in_a_drawn_order(all_kinds: Path) -> None:
+    trials = open_truth(all_kinds).trials
+    kinds = [trial.kind for trial in trials]
+    assert Counter(kinds) == {"one": 6, "none": 2, "outside": 1, "pair": 1}
+    ones = [trial for trial in trials if trial.kind == "one"]
+    slugs = [trial.effects[0].plant for trial in ones]
+    assert set(slugs) == set(REALISTIC[SEED : SEED + 6])
+    assert slugs != list(REALISTIC[SEED : SEED + 6])
+    assert Counter(trial.arm for trial in ones) == {"left": 3, "right": 3}
+    for trial in trials:
+        assert bool(trial.arm) == (trial.kind != "none")
+        assert len(trial.effects) == {"one": 1, "none": 0, "outside": 1, "pair": 2}[trial.kind]
+        for effect in trial.effects:
+            assert 0.0 <= effect.visible_um <= effect.raw_um * (1.0 + 1e-9)
+        for name in ("left", "right"):
+            assert 20.0 < trial.noise_um[name] < 35.0
+            assert trial.held_out_um[name] == pytest.approx(trial.noise_um[name], rel=0.6)
+
+
+@pytest.mark.fast
+def test_every_law_meets_both_arms() -> None:
+    known = tuple(slug for slug in REALISTIC if library_name(slug) in EFFECTS)
+    for kind, laws in (("one", known), ("outside", OUTSIDE)):
+        drawn = cases(("left", "right"), kind, 2 * len(laws), SEED)
+        met = {(case.slugs[0], case.arm) for case in drawn}
+        assert met == {(law, arm) for law in laws for arm in ("left", "right")}
+    assert set(EXPECTED) == set(OUTSIDE)
+    pairs = cases(("left", "right"), "pair", len(PAIRS) + len(LOOK_ALIKES), SEED)
+    assert sum(case.look_alikes for case in pairs) == len(LOOK_ALIKES)
+    triples = cases(("left", "right"), "triple", len(TRIPLES), SEED)
+    assert {len(case.slugs) for case in triples} == {3}
+    assert {slug for case in (*pairs, *triples) for slug in case.slugs} <= set(known)
+
+
+def test_a_seed_gives_the_same_trials_and_none_gives_others(
+    judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path
+) -> None:
+    seal_trials(small(), tmp_path / "again", 3, Setup(kind="none"), seed=SEED)
+    assert open_truth(tmp_path / "again").trials == open_truth(judged_once[0]).trials
+    drawn = []
+    for name in ("a", "b"):
+        seal_trials(small_twin(), tmp_path / name, 1, Setup(kind="none"))
+        drawn.append(open_truth(tmp_path / name))
+    assert drawn[0].sealed.seed != drawn[1].sealed.seed
+    assert drawn[0].trials[0].readings != drawn[1].trials[0].readings
+
+
+def test_how_readings_scatter(tmp_path: Path) -> None:
+    drawn = {}
+    for noise in ("gaussian", "heavy", "repeatability"):
+        seal_trials(small(), tmp_path / noise, 1, Setup(kind="none", noise=noise), seed=SEED)
+        drawn[noise] = open_truth(tmp_path / noise).trials[0].held_out_um
+    assert len({tuple(each.values()) for each in drawn.values()}) == 3
+
+
+def test_true_masses_leave_the_nominal_ones(all_kinds: Path) -> None:
+    profile = load_profile(PROFILES / "twin.yaml")
+    assert profile.plant is not None
+    assert build_plant(profile).config.errors.mass == 0.0
+    geometry = profile.plant.geometry.model_copy(update={"mass": 0.05})
+    plant = profile.plant.model_copy(update={"geometry": geometry})
+    assert build_plant(profile.model_copy(update={"plant": plant})).config.errors.mass == 0.05
+
+
+def test_what_geometry_can_follow_is_not_visible() -> None:
+    arm = load_profile(PROFILES / "twin.yaml").arms["left"]
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (200, 6))
+    geometry = nominal_arm(arm).with_T_M_B(transform(np.eye(3), np.array([3.0, 0.5, -0.4])))
+    p_M = smr_positions(geometry, q)
+    _, J = jacobian(geometry, JointAngles.of(q), tuple(range(len(parameter_names(6)))))
+    for column in np.moveaxis(J, 1, 0):
+        moved = 1e-4 * column.T
+        assert np.abs(beyond_geometry(arm, q, p_M, moved)).max() < 1e-9
+    # a scale of all lengths is geometry too; random displacements keep all but 27 of their 600 directions
+    about = p_M - p_M.mean(axis=0)
+    assert np.abs(beyond_geometry(arm, q, p_M, 1e-5 * about)).max() < 1e-9
+    draws = 1e-5 * np.random.default_rng(1).standard_normal((30, 200, 3))
+    left = np.stack([beyond_geometry(arm, q, p_M, noise) for noise in draws])
+    assert np.sum(left**2) / np.sum(draws**2) == pytest.approx(1.0 - 27.0 / 600.0, abs=0.01)
+
+
+@pytest.mark.parametrize("place", ["new", "."])
+def test_a_sealing_that_ends_early_leaves_nothing(tmp_path: Path, place: str) -> None:
+    cancel = CancelToken()
+
+    def stop_after_the_first(event: Progress) -> None:
+        if event.done == 1:
+            cancel.cancel()
+
+    with pytest.raises(Cancelled):
+        seal_trials(small_twin(), tmp_path / place, 3, Setup(kind="none"), listener=stop_after_the_first, cancel=cancel)
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- the seal ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_seal_is_the_sha_256_of_the_truth(all_kinds: Path) -> None:
+    digest, name = (all_kinds / "seal.txt").read_text("utf-8").split()
+    assert name == "truth.json"
+    assert digest == hashlib.sha256((all_kinds / "truth.json").read_bytes()).hexdigest()
+    assert check_seal(all_kinds) == (all_kinds / "truth.json").read_bytes()
+
+
+@pytest.mark.parametrize("place", [0.1, 0.5, 0.95])
+def test_a_changed_truth_breaks_the_seal(mine: Path, place: float) -> None:
+    data = bytearray((mine / "truth.json").read_bytes())
+    data[int(place * len(data))] ^= 1
+    (mine / "truth.json").write_bytes(data)
+    with pytest.raises(CheckFailed, match="the seal is broken"):
+        judge_trials(mine)
+    assert stored(mine) == [""] * 10, "it is reported before any work"
+
+
+def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(judged_once[0], tmp_path / "trials"))
+    connection = sqlite3.connect(folder / "run-0002" / "run.sqlite")
+    connection.execute("UPDATE reading SET p_m = '[3.0, 0.5, -0.25]' WHERE arm = 'right' AND configuration = 7")
+    connection.commit()
+    connection.close()
+    with pytest.raises(CheckFailed, match="run-0002: its readings are not those that were sealed"):
+        judge_trials(folder)
+    shutil.rmtree(folder / "run-0002")
+    with pytest.raises(InputError, match="run-0002 is missing, but was sealed"):
+        judge_trials(folder)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        ("judge nowhere", 2, "nowhere: folder not found; 'cellapp trials seal' makes one"),
+        ("judge empty", 2, "empty holds no sealed trials (truth.json is missing)"),
+        ("judge torn", 2, "torn holds no sealed trials (seal.txt is missing)"),
+        ("judge bare", 2, "bare holds no runs"),
+        ("judge broken", 1, "the seal is broken"),
+        ("judge bare --markdown no/where.md", 2, "--markdown: no/where.md: folder not found"),
+        ("judge bare --jobs 0", 2, ""),
+        ("seal twin.yaml --out torn --n 1", 2, "torn is not empty; give a new folder"),
+        ("seal twin.yaml --out torn/truth.json --n 1", 2, "torn/truth.json: "),
+        (
+            "seal twin.yaml --out new --kind some",
+            2,
+            "'some' is not known; kinds are one, none, outside, pair, triple, mixed",
+        ),
+        ("seal twin.yaml --out new --laws odd", 2, "laws are same, other"),
+        ("seal twin.yaml --out new --stops 12", 2, "--stops: 12 are too few"),
+        ("seal twin.yaml --out new --flip-approach --kind pair", 2, "leave out --kind pair"),
+        ("blind-matrix twin.yaml --out new --only none.such", 2, "no cell is called 'none.such'"),
+        ("blind-matrix twin.yaml --out new --markdown no/where.md", 2, "--markdown: no/where.md: folder not found"),
+        ("seal twin.yaml --out new --noise pink", 2, "noises are gaussian, heavy, repeatability"),
+        ("seal ur10-real.yaml --out new", 2, "sealed trials need a section 'plant' and two arms"),
+        ("seal nowhere.yaml --out new", 2, "nowhere.yaml"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(
+    arguments: str,
+    code: int,
+    said: str,
+    mine: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
+    for name, files in (("empty", ()), ("torn", ("truth.json",)), ("bare", ("truth.json", "seal.txt"))):
+        (tmp_path / name).mkdir()
+        for file in files:
+            shutil.copy(mine / file, tmp_path / name / file)
+    shutil.copytree(tmp_path / "bare", tmp_path / "broken")
+    (tmp_path / "broken" / "seal.txt").write_text("")
+    found, out, err = call(capsys, monkeypatch, "trials", *arguments.split())
+    assert (found, out) == (code, "")
+    assert said in err
+    assert "Traceback" not in err
+    assert not (tmp_path / "new").exists()
+
+
+# -- judging ----------------------------------------------------------------------------------------------------------
+
+
+def test_judging_goes_on_where_it_was_stopped(judged_once: tuple[Path, list[str], JudgeResult]) -> None:
+    folder, first, result = judged_once
+    done = [text for text in first if text]
+    assert 1 <= len(done) < 3
+    after = stored(folder)
+    assert all(after)
+    assert [text for text, before in zip(after, first, strict=True) if before] == done, "not judged twice"
+    events: list[Progress] = []
+    assert judge_trials(folder, listener=events.append).trials == result.trials
+    assert [(event.done, event.total) for event in events] == [(3, 3)]
+    assert stored(folder) == after
+
+
+def test_what_judging_reports(judged_once: tuple[Path, list[str], JudgeResult]) -> None:
+    folder, _, result = judged_once
+    assert json.loads(result.to_json())["schema"] == "cellapp-trials-judge"
+    assert [trial.run for trial in result.trials] == ["run-0001", "run-0002", "run-0003"]
+    assert result.sealed.seed == SEED
+    assert result.failed == ()
+    json.dumps(json.loads(result.to_json()), allow_nan=False)
+    for trial in result.trials:
+        for arm in trial.arms.values():
+            assert arm.heldout_um.after > 0.0
+            assert arm.seconds > 0.0
+    with RunFile.open(folder / "run-0001") as run:
+        assert list(read_stages(run).current) == ["calibrate"]
+
+
+def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Path) -> None:
+    folder = tmp_path / "trials"
+    seal_trials(small(), folder, 1, Setup(kind="one"), seed=0)
+    judge_run(folder / "run-0001", source_digest())
+    result = judge_trials(folder)
+    (trial,) = result.trials
+    assert [hidden.effect for hidden in trial.hidden] == ["joint_compliance"]
+    assert trial.visible
+    arm = trial.findings
+    assert "joint_compliance" in {slug for answers in arm.answer_sets for slug in answers}
+    assert trial.in_answer_set
+    assert arm.heldout_um.after < 0.2 * arm.heldout_um.before
+    assert arm.noise_um.stated == pytest.approx(arm.noise_um.drawn, rel=0.6)
+    assert result.judged_by_other_source == 0
+    assert {target.target for target in result.targets} >= {"visible: exactly its name", "one arm within 5 s"}
+
+
+def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
+    judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(judged_once[0], tmp_path / "trials"))
+    for name in ("run-0001", "run-0003"):
+        connection = sqlite3.connect(folder / name / "run.sqlite")
+        connection.execute("DELETE FROM result WHERE name = ?", (TRIAL_RESULT,))
+        if name == "run-0001":  # all stops in one split leave none to validate
+            connection.execute("UPDATE reading SET split = 'identify'")
+        connection.commit()
+        connection.close()
+    result = judge_trials(folder)
+    assert len(result.failed) == 1
+    assert result.failed[0].startswith("run-0001: arm 'left': 60 readings leave 60 to identify and 0 to validate")
+    assert [trial.run for trial in result.trials] == ["run-0002", "run-0003"]
+
+
+def test_the_commands(
+    judged_once: tuple[Path, list[str], JudgeResult],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out, table = tmp_path / "out.json", tmp_path / "table.md"
+    code, said, _ = call(capsys, monkeypatch, "trials", "judge", judged_once[0], "--json", out, "--markdown", table)
+    assert code == 0
+    assert "Sealed trials: targets" in said
+    assert f"seed {SEED}" in said
+    found = JudgeResult.from_json(out.read_text("utf-8"), str(out))
+    assert found.trials == judged_once[2].trials
+    assert table.read_text("utf-8") == markdown(judge_tables(found), judge_sentences(found))
+    shutil.copytree(PROFILES, tmp_path / "profiles")
+    monkeypatch.setattr("cellapp.commands.trials.sealed._write_runs", lambda *arguments: [])
+    code, said, _ = call(
+        capsys, monkeypatch, "trials", "seal", tmp_path / "profiles" / "twin.yaml", "--out", tmp_path / "new", "--n", 2
+    )
+    assert code == 0
+    sealed = json.loads((tmp_path / "new" / "truth.json").read_text("utf-8"))["sealed"]
+    assert (tmp_path / "new" / "seal.txt").read_text("utf-8").split()[0] in said
+    assert str(sealed["seed"]) not in said.replace(str(tmp_path), ""), "a drawn seed stays secret"
+
+
+# -- scores -----------------------------------------------------------------------------------------------------------
+
+
+def truth(kind: str, *slugs: str, visible_um: float = 100.0, look_alikes: bool = False) -> GroundTruth:
+    expected = EXPECTED.get(slugs[0]) if kind == "outside" else None
+    return GroundTruth(
+        run="run-0001",
+        kind=kind,
+        look_alikes=look_alikes,
+        arm="left" if slugs else "",
+        effects=tuple(
+            HiddenLaw(effect=slug, plant=slug, parameters={}, raw_um=2.0 * visible_um, visible_um=visible_um)
+            for slug in slugs
+        ),
+        expected=None if expected is None else ExpectedTerm(channel=expected[0], variables=expected[1]),
+        noise_um={"left": 26.0, "right": 26.0},
+        held_out_um={"left": 25.0, "right": 25.0},
+        seeds={},
+        readings="",
+    )
+
+
+def findings(**changes: Any) -> ArmFindings:
+    after_um = changes.pop("after_um", 25.5)
+    found: dict[str, Any] = {
+        "accepted": (),
+        "answer_sets": (),
+        "described": (),
+        "verdict": "nothing missing",
+        "heldout_um": BeforeAfter(before=26.0, after=after_um),
+        "noise_um": NoiseLengths(stated=26.0, drawn=25.0),
+        "seconds": 1.0,
+        "cpu_seconds": 0.9,
+    }
+    return ArmFindings(**{**found, **changes})
+
+
+NOTHING = findings()
+
+
+def named(*slugs: str, answers: tuple[str, ...] = (), **changes: Any) -> ArmFindings:
+    sets = tuple((slug, *answers) for slug in slugs)
+    return findings(accepted=slugs, answer_sets=sets, verdict="explained", **changes)
+
+
+def unknown(channel: str, *variables: str) -> ArmFindings:
+    described = (DescribedTerm(channel=channel, variables=variables),)
+    return findings(accepted=("unknown",), answer_sets=(("unknown",),), described=described, verdict="unknown effect")
+
+
+def judged(true: GroundTruth, left: ArmFindings, right: ArmFindings = NOTHING) -> ScoredRun:
+    return score_run(true, {"left": left, "right": right})
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("hidden", "accepted", "outcome"),
+    [
+        (("backlash",), ("backlash",), "named"),
+        (("backlash",), ("backlash", "joint_drift"), "extra"),
+        (("backlash",), ("backlash", "unknown"), "extra"),
+        (("backlash",), ("friction_windup",), "wrong"),
+        (("backlash",), ("unknown",), "unknown"),
+        (("backlash",), (), "none"),
+        (("backlash", "base_step"), ("base_step", "backlash"), "named"),
+        (("backlash", "base_step"), ("base_step",), "part"),
+        (("backlash", "base_step"), ("base_step", "joint_drift"), "wrong"),
+    ],
+)
+def test_outcomes(hidden: tuple[str, ...], accepted: tuple[str, ...], outcome: str) -> None:
+    assert judged(truth("one", *hidden), named(*accepted)).outcome == outcome
+
+
+@pytest.mark.fast
+def test_the_answer_set_counts_only_where_something_is_named() -> None:
+    true = truth("one", "backlash")
+    assert judged(true, named("friction_windup", answers=("backlash",))).in_answer_set
+    assert not judged(true, named("friction_windup")).in_answer_set
+    assert not judged(true, NOTHING).in_answer_set
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("law", "channel", "variables", "description"),
+    [
+        ("dress_pack", "joint 1", ("q2", "q1"), "right"),
+        ("dress_pack", "joint 1", ("q1",), "part"),
+        ("dress_pack", "joint 2", ("q1", "q2"), ""),
+        ("crosstalk", "joint 4", ("q5",), "right"),
+        ("crosstalk", "joint 4", ("q5", "q2"), "part"),
+        ("wrist_cable", "joint 6", ("q5",), ""),
+        ("base_sway", "base shift", ("time",), "right"),
+        ("base_sway", "base shift y", ("time",), "right"),
+        ("base_sway", "base turn y", ("time",), ""),
+        ("tool_sag", "tool x", ("q5",), "right"),
+        ("draught", "tracker azimuth", ("time",), "right"),
+    ],
+)
+def test_descriptions(law: str, channel: str, variables: tuple[str, ...], description: str) -> None:
+    assert judged(truth("outside", law), unknown(channel, *variables)).description == description
+
+
+@pytest.mark.fast
+def test_counts_targets_and_misses() -> None:
+    trials = [
+        judged(truth("one", "backlash"), named("backlash")),
+        judged(truth("one", "backlash"), named("friction_windup", answers=("backlash",), after_um=40.0)),
+        judged(truth("one", "tracker_scale", visible_um=0.0), NOTHING, named("joint_drift")),
+        judged(truth("none"), NOTHING),
+        judged(truth("none"), named("base_step"), unknown("tool", "q1")),
+        judged(truth("outside", "crosstalk"), unknown("joint 4", "q5")),
+        judged(truth("outside", "tool_sag"), named("joint_drift", "unknown")),
+        judged(truth("pair", "backlash", "base_step"), named("base_step", "backlash")),
+        judged(truth("pair", "backlash", "friction_windup", look_alikes=True), named("backlash", seconds=9.0)),
+    ]
+    result = scores(trials)
+    reached = {target.target: (target.reached, target.n, target.met) for target in result.targets}
+    assert reached == {
+        "visible: exactly its name": (1, 2, False),
+        "visible: truth in the answer set": (2, 2, True),
+        "visible: exactly their names": (1, 1, None),
+        "visible look-alikes: exactly their names": (0, 1, False),
+        "false names, by arm": (1, 4, False),
+        "false unknown effects, by arm": (1, 4, False),
+        "false names, arms beside one that hides something": (1, 7, False),
+        "visible: called unknown": (2, 2, None),
+        "visible: right channel and variables": (1, 2, False),
+        "below the noise: another name": (0, 1, None),
+        "names beyond the one description": (1, 2, False),
+        "second names": (0, 4, None),
+        "of these for the same cause": (0, 4, None),
+        "held out within 5 % of the drawn noise": (4, 5, False),
+        "the same against the assumed noise, which scatters": (4, 5, False),
+        "one arm within 1 s": (17, 18, True),
+        "one arm within 5 s": (17, 18, False),
+    }
+    assert result.missed == (), "too few trials to say so"
+    assert result.one["backlash"].visible.named == 1
+    to_drawn = result.one["backlash"].visible.heldout_to_drawn
+    assert to_drawn is not None
+    assert to_drawn.max == pytest.approx(1.6)
+    assert result.one["tracker_scale"].below.none == 1
+    assert result.none["arm beside one that hides something"].n == 7
+    assert result.none["arm beside one that hides something"].false_names == 1
+    assert result.outside["tool_sag"].false_names == 1
+    missed = [(miss.hidden.split(" (")[0], miss.found) for miss in result.misses]
+    assert missed == [
+        ("backlash", "friction_windup"),
+        ("", "joint_drift"),
+        ("", "base_step"),
+        ("", "unknown"),
+        ("tool_sag", "joint_drift + unknown"),
+        ("backlash", "backlash"),
+    ]
+
+
+@pytest.mark.fast
+def test_few_clean_arms_meet_no_target_and_many_do() -> None:
+    def met(n: int) -> list[object]:
+        targets = scores([judged(truth("none"), NOTHING) for _ in range(n)]).targets
+        return [target.met for target in targets if target.kind == "none"]
+
+    assert met(149) == [None, None]
+    assert met(150) == [True, True]
+
+
+@pytest.mark.fast
+def test_the_table_for_the_readme_ends_with_date_seed_and_program() -> None:
+    sealed = SealHeader(
+        written="2026-01-02T03:04:05", program="cellapp 0.0.9", profile="twin", seed=1234,
+        setup=Setup(kind="mixed", noise="heavy"), runs=4, stops=400,
+    )  # fmt: skip
+    trials = [
+        judged(truth("one", "backlash"), named("friction_windup", answers=("a|b",))),
+        judged(truth("none"), NOTHING),
+        judged(truth("outside", "crosstalk"), unknown("joint 4", "q5")),
+        judged(truth("pair", "backlash", "base_step"), named("base_step", "backlash")),
+    ]
+    result = JudgeResult(
+        date="2026-02-03", program="cellapp 0.1.0", source="abc", judged_by_other_source=1, jobs=2, sealed=sealed,
+        failed=("run-0009: broken",), **dict(scores(trials)),
+    )  # fmt: skip
+    text = markdown(judge_tables(result), judge_sentences(result))
+    last = text.rstrip().splitlines()[-1]
+    for word in ("2026-02-03", "cellapp 0.1.0", "seed 1234", "noise heavy", "2026-01-02", "run-0009: broken", "1 runs"):
+        assert word in last, word
+    assert last.endswith(judge_sentences(result)[-1])
+    titles = [table.title for table in judge_tables(result)]
+    assert [line.strip("*") for line in text.splitlines() if line.startswith("**")] == titles
+    assert len(titles) == len(KINDS) + 1  # pairs and triples share a table; targets and misses have their own
+    for block in text.split("\n\n"):
+        rows = [line.replace("\\|", "").count("|") for line in block.splitlines() if line.startswith("|")]
+        assert len(set(rows)) <= 1, block

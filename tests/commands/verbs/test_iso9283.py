@@ -1,0 +1,168 @@
+"""The verb ``iso9283``: what it stores, what it refuses, and its command."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cellapp.cell.driving.iso9283 import reach
+from cellapp.cell.profile import profile_to_json
+from cellapp.cell.run import RunFile
+from cellapp.commands.iso9283 import run as verb
+from cellapp.commands.iso9283.run import iso9283_folder, iso9283_run
+from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
+from cellapp.commands.report.data import read_report_data
+from cellapp.commands.stages import read_results, read_stages
+from cellapp.estimation.iso9283.records import Iso9283Result
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Progress
+from cellapp.ground.results import ISO9283
+from cellapp.interfaces import cli
+from cellapp.interfaces.page.page_parts import page_parts
+from tests.cell.planning.planned_cells import one_arm
+from tests.twin import small_twin
+
+
+@pytest.fixture(autouse=True)
+def _few_orientations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cube need not be the largest here."""
+    monkeypatch.setattr(reach, "_SEEDS", 4)
+
+
+def code_of(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Run the program in this process; return its exit code."""
+    monkeypatch.setattr(sys, "argv", ["cellapp", *map(str, arguments)])
+    try:
+        cli.main()
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    return 0
+
+
+def left_alone() -> Profile:
+    """The left arm of the twin, without hidden effects."""
+    profile = one_arm()
+    assert profile.plant is not None
+    return profile.model_copy(update={"plant": profile.plant.model_copy(update={"effects": {}})})
+
+
+def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) -> None:
+    with RunFile.open(finished_copy, write=True) as run:
+        result = iso9283_run(run, ["pose", "cooperative"], cycles=3)
+        stages = read_stages(run)
+        assert ISO9283 in stages.current
+        assert ISO9283 not in stages.out_of_date
+        assert read_results(run).iso9283 == result
+        section = page_parts(run, read_report_data(run)).iso9283
+    assert Iso9283Result.from_json(result.to_json(), "test") == result
+    assert (result.missing, result.stopped) == ((), "")
+    for arm in result.arms.values():
+        assert arm.base is None
+        largest = {kind: max(one.accuracy.value_mm for one in tests.pose) for kind, tests in arm.tests.items()}
+        assert largest["nominal"] > 20.0 * largest["calibrated"]
+        assert largest["calibrated"] < 0.1
+    (pair,) = result.pairs
+    assert max(one.accuracy.value_mm for one in pair.vector["calibrated"]) < 0.1
+    assert {one.characteristic for one in result.judgements} == {"pose_accuracy", "pose_repeatability", "cooperative"}
+    assert all("calibrated commands, 3 of 30 cycles" in one.source for one in result.judgements)
+    assert result.conditions is not None
+    assert result.conditions.commands == ("nominal", "calibrated")
+    titles = [table.title for table in iso9283_tables(result)]
+    assert titles[0] == "Characteristics against their tolerances"
+    assert "Pose accuracy AP and repeatability RP [mm]" in titles
+    message, *others = iso9283_sentences(result)
+    assert "as found" in message
+    assert "as left" in message
+    assert section is not None
+    assert section.message.lower() == message.lower()
+    assert [figure.caption for figure in section.figures] == [
+        "Pose accuracy at the five poses",
+        *(f"Arm {name}: error at each visit, calibrated commands" for name in result.arms),
+    ]
+    assert any("characteristics of orientation" in line for line in others)
+    assert any("3 cycles at 100% of the profile's speed" in line and "payload: left 0.3 kg" in line for line in others)
+
+
+def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def listen(event: Progress) -> None:
+        if event.job == "iso9283" and event.done == 7:
+            raise HardwareError("arm right: protective stop")
+
+    with RunFile.open(finished_copy, write=True) as run:
+        with pytest.raises(HardwareError, match="protective stop"):
+            iso9283_run(run, ["distance"], listen, cycles=3, arms=["right"], commands=["nominal"])
+        stored = read_results(run).iso9283
+    assert stored is not None
+    assert stored.stopped == "stopped: arm right: protective stop"
+    assert stored.complaints()[0] == stored.stopped
+    assert any("of 3 cycles" in words for words in stored.missing)
+    (distance,) = stored.arms["right"].tests["nominal"].distance
+    assert distance.accuracy.n == 2
+    assert list(stored.arms) == ["right"]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"commands": ["calibrated"]}, "need a calibrated run"),
+        ({"arms": ["middle"]}, "no arm 'middle'; arms are left"),
+        ({"cycles": 1}, "--cycles: expected 2 to 1000, got 1"),
+        ({"speed_share": 1.2}, "--speed: expected a share above 0 % and up to 100 %, got 120 %"),
+        ({"speed_share": float("nan")}, "--speed"),
+        ({"drift_minutes": 0.0}, "--drift-minutes"),
+        ({"tests": ["cooperative"]}, "needs two arms"),
+    ],
+    ids=["commands", "arm", "cycles", "speed", "speed nan", "drift", "one arm"],
+)
+def test_bad_options_are_refused_before_anything_moves(
+    options: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verb, "drive_tests", lambda *_, **__: pytest.fail("it moved"))
+    with RunFile.create(tmp_path / "run", left_alone()) as run, pytest.raises(InputError, match=says):
+        iso9283_run(run, **options)
+
+
+def test_a_folder_of_another_cell_is_refused(tmp_path: Path) -> None:
+    iso9283_folder(small_twin(), tmp_path / "run").close()
+    iso9283_folder(small_twin(stops=7), tmp_path / "run").close()
+    with pytest.raises(InputError, match="differs from 'twin' in section 'arms'"):
+        iso9283_folder(one_arm(), tmp_path / "run")
+
+
+def saved(profile: Profile, folder: Path) -> Path:
+    path = folder / "cell.json"
+    path.write_text(profile_to_json(profile), "utf-8")  # JSON is YAML
+    return path
+
+
+def test_the_command_makes_one_test_in_a_new_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile = left_alone()
+    loose = profile.tolerances.model_copy(update={"pose_accuracy": 0.05, "pose_repeatability": 0.05})
+    path = saved(profile.model_copy(update={"tolerances": loose}), tmp_path)
+    out = tmp_path / "result.json"
+    arguments = ("--run", tmp_path / "run", "--cycles", 2, "--json", out)
+    assert code_of(monkeypatch, "iso9283", "distance", path, *arguments) == 0
+    printed = capsys.readouterr().out
+    assert "Distance accuracy AD and repeatability RD" in printed
+    assert "arm left has a distance accuracy AD of" in printed
+    found = json.loads(out.read_text("utf-8"))
+    assert (found["schema"], found["tests"]) == ("cellapp-iso9283", ["distance"])
+    assert found["arms"]["left"]["base"]["n"] == 20
+    with RunFile.open(tmp_path / "run") as run:
+        assert read_results(run).iso9283 is not None
+        assert read_stages(run).out_of_date == {}
+
+
+@pytest.mark.parametrize("words", [(), ("all",), ("pose",), ("--cycles", "2")], ids=["none", "all", "pose", "option"])
+def test_the_name_of_the_test_may_be_left_out(
+    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert code_of(monkeypatch, "iso9283", *words, tmp_path / "missing.yaml") == 2
+    assert "missing.yaml" in capsys.readouterr().err

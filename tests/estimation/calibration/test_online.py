@@ -1,0 +1,177 @@
+"""The fit during collection agrees with the identification of the same readings, stop by stop, and from their store."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from cellapp.estimation.calibration import normal_equations
+from cellapp.estimation.calibration.arm_identification import identify_with_excess
+from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.online import OnlineFit, online_fit
+from cellapp.ground.errors import InputError
+from cellapp.ground.progress import StopReport
+from cellapp.robot.kinematics.chain import JointAngles, jacobian, smr_positions
+from cellapp.robot.model.nominal import nominal_arm
+from tests.arms import OFF_AXIS, SEVEN, UR10, at_station, true_geometry
+from tests.series import Array, Series, series, twin
+
+pytestmark = pytest.mark.fast
+
+STOPS = 150
+
+
+@pytest.fixture(scope="module")
+def readings() -> dict[str, Series]:
+    return series(7, STOPS)
+
+
+def fitted(name: str, one: Series, *, stated: bool = True) -> tuple[OnlineFit, StopReport]:
+    """The fit after all readings, one by one, and its last report."""
+    fit = online_fit(twin(), name, one.q)
+    for stop in range(len(one.q)):
+        report = fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop] if stated else None)
+    assert report is not None
+    return fit, report
+
+
+def error_m(fit: OnlineFit, q: Array, true_M: Array) -> float:
+    """Rms distance of the fit's SMR positions from the true ones [m]."""
+    assert fit.geometry is not None
+    return float(np.sqrt(np.mean(np.sum((smr_positions(fit.geometry, q) - true_M) ** 2, axis=1))))
+
+
+@pytest.mark.parametrize("name", ["left", "right"])
+@pytest.mark.parametrize("stated", [True, False], ids=["stated", "not stated"])
+def test_after_all_stops_it_agrees_with_the_identification_of_the_same_readings(readings, name, stated):
+    one = readings[name]
+    nominal = start_from_nominal(nominal_arm(twin().arms[name]), one.q, one.p_M, tool_unknown=False)
+    batch, _ = identify_with_excess(nominal, one.q, one.p_M, sigma=one.covariance_M if stated else None)
+    fit, report = fitted(name, one, stated=stated)
+    geometry = fit.geometry
+    assert geometry is not None
+    off = (batch.parameter_set.merged_values(geometry, nominal) - batch.values) / batch.standard_errors
+    assert np.abs(off).max() < 0.05
+    assert set(report.parameter_errors) == set(batch.names)
+    _, J = jacobian(batch.geometry, JointAngles.of(one.q), batch.parameter_set.columns)
+    rms = math.sqrt(np.einsum("ckn,kl,cln->", J, batch.covariance, J) / STOPS)
+    assert report.standard_error_mm == pytest.approx(rms * 1e3, rel=0.05)
+    for parameter, error in zip(batch.names, batch.standard_errors, strict=True):
+        assert report.parameter_errors[parameter] == pytest.approx(error, rel=0.1)
+
+
+def test_readings_of_several_chunks_give_the_same_fit(readings, monkeypatch):
+    one = readings["left"]
+    whole, _ = fitted("left", one)
+    monkeypatch.setattr(normal_equations, "_CHUNK", 64)
+    chunked, _ = fitted("left", one)
+    assert whole.geometry is not None
+    assert chunked.geometry is not None
+    np.testing.assert_allclose(chunked.geometry.vector(), whole.geometry.vector(), rtol=0.0, atol=1e-9)
+
+
+def test_it_converges_from_centimetres_within_a_few_stops(readings):
+    one = readings["right"]
+    fit = online_fit(twin(), "right", one.q)
+    errors = {}
+    for stop in range(40):
+        report = fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
+        assert (report is None) == (stop < 3)
+        if stop in (4, 39):
+            errors[stop] = error_m(fit, one.q, one.true_M)
+    assert errors[4] < 10e-3
+    assert errors[39] < 0.15e-3  # backlash of the twin leaves 0.08 mm
+
+
+def test_the_stated_uncertainty_of_predictions_covers_the_next_readings(readings):
+    one = readings["left"]
+    fit = online_fit(twin(), "left", one.q)
+    assert fit.predict(0, one.q[0]) is None
+    squares = []
+    for stop in range(STOPS):
+        expected = fit.predict(stop, one.q[stop])
+        fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
+        if stop >= 40:
+            assert expected is not None
+            assert fit.innovation is not None
+            np.testing.assert_allclose(fit.innovation.off_M, one.p_M[stop] - expected.p_M, atol=1e-12)
+            squares.append(fit.innovation.off_M @ np.linalg.solve(fit.innovation.covariance_M, fit.innovation.off_M))
+            assert np.linalg.norm(fit.innovation.off_M) < 8.0 * expected.sigma_m
+    assert np.mean(squares) / 3.0 == pytest.approx(1.0, abs=0.35)
+
+
+def test_gravity_is_known_to_predictions(readings):
+    one = readings["left"]
+    fit, _ = fitted("left", one)
+    assert fit.innovation is not None
+    assert fit.scatter_m is not None
+    assert fit.scatter_m > 0.3e-3  # what compliance leaves to the geometry alone
+    assert fit.innovation.scatter_m < 0.05e-3
+
+
+def test_a_fit_from_stored_readings_is_the_same(readings):
+    one = readings["right"]
+    by_stop, _ = fitted("right", one)
+    stored = online_fit(twin(), "right", one.q)
+    report = stored.add_all(range(STOPS), one.q, one.p_M, one.covariance_M)
+    assert report is not None
+    assert stored.count == STOPS
+    assert stored.geometry is not None
+    assert by_stop.geometry is not None
+    np.testing.assert_allclose(stored.geometry.vector(), by_stop.geometry.vector(), atol=2e-6)
+    assert report.stop == STOPS - 1
+
+
+def test_a_reading_of_another_smr_has_no_weight(readings):
+    one = readings["right"]
+    fit = online_fit(twin(), "right", one.q)
+    for stop in range(60):
+        wrong = stop in (30, 31)
+        p_M = one.p_M[stop] + (np.array([0.0, 1.2, 0.3]) if wrong else 0.0)
+        report = fit.add(stop, one.q[stop], p_M, one.covariance_M[stop])
+        if wrong:
+            assert report is not None
+            assert report.residual_mm > 1000.0
+    assert error_m(fit, one.q, one.true_M) < 0.15e-3
+
+
+def test_points_on_one_line_and_the_same_stop_again_give_no_model():
+    nominal = at_station(UR10, OFF_AXIS)
+    q = np.tile(np.linspace(0.1, 0.6, 6), (8, 1))
+    fit = OnlineFit("arm", nominal, q)
+    assert all(fit.add(stop, q[0], smr_positions(nominal, q[:1])[0]) is None for stop in range(8))
+    assert not fit.ready
+    assert fit.geometry is None
+
+
+@pytest.mark.parametrize("rows", [UR10, SEVEN], ids=["six joints", "seven joints"])
+def test_an_unknown_offset_and_points_without_noise_are_found(rows):
+    rng = np.random.default_rng(3)
+    nominal = at_station(rows, OFF_AXIS)
+    truth = true_geometry(nominal, rng)
+    q = rng.uniform(-2.5, 2.5, (60, len(rows)))
+    fit = OnlineFit("arm", at_station(rows, np.zeros(3)), q, tool_unknown=True)
+    p_M = smr_positions(truth, q)
+    for stop in range(60):
+        report = fit.add(stop, q[stop], p_M[stop])
+    assert report is not None
+    assert report.residual_mm < 0.01
+    assert error_m(fit, q, p_M) < 5e-6
+
+
+def test_robust_weights_and_the_full_set_are_those_of_the_profile(readings):
+    one = readings["right"]
+    arm = nominal_arm(twin().arms["right"])
+    fit = OnlineFit("right", arm, one.q, parameter_set="full", robust="huber")
+    for stop in range(60):
+        report = fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
+    assert report is not None
+    assert len(report.parameter_errors) == 34
+    assert report.standard_error_mm < 0.1
+
+
+def test_a_parameter_set_of_another_arm_is_refused_before_anything_moves():
+    with pytest.raises(InputError, match=r"arm 'iiwa': calibration\.parameter_set: .* use 'auto'"):
+        OnlineFit("iiwa", at_station(SEVEN, OFF_AXIS), np.zeros((3, 7)), parameter_set="paper")

@@ -1,0 +1,69 @@
+"""A random linear problem with two candidate laws beside ten nuisance parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cellapp.estimation.design.information import NuisanceProjector
+from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
+from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.robot.effects import Channel, EffectColumn, LawForm
+
+N = 300
+"""Coordinates."""
+PLAIN = LawForm("", "plain")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """``design`` (N, 10), two candidates and their scan, and the generator that goes on from there."""
+
+    rng: np.random.Generator
+    design: np.ndarray
+    projector: NuisanceProjector
+    first: CandidateLaw
+    scan: LawScan
+
+    def noise(self) -> np.ndarray:
+        return self.rng.normal(size=N)
+
+    def visible(self, y: np.ndarray) -> np.ndarray:
+        """A residual as a fit leaves it: without what the nuisance parameters explain."""
+        return self.projector.project(y)
+
+    def residual(self, y: np.ndarray) -> ProjectedResidual:
+        return ProjectedResidual(self.projector, y)
+
+    def scan_of(self, *candidates: CandidateLaw) -> LawScan:
+        return LawScan.of(candidates, self.projector)
+
+    def ranked(self, y: np.ndarray, scan: LawScan | None = None) -> list[LawScore]:
+        return (scan or self.scan).ranked(self.residual(y))
+
+
+def problem(seed: int) -> Problem:
+    rng = np.random.default_rng(seed)
+    design = rng.normal(size=(N, 10))
+    columns = (column("a", "one"), column("b", "one"), column("c", "two"))
+    first = CandidateLaw("first", PLAIN.law(), columns, rng.normal(size=(3, N)))
+    second = CandidateLaw("second", PLAIN.law(), (column("d", "three"), column("e", "four")), rng.normal(size=(2, N)))
+    projector = NuisanceProjector.of(design.T)
+    return Problem(rng, design, projector, first, LawScan.of([first, second], projector))
+
+
+def column(name: str, block: str, *, refines: bool = False) -> EffectColumn:
+    return EffectColumn(name, "rad", block, -1.0, 1.0, Channel.BASE, refines=refines)
+
+
+def refining_law(rng: np.random.Generator, main: np.ndarray) -> CandidateLaw:
+    """A law of two main blocks and two that only refine them."""
+    columns = (
+        column("a", "one"),
+        column("b", "two"),
+        column("c", "three", refines=True),
+        column("d", "four", refines=True),
+    )
+    return CandidateLaw("refined", PLAIN.law(), columns, np.stack([main, *rng.normal(size=(3, N))]))

@@ -1,0 +1,136 @@
+"""Data-driven terms: all laws scored at once, and a field over the workspace found by the structured process."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellapp.cell.profile import load_profile
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.describe import describe
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
+from cellapp.estimation.discovery.process.structured import fit_process, process_terms
+from cellapp.estimation.discovery.search.channel_scan import ChannelScan, Families
+from cellapp.estimation.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
+from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
+from cellapp.estimation.discovery.search.stepwise import search
+from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
+from cellapp.estimation.readings import Readings
+from cellapp.ground.progress import CancelToken
+from cellapp.robot.effects import EFFECTS
+from cellapp.robot.effects.data_driven import channels
+from cellapp.robot.effects.unknown import curve_families, pair_families
+from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm
+from drivers.plant.random_functions import RandomField
+from tests.arms import STATION
+from tests.twin import PROFILES
+
+SIGMA_M = 15e-6
+
+
+def readings_with(bend, shift, N=200) -> tuple[ArmData, JointFit]:
+    """Geometry fitted to readings with joint offsets ``bend(q)`` and shifts ``shift(p)`` of the measured points."""
+    profile = load_profile(PROFILES / "twin.yaml")
+    geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
+    rng = np.random.default_rng(7)
+    q = rng.uniform(-2.0, 2.0, (N, 6))
+    p_M = smr_positions(geometry, q + bend(q))
+    readings = Readings(
+        configuration=np.arange(N, dtype=np.int64),
+        time_s=60.0 * np.arange(N, dtype=np.float64),
+        q=q,
+        approach=np.sign(rng.uniform(-1.0, 1.0, (N, 6))).astype(np.int8),
+        p_M=p_M + shift(p_M) + rng.normal(0.0, SIGMA_M, (N, 3)),
+        sigma_m=np.full(N, SIGMA_M),
+    )
+    up = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
+    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=up)
+    data = ArmData.of(profile, model, readings, measurement_conditions(readings))
+    return data, fit_terms(data, ())
+
+
+def searched(data: ArmData, fit: JointFit) -> tuple[SearchProblem, SearchState]:
+    """A search that stands at a fit."""
+    problem = SearchProblem(data, (), np.zeros(20), 30.0, CancelToken(), lambda words: None)
+    return problem, SearchState(data, fit)
+
+
+def crosstalk(q):
+    """Joint 4 is off by a law of joint 5."""
+    bent = np.zeros_like(q)
+    bent[:, 3] = 2e-4 * np.sin(3.0 * q[:, 4])
+    return bent
+
+
+@pytest.mark.fast
+def test_families_score_as_their_laws_do_one_by_one():
+    data, fit = readings_with(lambda q: 1e-4 * np.sin(q + q[:, ::-1]), np.zeros_like)
+    chosen = channels(6)
+    families = [*curve_families(data.context)[::5], *pair_families(data.context)[::23]]
+    scan = ChannelScan.of(data, fit)
+    values = scan.scores(Families.of(data, families), chosen)
+    candidates = [fit.candidate(data, UNKNOWN, family.law(channel)) for channel in chosen for family in families]
+    one_by_one = LawScan.of(candidates, fit.projector)
+    residual = fit.projected_residual
+    wanted = one_by_one.best_block_scores(residual.projected[:, None], np.array([residual.square]))
+    seen = np.isfinite(wanted.ravel())
+    assert seen.sum() > 200
+    assert (np.isfinite(values.ravel()) == seen).all()
+    np.testing.assert_allclose(values.ravel()[seen], wanted.ravel()[seen], rtol=1e-6, atol=1e-4)
+
+
+def test_an_unknown_law_is_found_and_named_effects_that_imitate_it_go():
+    data, _ = readings_with(crosstalk, np.zeros_like)
+    problem, start = searched(*refit(data, ()))
+    found = with_data_driven_terms(problem, start)
+    assert found is not None
+    assert [term.law.name for term in found.fit.terms] == ["joint 4|q5"]
+    wobble = EFFECTS["joint_axis_wobble"].laws(start.data.context)[0]
+    names = tuple(column.name for column in data.columns("joint_axis_wobble", wobble))
+    named = problem.state((ModelTerm("joint_axis_wobble", wobble, names),), start)
+    instead = in_place_of_names(problem, start, named)
+    assert instead is not None
+    assert instead.fit.terms == found.fit.terms
+    assert in_place_of_names(problem, start, start) is None, "nothing was named"
+
+
+@pytest.mark.parametrize(("periods", "slug"), [(0.7, "base_drift"), (3.0, UNKNOWN)])
+def test_a_slow_drift_to_and_fro_keeps_its_name_and_a_sway_has_none(periods, slug):
+    phase = 2.0 * np.pi * periods * np.arange(200) / 200.0 + 0.8
+    shift = 60e-6 * np.sin(phase)[:, None] * np.array([1.0, 0.6, -0.4])
+    data, _ = readings_with(np.zeros_like, lambda p: shift)
+    found = search(data, tuple(slug for slug in EFFECTS if slug != UNKNOWN), CancelToken())
+    assert [term.slug for term in found.fit.terms] == [slug]
+
+
+@pytest.mark.parametrize(("size", "name"), [(2.5, "joint 4|q5"), (1.0, None)])
+def test_a_term_explains_a_visible_share_of_what_is_left(size, name):
+    """Beside a scatter that no law explains, a law of 5 % of the sum of squares is significant in 1000 readings."""
+    rng = np.random.default_rng(4)
+
+    def bend(q):
+        return size * crosstalk(q) + 6e-5 * rng.normal(size=q.shape)
+
+    problem, start = searched(*refit(readings_with(bend, np.zeros_like, 1000)[0], ()))
+    found = with_data_driven_terms(problem, start)
+    assert (None if found is None else found.fit.terms[0].law.name) == name
+
+
+def test_a_field_over_the_workspace_is_one_smooth_term():
+    field = RandomField.drawn(11, 0.6)
+    data, fit = readings_with(np.zeros_like, lambda p: 60e-6 * field.at(p))
+    found = fit_process(data, fit, 30.0)
+    assert found is not None
+    terms = process_terms(*found)
+    assert [(term.slug, term.law.name) for term in terms] == [(UNKNOWN, "base shift|x|y|z")]
+    data, after = refit(data, terms)
+    assert np.std(fit.identification.residuals) > 2.0 * SIGMA_M
+    assert np.std(after.identification.residuals) < 1.05 * SIGMA_M
+    described = describe(data, after, 0)
+    assert (described.channel, described.variables) == ("base shift", ("x", "y", "z"))
+    assert "depends on the position, a field over the workspace" in described.sentence
+    assert described.size_um == pytest.approx(60.0 * np.sqrt(3.0), rel=0.35)

@@ -1,0 +1,308 @@
+"""Hidden effects are named, with values inside their own uncertainty; nothing is named where nothing is hidden."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.cell import build_plant, plant_arm
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile, import_csv
+from cellapp.commands.discover.result import arm_result, discover_result
+from cellapp.commands.pipeline import calibrate_run, discover_run
+from cellapp.commands.stages import CALIBRATION_FILE, read_results
+from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
+from cellapp.estimation.calibration.calibrate import calibrate_arm
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.discovery.discover import discover_arm, discover_cell
+from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import InputError
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
+from cellapp.robot.model import CellModel
+from drivers.plant import suggest
+from tests.estimation.discovery.searched import calibrated_and_searched
+
+ROOT = Path(__file__).parents[3]
+STIFFNESS = [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]
+PLAY = [2.0e-4, 2.0e-4, 1.0e-4, 0.0, 0.0, 0.0]
+ECCENTRIC = {"joints": [1], "eccentricity": [2.0e-6], "radius": [0.025], "phase": [0.3]}
+
+
+def without_network(profile):
+    """The profile without residual networks: discovery's findings do not depend on them, and training takes long."""
+    return profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+
+
+def measured_run(folder, plan, effects, seed=7, noise_seed=0):
+    """A run of a twin with ``effects`` by arm, measured in one go by the plant."""
+    profile = load_profile(ROOT / "profiles" / "twin.yaml")
+    assert profile.plant is not None
+    settings = profile.plant.model_copy(update={"effects": effects, "seed": seed})
+    profile = without_network(profile.model_copy(update={"plant": settings}))
+    plant, rng = build_plant(profile), np.random.default_rng(noise_seed)
+
+    def fill(run):
+        for name, q in plan.items():
+            approach = np.sign(np.diff(np.vstack([np.zeros(6), q]), axis=0)).astype(np.int8)
+            points, covariance = plant.measure_positions(
+                plant.smr_positions(name, q, approach=approach.astype(np.float64)), rng
+            )
+            readings = Readings(
+                configuration=np.arange(len(q)),
+                time_s=np.arange(len(q), dtype=np.float64),
+                q=q,
+                approach=approach,
+                p_M=points,
+                covariance_M=covariance,
+            )
+            run.add_readings(name, readings)
+
+    return RunFile.create(folder, profile, fill)
+
+
+def discovered(folder, plan, effects, **seeds):
+    with measured_run(folder, plan, effects, **seeds) as run:
+        found = calibrated_and_searched(run)
+        calibrated = read_results(run).calibrate
+        assert calibrated is not None
+        return calibrated, found.arms, json.loads(calibrated.with_effects(discover_result(found)).to_json())
+
+
+def names(discovery):
+    return {finding.term.slug for finding in discovery.accepted}
+
+
+def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_path, plan):
+    """The approach of the held-out stops is recorded with the wrong sign: the backlash of the others then does harm."""
+    with measured_run(tmp_path / "run", plan, {"left": {"backlash": {"play": PLAY}}}) as run:
+        calibrate_run(run)
+        model, readings = CellModel.load(run.folder / CALIBRATION_FILE).arms["left"], run.readings("left")
+        as_recorded = discover_arm(run.profile, "left", model, readings)
+        approach = readings.approach.copy()
+        approach[readings.in_split("validate")] *= -1
+        found = discover_arm(run.profile, "left", model, replace(readings, approach=approach))
+    assert names(as_recorded) == {"backlash"}
+    assert found.accepted == ()
+    assert found.model.effects == ()
+    assert found.after.rms == pytest.approx(found.before.rms)
+    assert found.verdict == "unknown effect"
+    assert "backlash" in found.sentence
+    assert "made held-out errors larger" in found.sentence
+    assert "dropped in review: backlash" in found.steps[-1].what
+
+
+def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan):
+    for seed in range(2):
+        _, found, _ = discovered(tmp_path / str(seed), plan, {}, seed=seed, noise_seed=seed)
+        for discovery in found.values():
+            assert names(discovery) == set()
+            assert discovery.verdict == "nothing missing"
+            assert max(discovery.candidates.values()) < 0.5
+            assert discovery.structure is not None
+            assert {test.against for test in discovery.structure.tests} > {"joints", "approach", "position"}
+            assert discovery.after.rms == pytest.approx(discovery.noise_floor_mm, rel=0.25)
+
+
+@pytest.mark.parametrize("seed", [7, 30])
+def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
+    effects = {
+        "left": {"joint_compliance": {"stiffness": STIFFNESS}, "encoder_eccentricity": ECCENTRIC},
+        "right": {"backlash": {"play": PLAY}},
+    }
+    calibration, found, stored = discovered(tmp_path / "run", plan, effects, seed=seed, noise_seed=seed)
+    left, right = found["left"], found["right"]
+    assert names(left) == {"joint_compliance", "encoder_eccentricity"}
+    assert names(right) == {"backlash"}
+    truths = {
+        "compliance2": 1.0 / STIFFNESS[1],
+        "compliance3": 1.0 / STIFFNESS[2],
+        "half_play1": 0.5 * PLAY[0],
+        "half_play2": 0.5 * PLAY[1],
+        "half_play3": 0.5 * PLAY[2],
+    }
+    for discovery in (left, right):
+        assert discovery.verdict == "explained"
+        assert discovery.after.rms < 1.2 * discovery.noise_floor_mm
+        assert discovery.after.rms < 0.4 * discovery.before.rms
+        for finding in discovery.accepted:
+            assert finding.p_value < 0.01
+            assert finding.posterior == discovery.candidates[finding.term.slug] > 0.9
+            assert finding.heldout_after_mm < finding.heldout_before_mm
+            for name, value, error in zip(
+                finding.term.names, finding.term.values, finding.term.standard_errors, strict=True
+            ):
+                if name in truths:
+                    assert abs(value - truths.pop(name)) < 4.0 * error
+    assert truths == {}
+    amplitude = {n: v for f in left.accepted for n, v in zip(f.term.names, f.term.values, strict=True)}
+    assert np.hypot(amplitude["cos1q1"], amplitude["sin1q1"]) == pytest.approx(2.0e-6 / 0.025, rel=0.1)
+    for name, discovery in found.items():
+        shown = stored["arms"][name]["validate"]
+        assert shown["effects"]["position_mm"]["rms"] == pytest.approx(discovery.after.rms)
+        assert shown["effects"]["position_mm"]["mean"] < shown["geometry"]["position_mm"]["mean"]
+        assert calibration.arms[name].best_stage == "geometry"
+        assert {term.slug for term in discovery.model.effects} == names(discovery)
+
+
+def blind(plan, effects, seed, noise=None):
+    """Discovery in the left arm of a cell whose data have all factors."""
+    profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": effects}, seed)
+    readings = blind_readings(profile, plan, seed, noise)
+    models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
+    conditions = conditions_of_arms(models, readings)
+    return discover_arm(profile, "left", models["left"], readings["left"], conditions=conditions["left"])
+
+
+def drawn(slug, seed):
+    """Parameters of a hidden effect at a realistic size for the left arm."""
+    arms = load_profile(ROOT / "profiles" / "twin.yaml").arms
+    return suggest(slug, np.random.default_rng(seed), plant_arm("left", arms["left"], {}))
+
+
+@pytest.mark.parametrize(
+    "slug",
+    [
+        "joint_compliance",
+        "payload_compliance",
+        "link_bending",
+        "transmission_error",
+        "friction_windup",
+        "unsettled_measurement",
+        "joint_axis_wobble",
+        "thermal_growth",
+        "joint_drift",
+        "base_drift",
+        "base_step",
+        "target_slip",
+        "pedestal_compliance",
+        "pedestal_coupling",
+    ],
+)
+def test_every_effect_with_a_visible_size_is_named(plan, slug):
+    found = blind(plan, {slug: drawn(slug, 21)}, seed=21)
+    assert names(found) == {slug}
+    assert found.verdict in ("explained", "ambiguous")
+    # a free curve of 40 cycles has some hundred coefficients, which three hundred readings leave uncertain
+    dense = any(finding.term.law.name == "curve" for finding in found.accepted)
+    assert found.after.rms < (1.4 if dense else 1.15) * found.noise_floor_mm
+    assert found.steps[0].heldout_mm == found.before.rms > found.after.rms
+
+
+@pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])
+def test_noise_other_than_stated_is_not_named_as_an_effect(plan, noise):
+    found = blind(plan, {}, 31, noise)
+    assert names(found) == set()
+    assert found.verdict == "nothing missing"
+
+
+@pytest.mark.parametrize(
+    ("slug", "channel", "variables"),
+    [
+        # crosstalk of joint 5 into joint 4 is not outside: their axes meet at right angles, so it is the same motion as
+        # a tilt of joint 5's axis that depends on q5, a law of joint_axis_wobble
+        ("tool_sag", "tool", {"q5"}),
+        ("wrist_cable", "joint 6", {"q4"}),
+        ("dress_pack", "joint 1", {"q1", "q2"}),
+        ("draught", "tracker azimuth", {"time"}),
+    ],
+)
+def test_an_effect_outside_the_library_is_called_unknown_and_described(plan, slug, channel, variables):
+    found = blind(plan, {slug: drawn(slug, 5)}, seed=5)
+    assert found.verdict == "unknown effect"
+    assert names(found) == {"unknown"}
+    description = found.accepted[0].description
+    assert description.channel == channel
+    assert set(description.variables) == variables
+    assert channel in found.sentence
+    assert found.after.rms < 1.15 * found.noise_floor_mm
+    # it is part of the model from then on, as a data-driven term
+    assert found.model.effects[0].note == description.sentence
+    text = CellModel(arms={"left": found.model}).to_json()
+    back = CellModel.from_json(text).arms["left"]
+    q = plan["left"][:5]
+    conditions = MeasurementConditions(time_s=np.full(5, 9000.0))
+    np.testing.assert_array_equal(back.predict(q, conditions=conditions), found.model.predict(q, conditions=conditions))
+
+
+def test_look_alikes_that_the_data_cannot_distinguish_are_an_answer_set(plan):
+    # all last steps have one size: an error behind the last motion may be either
+    profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": {}}, 3)
+    readings = blind_readings(profile, plan, 3)["left"]
+    offset = readings.approach * 1.2e-4
+    plant = build_plant(profile)
+    points, covariance = plant.measure_positions(
+        plant.smr_positions("left", readings.q - offset), np.random.default_rng(3)
+    )
+    tied = replace(
+        readings,
+        p_M=points,
+        covariance_M=covariance,
+        step=0.3 * readings.approach.astype(np.float64),
+        dwell_s=np.full(len(readings), 2.0),
+    )
+    model = calibrate_arm(profile, "left", tied)[0].model
+    found = discover_arm(profile, "left", model, tied)
+    assert found.verdict == "ambiguous"
+    answers = set(found.accepted[0].answer_set)
+    assert {"backlash", "unsettled_measurement"} <= answers
+    # they share the probability
+    shares = [found.candidates[slug] for slug in answers]
+    assert max(shares) < 0.6
+    assert min(shares) == pytest.approx(max(shares), abs=0.05)
+    assert sum(found.candidates.values()) == pytest.approx(1.0, abs=0.1)
+
+
+def test_effects_that_the_data_cannot_show_are_listed(plan):
+    found = blind(plan, {}, seed=2)
+    invisible = {entry.effect: entry for entry in found.invisible}
+    assert "tracker_scale" in invisible
+    seen = {entry.effect: entry for entry in found.not_found}
+    smallest_mm, visible = seen["backlash"].smallest_seen_rms_mm, seen["pedestal_coupling"].visible_share
+    assert smallest_mm is not None
+    assert smallest_mm < 0.02
+    assert visible is not None
+    assert visible > 0.9
+    assert set(invisible) | set(seen) == set(EFFECTS) - {"unknown"}
+
+
+def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
+    profile = without_network(load_profile(ROOT / "profiles" / "ur10-real.yaml"))
+    with import_csv(profile, ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv", tmp_path / "run") as run:
+        discovery = calibrated_and_searched(run).arms["left"]
+        inside = np.median(run.readings("left").q, axis=0)[None]
+    invisible = {entry.effect: entry for entry in discovery.invisible}
+    for slug in ("backlash", "friction_windup", "base_step", "payload_compliance"):
+        assert invisible[slug].reason.startswith("not testable: ")
+        assert invisible[slug].smallest_seen is None
+    periodic = next(f for f in discovery.accepted if f.term.slug == "transmission_error")
+    assert periodic.term.law.name == "curve"
+    assert {1, 2, 3, 4, 5} <= set(periodic.joints)
+    assert discovery.after.rms < 0.4 * discovery.before.rms
+    # what is left is five times the tracker's noise, so the verdict must not be "explained"
+    assert discovery.verdict == "unknown effect"
+    # beyond the trained range the uncertainty grows
+    outside = inside.copy()
+    outside[0, 1] = 0.0  # joint 2 was trained from -186 to -90 degrees
+    assert discovery.model.uncertainty(outside)[0] > 2.0 * discovery.model.uncertainty(inside)[0]
+
+
+def test_an_uncalibrated_run_is_refused(tmp_path, plan):
+    with measured_run(tmp_path / "run", plan, {}) as run, pytest.raises(InputError, match="cellapp calibrate"):
+        discover_run(run)
+
+
+def test_the_pure_computation_needs_no_run_file(plan):
+    profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": {}}, 2)
+    profile = without_network(profile)
+    readings = blind_readings(profile, plan, 2)
+    models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
+    found = discover_cell(profile, CellModel(arms=models), readings).arms
+    conditions = conditions_of_arms(models, readings)
+    alone = discover_arm(profile, "left", models["left"], readings["left"], conditions=conditions["left"])
+    assert set(found) == {"left", "right"}
+    together, single = (arm_result(one).model_copy(update={"seconds": None}) for one in (found["left"], alone))
+    assert together == single

@@ -1,0 +1,277 @@
+"""Proposed stops decide what the run left open, better than random ones, and collection measures them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.planning.proposal import propose as proposing
+from cellapp.cell.planning.proposal.approaches import DWELLS_S, STEPS_RAD
+from cellapp.cell.planning.proposal.candidate_poses import Effort
+from cellapp.cell.planning.proposal.propose import Proposal
+from cellapp.cell.planning.proposed_stops import append_proposed_stops
+from cellapp.cell.planning.stop_conditions import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions
+from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import refuse_motion
+from cellapp.commands.discover.proposal_view import proposal_lines
+from cellapp.commands.discover.result import proposal_result
+from cellapp.commands.pipeline import propose_after
+from cellapp.estimation.discovery.outcome import CellDiscovery
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.interfaces.cli.app import app
+from drivers.no_driver import NoDriver
+from tests.estimation.discovery.searched import calibrated_and_searched, proposed
+from tests.twin import small_twin, with_arms
+
+STOPS = 90
+PROPOSED = 20
+PLAY = {"backlash": {"play": [8e-5, 8e-5, 5e-5, 0.0, 0.0, 0.0]}}
+SOFT = {"joint_compliance": {"stiffness": [2e6] * 6}}
+DWELL_S = 1.2
+EFFORT = Effort(drawn=70, kept=50, candidates=3000)
+"""Fewer candidates than by default: enough for these claims."""
+LITTLE = Effort(drawn=20, kept=50, candidates=480)
+
+
+def a_profile(effects: Mapping[str, Any]) -> Profile:
+    profile = small_twin(STOPS, plant={"effects": effects, "seed": 5})
+    splits = profile.splits.model_copy(update={"identify": 45, "train": 25, "validate_": 20})
+    network = profile.network.model_copy(update={"kind": "none"})
+    return profile.model_copy(update={"splits": splits, "network": network})
+
+
+def measured_run(folder: Path, effects: Mapping[str, Any], plan: dict[str, np.ndarray], *, tied: bool) -> RunFile:
+    """A run whose readings the plant made in one go; ``tied``: every last step has the same size, so that lost motion
+    and a measurement before settling look alike."""
+    profile = a_profile(effects)
+    plant, homes, rng = build_plant(profile), home_positions(profile), np.random.default_rng(1)
+
+    def fill(run: RunFile) -> None:
+        run.write_plan(plan)
+        for name, q in plan.items():
+            step = np.diff(np.vstack([homes[name], q]), axis=0)
+            step = 0.3 * np.sign(step) if tied else step
+            exact = plant.smr_positions(name, q, last_step=step, since_rest_s=np.full(STOPS, DWELL_S))
+            p_M, covariance_M = plant.measure_positions(exact, rng)
+            run.add_readings(
+                name,
+                Readings(
+                    configuration=np.arange(STOPS),
+                    time_s=np.linspace(20.0, 20.0 * STOPS, STOPS),
+                    q=q,
+                    approach=np.sign(step).astype(np.int8),
+                    p_M=p_M,
+                    payload_kg=np.full(STOPS, 0.3),
+                    step=step,
+                    dwell_s=np.full(STOPS, DWELL_S),
+                    covariance_M=covariance_M,
+                ),
+            )
+
+    return RunFile.create(folder, profile, fill)
+
+
+@pytest.fixture(scope="module")
+def plan() -> dict[str, np.ndarray]:
+    return plan_stops(a_profile({}))
+
+
+Tied = tuple[RunFile, CellDiscovery, Proposal]
+
+
+@pytest.fixture(scope="module")
+def searched(plan: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CellDiscovery]:
+    """Both arms have backlash, which this run cannot distinguish from unsettled measurements; not to be written to."""
+    folder = tmp_path_factory.mktemp("searched") / "run"
+    with measured_run(folder, {"left": PLAY, "right": PLAY}, plan, tied=True) as run:
+        return folder, calibrated_and_searched(run)
+
+
+@pytest.fixture(scope="module")
+def tied(searched: tuple[Path, CellDiscovery], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tied]:
+    """A copy of the searched run, with the proposal in its plan."""
+    folder, found = searched
+    copy = shutil.copytree(folder, tmp_path_factory.mktemp("tied") / "run")
+    with RunFile.open(copy, write=True) as run:
+        proposal = proposed(run, found, PROPOSED, EFFORT)
+        append_proposed_stops(run, proposal.stops)
+        yield run, found, proposal
+
+
+def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_random_ones(tied: Tied) -> None:
+    _, found, proposal = tied
+    for discovery in found.arms.values():
+        assert set(discovery.accepted[0].answer_set) == {"backlash", "unsettled_measurement"}
+    assert len(proposal.stops) == PROPOSED
+    for arm in ("left", "right"):
+        answers = {(a.effect, a.against): a for a in proposal.predictions if a.arm == arm}
+        assert set(answers) == {("backlash", "unsettled_measurement"), ("unsettled_measurement", "backlash")}
+        for answer in answers.values():
+            assert answer.now < 0.1
+            assert answer.proposed > 1.0
+        hardest = min(answers.values(), key=lambda answer: answer.proposed / answer.needed)
+        assert hardest.gain_over_random > 1.5
+
+
+def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
+    with measured_run(tmp_path / "run", {"left": SOFT}, plan, tied=False) as run:
+        found = calibrated_and_searched(run)
+        assert {"joint_compliance", "link_bending"} <= set(found.arms["left"].accepted[0].answer_set)
+        proposal = proposed(run, found, 2 * PROPOSED, Effort(drawn=200, kept=140, candidates=3000))
+        elastic = {"joint_compliance", "link_bending"}
+        answers = [a for a in proposal.predictions if a.arm == "left" and {a.effect, a.against} == elastic]
+        assert len(answers) == 2
+        for answer in answers:
+            assert answer.now < answer.random < answer.proposed
+            assert answer.gain_over_random > 1.2, "random stops of one draw differ by some per cent from another"
+        # neither depends on the last step: there are no detours, and the advice is another load
+        assert all(
+            one == StopConditions() or one.via is None for stop in proposal.stops for one in stop.conditions.values()
+        )
+        assert any("another load would distinguish" in advice for advice in proposal.advice)
+        seen = [answer for answer in proposal.predictions if answer.arm == "right"]
+        assert seen, "where nothing was found the stops make the faintest effects more visible"
+        assert all(answer.against == "" and answer.proposed > answer.random for answer in seen)
+
+
+def test_every_leg_is_inside_the_limits_and_free(tied: Tied) -> None:
+    run, _, proposal = tied
+    cell = cell_bodies(run.profile)
+    sizes, signs = set(), set()
+    for stop in proposal.stops:
+        start = {}
+        for name, q in stop.q.items():
+            via = stop.conditions[name].via
+            assert via is not None
+            start[name] = via
+            sizes |= set(np.round(np.abs(q - via), 9).tolist())
+            signs |= set(np.sign(q - via).tolist())
+        assert refuse_motion(cell, start, stop.q) == ""
+        assert refuse_motion(cell, start, start) == ""
+    assert sizes == set(STEPS_RAD)
+    assert signs == {-1.0, 1.0}
+    dwells = {one.dwell_s for stop in proposal.stops for one in stop.conditions.values()}
+    assert dwells == set(DWELLS_S)
+
+
+def test_the_proposal_in_words_and_as_json(tied: Tied) -> None:
+    _, _, proposal = tied
+    typed = proposal_result(proposal, STOPS, proposal.notes)
+    result = typed.model_dump(mode="json")
+    assert (result["count"], result["written"], result["first_configuration"]) == (PROPOSED, True, STOPS)
+    assert len(result["stops"]) == 2 * PROPOSED
+    assert {row["configuration"] for row in result["stops"]} == set(range(STOPS, STOPS + PROPOSED))
+    lines = proposal_lines(typed)
+    assert sum("backlash / unsettled_measurement" in line for line in lines) == 2
+    assert all(len(line) <= 80 for line in lines)
+    assert any("these stops would" in line for line in lines)
+    assert f"stops {STOPS + 1} to {STOPS + PROPOSED}" in " ".join(lines)
+
+
+def test_the_proposal_is_in_the_plan_until_a_new_one_replaces_it(tied: Tied, plan: dict[str, np.ndarray]) -> None:
+    run, found, proposal = tied
+    for name, q in run.read_plan().items():
+        np.testing.assert_array_equal(q[:STOPS], plan[name])
+        np.testing.assert_array_equal(q[STOPS:], [stop.q[name] for stop in proposal.stops])
+    conditions = read_stop_conditions(run)
+    assert sorted(conditions) == list(range(STOPS, STOPS + PROPOSED))
+    for number, stop in enumerate(proposal.stops):
+        for name, one in stop.conditions.items():
+            np.testing.assert_array_equal(conditions[STOPS + number][name].via, one.via)
+    try:
+        again = propose_after(run, found, 5, effort=EFFORT)
+        assert again.first_configuration == STOPS
+        assert len(run.read_plan()["left"]) == STOPS + 5
+        assert sorted(read_stop_conditions(run)) == list(range(STOPS, STOPS + 5))
+    finally:
+        append_proposed_stops(run, proposal.stops)
+
+
+def test_a_run_that_is_not_driven_gets_the_list_only(tied: Tied, tmp_path: Path) -> None:
+    run, found, _ = tied
+    readings = {name: run.readings(name) for name in run.arms()}
+
+    def fill(copy: RunFile) -> None:
+        for name, arm in readings.items():
+            copy.add_readings(name, arm)
+
+    drivers = with_arms(run.profile, driver=NoDriver())
+    placeless = with_arms(drivers, base=None)
+    for number, (profile, says) in enumerate(
+        [(run.profile, "no plan"), (drivers, "driver of arms.left is 'none'"), (placeless, "were measured")]
+    ):
+        with RunFile.create(tmp_path / str(number), profile, fill) as other:
+            proposal = propose_after(other, found, 4, effort=LITTLE)
+            assert proposal.count == 4
+            assert proposal.first_configuration is None
+            assert any(says in note for note in proposal.notes)
+            assert any("listed only" in note for note in proposal.notes)
+            assert other.read_plan() == {}
+            assert other.read_result(STOP_CONDITIONS_RESULT) is None
+            assert not proposal.written
+
+
+def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, _, _ = tied
+    monkeypatch.setattr(proposing, "DEFAULT_EFFORT", LITTLE)
+    out = tmp_path / "result.json"
+    command = ["discover", str(run.folder), "--propose", "3", "--json", str(out)]
+    try:
+        done = CliRunner().invoke(app, command, catch_exceptions=False)
+        assert done.exit_code == 0
+        proposal = json.loads(out.read_text("utf-8"))["proposal"]
+        assert proposal["count"] == 3
+        assert "3 proposed stops" in done.output
+        assert "collect DIR --resume" in " ".join(done.output.split())
+    finally:
+        append_proposed_stops(run, tied[2].stops)
+
+
+def test_collecting_the_proposed_stops_distinguishes_the_effects(
+    searched: tuple[Path, CellDiscovery], tmp_path: Path
+) -> None:
+    folder, found = searched
+    with RunFile.open(shutil.copytree(folder, tmp_path / "run"), write=True) as run:
+        assert all(len(discovery.accepted[0].answer_set) == 2 for discovery in found.arms.values())
+        proposal = proposed(run, found, 3 * PROPOSED, EFFORT)
+        append_proposed_stops(run, proposal.stops)
+        held_out = {name: run.readings(name).in_split("validate") for name in run.arms()}
+        assert collect_run(run, resume=True).notes[:-1] == ()
+        for name in run.arms():
+            readings = run.readings(name)
+            assert len(readings) == STOPS + 3 * PROPOSED
+            np.testing.assert_array_equal(readings.in_split("validate"), held_out[name])
+            assert readings.step is not None
+            assert readings.dwell_s is not None
+            for row, stop in enumerate(proposal.stops, start=STOPS):
+                asked = stop.conditions[name]
+                assert readings.split is not None
+                assert readings.split[row] == "train"
+                assert asked.via is not None
+                np.testing.assert_allclose(readings.step[row], stop.q[name] - asked.via, atol=1e-9)
+                np.testing.assert_array_equal(readings.approach[row], np.sign(stop.q[name] - asked.via))
+                assert asked.dwell_s < readings.dwell_s[row] < asked.dwell_s + 10.0
+        for name, discovery in calibrated_and_searched(run).arms.items():
+            assert discovery.accepted[0].term.slug == "backlash", name
+            assert discovery.accepted[0].answer_set == ("backlash",), name
+
+
+def test_the_pure_computation_is_reproducible(tied: Tied) -> None:
+    run, found, _ = tied
+    first, second = (proposed(run, found, 2, LITTLE) for _ in range(2))
+    assert first.predictions == second.predictions
+    for one, other in zip(first.stops, second.stops, strict=True):
+        for name in one.q:
+            np.testing.assert_array_equal(one.q[name], other.q[name])

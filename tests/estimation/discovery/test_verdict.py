@@ -1,0 +1,59 @@
+"""Verdicts: what was found, whether rivals remain, and whether the noise floor is reached."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cellapp.estimation.discovery.outcome import AcceptedEffect
+from cellapp.estimation.discovery.search.comparison import Scatter
+from cellapp.estimation.discovery.search.state import Rival
+from cellapp.estimation.discovery.sentences import remaining_structure
+from cellapp.estimation.discovery.structure import CHANCE
+from cellapp.estimation.discovery.verdict import verdict
+from cellapp.robot.effects import EFFECTS, EffectTerm
+
+pytestmark = pytest.mark.fast
+
+NOISE = Scatter(1.0, 0.5)
+FAR_ABOVE = Scatter(3.0, 0.0)
+NONE = remaining_structure({"joints": 0.4, "time": 0.2}, CHANCE)
+STRUCTURE = remaining_structure({"joints": 0.4, "time": 1e-6}, CHANCE)
+UNTESTED = remaining_structure({}, CHANCE)
+
+
+def accepted(*rivals: Rival) -> AcceptedEffect:
+    law = EFFECTS["backlash"].law("constant")
+    term = EffectTerm("backlash", ("half_play1",), np.ones(1), np.ones(1), ("rad",), law)
+    return AcceptedEffect(term, (1,), ("joint 1",), 50.0, 0.001, 0.2, 0.1, rivals, None)
+
+
+@pytest.mark.parametrize(
+    ("effects", "after_mm", "scatter", "structure", "word"),
+    [
+        ([], 0.1, NOISE, NONE, "nothing missing"),
+        ([], 0.12, Scatter(1.2, 0.0), NONE, "nothing missing"),
+        ([], 0.12, Scatter(1.2, 0.0), STRUCTURE, "unknown effect"),
+        ([], 0.3, FAR_ABOVE, STRUCTURE, "unknown effect"),
+        ([], 0.3, FAR_ABOVE, NONE, "nothing missing"),
+        ([], 0.3, None, NONE, "nothing missing"),
+        ([], 0.3, None, STRUCTURE, "unknown effect"),
+        ([accepted()], 0.1, NOISE, NONE, "explained"),
+        ([accepted()], 0.1, NOISE, STRUCTURE, "explained"),
+        ([accepted(Rival("friction_windup", 45.0, True))], 0.1, NOISE, NONE, "explained"),
+        ([accepted(Rival("friction_windup", 45.0, False))], 0.1, NOISE, NONE, "ambiguous"),
+        ([accepted(Rival("friction_windup", 45.0, False))], 0.3, None, STRUCTURE, "unknown effect"),
+        ([accepted()], 0.3, FAR_ABOVE, STRUCTURE, "unknown effect"),
+        ([accepted()], 0.3, FAR_ABOVE, NONE, "explained"),
+        ([accepted()], 0.3, FAR_ABOVE, UNTESTED, "explained"),
+        ([accepted()], 0.3, None, NONE, "explained"),
+        ([accepted()], 0.3, None, STRUCTURE, "unknown effect"),
+    ],
+)
+def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after_mm, scatter, structure, word) -> None:
+    found, sentence = verdict(effects, 0.1, after_mm, 100, scatter, structure)
+    assert found == word
+    assert ("state no uncertainty" in sentence) == (scatter is None)
+    assert ("still depends on time" in sentence) == (word == "unknown effect")
+    scatters = scatter is not None and after_mm > 0.1 and structure is not STRUCTURE
+    assert ("times as stated" in sentence) == scatters

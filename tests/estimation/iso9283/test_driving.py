@@ -1,0 +1,350 @@
+"""Tests of ISO 9283 driven in simulated cells: what is measured is the truth of the cell, and faults stop all arms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.iso9283 import reach
+from cellapp.cell.driving.iso9283 import tests as driving
+from cellapp.cell.driving.iso9283.alignment import published_cell
+from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube, choose_cube
+from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
+from cellapp.cell.driving.iso9283.reach import CubeSearch
+from cellapp.cell.driving.iso9283.tests import IsoTask, drive_tests
+from cellapp.estimation.iso9283.records import ArmIso9283, IsoTest
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import HardwareError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Progress
+from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
+from cellapp.robot.kinematics.transforms import apply
+from drivers.plant import Plant
+from drivers.trackers.simulated import SimulatedTracker
+from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
+from tests.twin import plant_of, small_twin
+
+REPEATABILITY_RAD = 5e-5
+
+
+def cell_of(profile: Profile, **plant: Any) -> Profile:
+    """The cell without hidden effects, and with other keys of its plant."""
+    assert profile.plant is not None
+    return profile.model_copy(update={"plant": profile.plant.model_copy(update={"effects": {}, **plant})})
+
+
+def task_of(profile: Profile, *tests: IsoTest, cycles: int = 2, aligned: bool = False, **changes: Any) -> IsoTask:
+    """Nominal commands; with ``aligned`` bases are found first, else they are taken from the profile."""
+    task = IsoTask(
+        profile=profile,
+        model=None if aligned else published_cell(profile, {}),
+        commands=("nominal",),
+        tests=tests,
+        arms=tuple(profile.arms),
+        cycles=cycles,
+        speed=1.0,
+        drift_s=60.0,
+    )
+    return replace(task, **changes)
+
+
+@pytest.fixture(autouse=True)
+def _cubes_are_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cubes of the same cell are the same in every test; a few orientations are enough here."""
+    monkeypatch.setattr(reach, "_SEEDS", 4)
+
+    def chosen(search: CubeSearch) -> ChosenCube | str:
+        key = (*(arm.geometry.vector().tobytes() for arm in search.cell.arms.values()), search.name.encode())
+        if key not in _known():
+            _known()[key] = choose_cube(search)
+        return _known()[key]
+
+    monkeypatch.setattr(driving, "choose_cube", chosen)
+
+
+@cache
+def _known() -> dict[tuple[bytes, ...], ChosenCube | str]:
+    return {}
+
+
+def driven(task: IsoTask, **more: Any) -> tuple[IsoFindings, Plant]:
+    """Drive the tests; also the plant as it is afterwards."""
+    findings = IsoFindings()
+    cells: list[Cell] = []
+    drive_tests(task, findings, opened=cells.append, **more)
+    return findings, plant_of(cells[0])
+
+
+def results(task: IsoTask, findings: IsoFindings) -> dict[str, ArmIso9283]:
+    return arm_results(task.profile, findings, task.arms, np.random.default_rng(1))
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("aligned", [False, True], ids=["base given", "base found"])
+def test_without_noise_accuracy_is_the_true_error_of_the_cell(*, aligned: bool) -> None:
+    task = task_of(cell_of(one_arm(), noise=False), "pose", "multidirectional", "distance", aligned=aligned)
+    findings, plant = driven(task)
+    programme = findings.programmes["left", "nominal"]
+    tests = results(task, findings)["left"].tests["nominal"]
+    assert findings.model is not None
+    base = findings.model.arms["left"].nominal.T_M_B()[:3, :3]
+    assert [one.pose for one in tests.pose] == ["P1", "P2", "P3", "P4", "P5"]
+    for one in tests.pose:
+        q = findings.cubes["left"].q[one.pose]
+        error_M = plant.smr_positions("left", q[None])[0] - programme.position_M[one.pose]
+        assert one.accuracy.value_mm == pytest.approx(1e3 * np.linalg.norm(error_M), abs=1e-6)
+        assert one.repeatability.value_mm == pytest.approx(0.0, abs=1e-6)
+        np.testing.assert_allclose(np.linalg.norm(one.error_mm), one.accuracy.value_mm)
+        np.testing.assert_allclose(one.error_mm, 1e3 * error_M @ base, atol=1e-6)
+    assert max(one.variation.value_mm for one in tests.multidirectional) == pytest.approx(0.0, abs=1e-6)
+    (distance,) = tests.distance
+    ends = [plant.smr_positions("left", findings.cubes["left"].q[pose][None])[0] for pose in ("P2", "P4")]
+    wanted = distance.commanded_mm
+    assert distance.accuracy.value_mm == pytest.approx(1e3 * np.linalg.norm(ends[1] - ends[0]) - wanted, abs=1e-6)
+    assert distance.repeatability.value_mm == pytest.approx(0.0, abs=1e-6)
+    assert missing_words(findings, task.tests) == ()
+    for name, home in ((name, np.array(arm.home)) for name, arm in task.profile.arms.items()):
+        np.testing.assert_array_equal(plant.q(name), home)
+
+
+@pytest.mark.fast
+def test_a_found_base_is_where_its_fit_says_it_is() -> None:
+    task = task_of(cell_of(one_arm()), "pose", aligned=True)
+    findings, plant = driven(task)
+    alignment, cube = findings.alignments["left"], findings.cubes["left"]
+    there = np.array([cube.position_B[pose] for pose in ("P1", "P2", "P3", "P4", "P5")])
+    off = apply(alignment.arm.geometry.T_M_B(), there) - apply(plant.true_T_M_B("left"), there)
+    sigma = np.sqrt(np.trace(alignment.position_covariance(cube.q["P1"][None])[0]) / 3.0)
+    base = results(task, findings)["left"].base
+    assert base is not None
+    assert base.n == 20
+    assert 0.0 < base.rms_mm < 5.0
+    assert np.sqrt(np.mean(off**2)) < 4.0 * sigma  # joint zeros of the true arm turn its base for the fit
+
+
+@pytest.mark.fast
+def test_repeatability_is_that_of_the_joints() -> None:
+    """The plant's joints stop with normal errors of a known size: RP is that of the positions which they give."""
+    task = task_of(cell_of(one_arm(), noise=False, repeatability=REPEATABILITY_RAD), "pose", cycles=30)
+    findings, _ = driven(task)
+    geometry = published_cell(task.profile, {}).arms["left"].geometry
+    rng = np.random.default_rng(3)
+    for one in results(task, findings)["left"].tests["nominal"].pose:
+        _, J = joint_jacobian(geometry, JointAngles.of(findings.cubes["left"].q[one.pose][None]))
+        scatter = REPEATABILITY_RAD * rng.standard_normal((200_000, 6)) @ J[:, :, 0].T
+        lengths = np.linalg.norm(scatter - scatter.mean(axis=0), axis=1)
+        expected_mm = 1e3 * (lengths.mean() + 3.0 * lengths.std())
+        assert one.repeatability.n == 30
+        assert one.repeatability.expanded_mm is not None
+        assert abs(one.repeatability.value_mm - expected_mm) < 2.0 * one.repeatability.expanded_mm
+        assert one.repeatability.value_mm == pytest.approx(expected_mm, rel=0.45)
+
+
+def test_two_arms_are_measured_together() -> None:
+    task = task_of(cell_of(small_twin(), noise=False), "cooperative")
+    findings, plant = driven(task)
+    (pair,) = pair_results(findings, np.random.default_rng(1))
+    assert pair.arms == ("left", "right")
+    assert pair.refused == ""
+    vectors, lengths = pair.vector["nominal"], pair.distance["nominal"]
+    assert len(vectors) == len(lengths) == len(findings.pairs["left", "right"]) == 5
+    for vector, length, poses in zip(vectors, lengths, findings.pairs["left", "right"], strict=True):
+        true, wanted = [], []
+        for name, pose in zip(pair.arms, poses, strict=True):
+            true.append(plant.smr_positions(name, findings.cubes[name].q[pose][None])[0])
+            wanted.append(findings.programmes[name, "nominal"].position_M[pose])
+        error = (true[1] - true[0]) - (wanted[1] - wanted[0])
+        assert vector.accuracy.value_mm == pytest.approx(1e3 * np.linalg.norm(error), abs=1e-6)
+        off = np.linalg.norm(true[1] - true[0]) - np.linalg.norm(wanted[1] - wanted[0])
+        assert length.accuracy.value_mm == pytest.approx(1e3 * off, abs=1e-6)
+
+
+def test_drift_and_paths_of_an_arm_that_does_not_drift() -> None:
+    task = task_of(cell_of(one_arm()), "drift", "path", cycles=3)
+    findings, _ = driven(task)
+    tests = results(task, findings)["left"].tests["nominal"]
+    assert tests.drift is not None
+    assert len(tests.drift.groups) == 2
+    assert tests.drift.minutes >= 0.5
+    assert tests.drift.accuracy.expanded_mm is not None
+    assert tests.drift.accuracy.value_mm <= 2.0 * tests.drift.accuracy.expanded_mm
+    assert [path.path for path in tests.path] == ["line P2 to P4", "circle"]
+    for path in tests.path:
+        assert (path.accuracy.n, path.points, path.speed_mm_s) == (3, 50, 250.0)
+    edge = findings.cubes["left"].edge * 1e3
+    assert tests.path[0].length_mm == pytest.approx(0.8 * np.sqrt(3.0) * edge, rel=1e-6)
+    assert tests.path[1].length_mm == pytest.approx(0.8 * np.pi * edge, rel=1e-3)
+
+
+def five_joints() -> Profile:
+    """The left arm without its last joint: it cannot hold a rotation."""
+    profile = one_arm()
+    left = profile.arms["left"]
+    capsules = tuple(one for one in left.type.capsules if one.frame <= 5)
+    kind = left.type.model_copy(update={"joints": left.type.joints[:5], "capsules": capsules})
+    assert left.home is not None
+    return profile.model_copy(update={"arms": {"left": left.model_copy(update={"type": kind, "home": left.home[:5]})}})
+
+
+@pytest.mark.fast
+def test_the_drift_of_a_base_is_found() -> None:
+    """A base that moves along its axis by 0.1 mm in ten minutes."""
+    profile = cell_of(one_arm(), noise=False)
+    assert profile.plant is not None
+    drift = {"shift": [0.0, 0.0, 1e-4], "turn": [0.0, 0.0, 0.0], "law": "linear", "time": 600.0}
+    plant = profile.plant.model_copy(update={"effects": {"left": {"base_drift": drift}}})
+    task = task_of(profile.model_copy(update={"plant": plant}), "drift", drift_s=600.0)
+    findings, _ = driven(task)
+    found = results(task, findings)["left"].tests["nominal"].drift
+    assert found is not None
+    assert len(found.groups) == 3
+    assert found.minutes == pytest.approx(10.0, abs=1.0)
+    assert found.shift_mm == pytest.approx(0.01 * found.minutes, rel=1e-3)
+    first, last = np.array(found.groups[0].error_mm), np.array(found.groups[-1].error_mm)
+    np.testing.assert_allclose(last - first, [0.0, 0.0, found.shift_mm], atol=2e-3)
+    assert found.accuracy.value_mm == pytest.approx(abs(np.linalg.norm(last) - np.linalg.norm(first)), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "cell", [three_arms, seven_joints, five_joints], ids=["three arms", "seven joints", "five joints"]
+)
+def test_other_cells_find_cubes_that_the_gate_accepts(cell: Callable[[], Profile]) -> None:
+    task = task_of(cell_of(cell()), "pose", arms=("left",))
+    findings, _ = driven(task)
+    cube = results(task, findings)["left"].cube
+    assert cube is not None
+    assert cube.edge_mm > 200.0
+    assert cube.limited_by
+    assert missing_words(findings, task.tests) == ()
+
+
+# -- faults ------------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def watched(cells: list[Cell], change: Callable[[Cell], Cell], profile: Profile) -> Iterator[Cell]:
+    with open_cell(profile) as cell:
+        cells.append(change(cell))
+        yield cells[-1]
+
+
+@pytest.fixture
+def cells(monkeypatch: pytest.MonkeyPatch) -> list[Cell]:
+    """The cells that are opened."""
+    opened: list[Cell] = []
+    monkeypatch.setattr(
+        "cellapp.cell.driving.supervision.open_cell", lambda profile, **_: watched(opened, lambda cell: cell, profile)
+    )
+    return opened
+
+
+def tracker_of(cell: Cell) -> SimulatedTracker:
+    assert isinstance(cell.tracker, SimulatedTracker)
+    return cell.tracker
+
+
+def at(done: int, act: Callable[[], object]) -> Callable[[Progress], None]:
+    """Act at one visit."""
+
+    def listen(event: Progress) -> None:
+        if event.job == "iso9283" and event.done == done and event.total > done:
+            act()
+
+    return listen
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("fault", ["protective stop", "link", "covered"])
+def test_a_fault_in_mid_cycle_stops_all_arms_and_keeps_what_was_measured(fault: str, cells: list[Cell]) -> None:
+    task = task_of(cell_of(small_twin()), "pose", arms=("left",))
+    acts: dict[str, Callable[[], object]] = {
+        "protective stop": lambda: cells[0].arms["right"].protective_stop(),  # type: ignore[attr-defined]
+        "link": lambda: tracker_of(cells[0]).cut_link(),
+        "covered": lambda: tracker_of(cells[0]).covered.add("left"),
+    }
+    findings = IsoFindings()
+    with pytest.raises(HardwareError, match="without a measurement" if fault == "covered" else fault):
+        drive_tests(task, findings, at(4, acts[fault]))
+    assert 2 <= len(findings.measured.visits) <= 5
+    assert not any(plant_of(cells[0]).moving(name) for name in task.profile.arms)
+    assert any("of 2 cycles" in words for words in missing_words(findings, task.tests))
+
+
+@pytest.mark.fast
+def test_an_smr_that_is_lost_for_a_moment_leaves_a_cycle_missing(cells: list[Cell]) -> None:
+    task = task_of(cell_of(one_arm()), "pose", cycles=3)
+    findings = IsoFindings()
+
+    def listen(event: Progress) -> None:
+        if event.job == "iso9283" and event.done in (7, 8) and event.total > 8:
+            tracker_of(cells[0]).covered ^= {"left"}
+
+    drive_tests(task, findings, listen)
+    (words,) = missing_words(findings, task.tests)
+    assert words.startswith("pose of left, nominal commands, ")
+    assert "2 of 3 cycles: tracker: no SMR within" in words
+    counts = [one.accuracy.n for one in results(task, findings)["left"].tests["nominal"].pose]
+    assert sorted(counts) == [2, 3, 3, 3, 3]
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("verb", ["stop", "abort"])
+def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
+    control, findings = JobControl(), IsoFindings()
+    task = task_of(cell_of(one_arm()), "pose")
+    with pytest.raises(Exception, match=r"stopped|aborted"):
+        drive_tests(task, findings, at(3, lambda: control.ask(verb)), control)  # type: ignore[arg-type]
+    assert 1 <= len(findings.measured.visits) <= 3
+    assert not plant_of(cells[0]).moving("left")
+
+
+@pytest.mark.fast
+def test_a_pause_holds_between_visits(cells: list[Cell]) -> None:
+    control, findings = JobControl(), IsoFindings()
+    held: list[int] = []
+
+    class Person:
+        """Resumes as soon as the job waits for somebody."""
+
+        def __call__(self, *requests: str, timeout_s: float | None = None) -> str:
+            held.append(len(findings.measured.visits))
+            control.resume()
+            return control.request
+
+    control.wait_while = Person()  # type: ignore[method-assign,assignment]
+    drive_tests(task_of(cell_of(one_arm()), "pose"), findings, at(3, control.pause), control)
+    assert held == [2]
+    assert len(findings.measured.visits) == 10
+
+
+class RestingTracker:
+    """A tracker whose driver measures at rest only."""
+
+    def __init__(self, tracker: Any) -> None:
+        self._tracker = tracker
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("start_track", "end_track"):
+            raise AttributeError(name)
+        return getattr(self._tracker, name)
+
+
+@pytest.mark.fast
+def test_paths_are_refused_by_name_where_the_tracker_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
+    task = task_of(cell_of(one_arm()), "path")
+    opened: list[Cell] = []
+    resting: Callable[[Cell], Cell] = lambda cell: replace(cell, tracker=RestingTracker(cell.tracker))  # noqa: E731
+    monkeypatch.setattr(
+        "cellapp.cell.driving.supervision.open_cell", lambda profile, **_: watched(opened, resting, profile)
+    )
+    findings, _ = driven(task)
+    assert findings.refused["left"]["path"] == "this tracker's driver cannot measure a moving SMR"
+    assert missing_words(findings, task.tests) == ("arm left: this tracker's driver cannot measure a moving SMR",)
+    assert missing_words(findings, ("pose", "path")) == ()

@@ -1,0 +1,114 @@
+"""Simulated cells that were calibrated, and readings of them some time later."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.parameters import candidate_columns
+from cellapp.estimation.monitoring.check import CheckBelief
+from cellapp.estimation.monitoring.check.belief import arm_belief
+from cellapp.estimation.prior.linear_model import Measured
+from cellapp.estimation.prior.posterior import Prior, posterior
+from cellapp.estimation.readings import Readings
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.statics import Bodies
+from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
+from cellapp.robot.model import ArmModel
+from tests.arms import OFF_AXIS, SEVEN, UR5, UR10, at_station, true_geometry
+
+Array = NDArray[np.float64]
+SIGMA_M = 1.5e-5
+"""Noise of a coordinate: a laser tracker at 4 m."""
+BESIDE = transform(rotation_from_vector([-0.02, 0.06, 2.4]), [2.9, -0.8, -0.6])
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedCell:
+    """The true arms, and what a calibration from random readings says of them."""
+
+    true: dict[str, Geometry]
+    belief: CheckBelief
+    candidates: dict[str, Array] = field(repr=False)
+
+    def measured(self, stops: NDArray[np.intp] | list[int], seed: int, **changed: Geometry) -> dict[str, Readings]:
+        """Readings at some candidates, in order, of a cell of which some arms have another true geometry now."""
+        q = {name: some[np.asarray(stops)] for name, some in self.candidates.items()}
+        return {
+            name: readings_of(changed.get(name, true), q[name], np.random.default_rng([seed, place, 77]))
+            for place, (name, true) in enumerate(self.true.items())
+        }
+
+
+def readings_of(true: Geometry, q: Array, rng: np.random.Generator) -> Readings:
+    """What a tracker measures of an arm without effects."""
+    n = len(q)
+    model = model_of(true, true)
+    steps = np.diff(np.vstack([np.zeros(q.shape[1]), q]), axis=0)
+    return Readings(
+        configuration=np.arange(n),
+        time_s=np.full(n, np.nan),
+        q=q,
+        approach=np.sign(steps).astype(np.int8),
+        p_M=model.predict(q) + rng.normal(0.0, SIGMA_M, (n, 3)),
+        covariance_M=np.broadcast_to(SIGMA_M**2 * np.eye(3), (n, 3, 3)).copy(),
+    )
+
+
+def model_of(geometry: Geometry, nominal: Geometry) -> ArmModel:
+    """An arm with links of 2 kg."""
+    bodies = Bodies(np.full(geometry.joints, 2.0), np.full((geometry.joints, 3), 0.05), 0.3, np.zeros(3))
+    return ArmModel(geometry, nominal, bodies, np.array([0.0, 0.0, 1.0]))
+
+
+def cell_of(arms: dict[str, Geometry], seed: int, readings: int = 150) -> SimulatedCell:
+    """A cell whose arms have these nominal geometries, and whose true ones are near; calibrated from readings."""
+    true, beliefs, candidates = {}, {}, {}
+    for place, (name, nominal) in enumerate(arms.items()):
+        rng = np.random.default_rng([seed, place])
+        true[name] = true_geometry(nominal, rng)
+        candidates[name] = rng.uniform(-2.0, 2.0, (readings, nominal.joints))
+        measured = readings_of(true[name], candidates[name], rng)
+        conditions = MeasurementConditions(approach=measured.approach)
+        columns = candidate_columns(nominal)
+        precision = np.diag([0.0 if column < 6 or column >= 6 + 5 * nominal.joints else 1e6 for column in columns])
+        prior = Prior(columns, nominal, np.zeros(len(columns)), precision)
+        found = posterior(model_of(nominal, nominal), measured, conditions, prior)
+        beliefs[name] = arm_belief(found.model, found, Measured(measured, conditions, np.ones(readings)))
+    return SimulatedCell(true, CheckBelief(beliefs), candidates)
+
+
+def moved_base(true: Geometry, shift: list[float], turn: list[float]) -> Geometry:
+    """The arm on a base that moved in the tracker frame."""
+    return true.with_T_M_B(transform(rotation_from_vector(turn), shift) @ true.T_M_B())
+
+
+def with_parameter(true: Geometry, place: int, change: float) -> Geometry:
+    """The arm with one parameter changed."""
+    vector = true.vector()
+    vector[place] += change
+    return true.with_vector(vector)
+
+
+def free(cell: SimulatedCell) -> SimulatedCell:
+    """The cell whose tracker was set up anew where it was."""
+    return replace(cell, belief=replace(cell.belief, station_free=True))
+
+
+@pytest.fixture(scope="session")
+def pair() -> SimulatedCell:
+    return cell_of({"left": at_station(UR10, OFF_AXIS), "right": at_station(UR5, OFF_AXIS, BESIDE)}, 3)
+
+
+@pytest.fixture(scope="session")
+def single() -> SimulatedCell:
+    return cell_of({"only": at_station(UR5, OFF_AXIS)}, 4)
+
+
+@pytest.fixture(scope="session")
+def seven() -> SimulatedCell:
+    return cell_of({"only": at_station(SEVEN, OFF_AXIS)}, 5)

@@ -1,0 +1,215 @@
+"""The check finds, names and solves for what changed, and calls an unchanged cell valid."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellapp.estimation.monitoring.check import Conclusion, SequentialTest, choose_stops
+from cellapp.estimation.monitoring.check.alternatives import GROWTH
+from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.chain import Geometry, parameter_names
+from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, transform
+from tests.estimation.monitoring.check.conftest import SimulatedCell, free, moved_base, with_parameter
+
+pytestmark = pytest.mark.fast
+PLANNED = 16
+
+
+def checked(cell: SimulatedCell, changed: dict[str, Geometry] | None = None) -> tuple[Conclusion, SequentialTest]:
+    """The check of a cell, stop by stop, of which some arms have another true geometry now."""
+    stops = choose_stops(cell.belief, cell.candidates, PLANNED).order
+    readings = cell.measured(stops, 0, **(changed or {}))
+    test = SequentialTest(cell.belief, PLANNED)
+    for stop in range(PLANNED):
+        if test.add({name: its.take([stop]) for name, its in readings.items()}).sure:
+            break
+    return test.conclusion(), test
+
+
+@pytest.mark.parametrize("cell", ["pair", "single", "seven"])
+def test_unchanged_cell_is_valid_before_the_last_stop(cell: str, request: pytest.FixtureRequest) -> None:
+    found, test = checked(request.getfixturevalue(cell))
+    assert found.verdict == "valid"
+    assert not found.changes
+    assert found.T_new_old is None
+    assert found.sure_after < PLANNED
+    assert test.standing.sure
+    assert not test.standing.changed
+    for arm in found.arms.values():
+        assert arm.rms_mm == pytest.approx(arm.expected_mm, rel=0.5)
+        assert arm.left_mm is not None
+        assert arm.left_mm < 0.02
+
+
+@pytest.mark.parametrize(
+    ("word", "change", "what"),
+    [("a2", 5e-5, "length a of link 2"), ("theta2", -5e-5, "zero of joint 2"), ("a3", -1e-4, "length a of link 3")],
+)
+def test_changed_parameter_is_named_with_its_size(pair: SimulatedCell, word: str, change: float, what: str) -> None:
+    place = parameter_names(6).index(word)
+    found, _ = checked(pair, {"left": with_parameter(pair.true["left"], place, change)})
+    assert found.verdict == "arm changed"
+    (one,) = found.changes
+    assert (one.arm, one.what) == ("left", what)
+    assert one.value is not None
+    assert one.standard_error is not None
+    assert abs(one.value - change) < 4.0 * one.standard_error
+    assert one.p_value < 1e-4
+    assert found.arms["left"].left_mm == pytest.approx(one.moved_mm, rel=0.1)
+    assert found.arms["right"].left_mm is not None
+    assert found.arms["right"].left_mm < 0.02
+
+
+@pytest.mark.parametrize("size", [1e-4, 0.03], ids=["small", "large"])
+def test_moved_tracker_is_solved_for(pair: SimulatedCell, size: float) -> None:
+    shift, turn = [size, -2 * size, size], [0.5 * size, size, -size]
+    changed = {name: moved_base(true, shift, turn) for name, true in pair.true.items()}
+    found, _ = checked(pair, changed)
+    assert found.verdict == "tracker moved"
+    assert found.T_new_old is not None
+    points = pair.belief.arms["left"].measured.readings.p_M
+    true = apply(transform(rotation_from_vector(turn), shift), points)
+    assert np.linalg.norm(apply(found.T_new_old, points) - true, axis=1).max() < 6e-5
+
+
+@pytest.mark.parametrize("size", [2e-4, 0.02], ids=["small", "large"])
+def test_moved_base_is_solved_for(pair: SimulatedCell, size: float) -> None:
+    changed = moved_base(pair.true["right"], [size, size, -size], [size, -size, size])
+    found, _ = checked(pair, {"right": changed})
+    assert found.verdict == "base moved"
+    assert found.changes[0].what == "base of arm right"
+    # where the base is depends on the zeros of the calibration; that it carries the arm's points there does not
+    arm = pair.belief.arms["right"]
+    motion = found.moved_bases["right"] @ invert(arm.model.geometry.T_M_B())
+    true = changed.T_M_B() @ invert(pair.true["right"].T_M_B())
+    points = arm.measured.readings.p_M
+    assert np.linalg.norm(apply(motion, points) - apply(true, points), axis=1).max() < 6e-5
+
+
+def test_remounted_smr_is_solved_for(pair: SimulatedCell) -> None:
+    true = pair.true["left"]
+    tool = true.tool + np.array([3e-4, -2e-4, 4e-4])
+    found, _ = checked(pair, {"left": replace(true, tool=tool)})
+    assert found.verdict == "smr moved"
+    before = pair.belief.arms["left"].model.geometry.tool
+    np.testing.assert_allclose(found.smr_offsets_F["left"] - before, tool - true.tool, atol=5e-5)
+
+
+def test_of_one_arm_a_moved_tracker_and_a_moved_base_are_the_same(single: SimulatedCell) -> None:
+    found, _ = checked(single, {"only": moved_base(single.true["only"], [2e-4, 1e-4, -1e-4], [2e-4, 1e-4, 1e-4])})
+    assert found.verdict == "tracker moved"
+    assert found.changes[0].rivals == ("base of arm only",)
+    assert any("base of arm only" in note for note in found.notes)
+
+
+def test_tracker_that_was_set_up_anew_is_no_change(pair: SimulatedCell) -> None:
+    shift, turn = [0.02, -0.03, 0.01], [0.01, 0.02, -0.01]
+    moved = {name: moved_base(true, shift, turn) for name, true in pair.true.items()}
+    found, _ = checked(free(pair), moved)
+    assert found.verdict == "valid"
+    assert found.T_new_old is not None
+    np.testing.assert_allclose(found.T_new_old, transform(rotation_from_vector(turn), shift), atol=2e-4)
+    place = parameter_names(6).index("a2")
+    changed = moved | {"left": with_parameter(moved["left"], place, 5e-5)}
+    found, _ = checked(free(pair), changed)
+    assert found.verdict == "arm changed"
+    assert found.changes[0].what == "length a of link 2"
+
+
+def test_first_points_only_tell_where_a_tracker_that_was_set_up_anew_stands(single: SimulatedCell) -> None:
+    far = {"only": moved_base(single.true["only"], [0.3, -0.2, 0.1], [0.1, 0.2, -0.1])}
+    cell = free(single)
+    readings = cell.measured([3, 8, 20], 0, **far)["only"]
+    test = SequentialTest(cell.belief, PLANNED)
+    for stop in range(3):
+        standing = test.add({"only": readings.take([stop])})
+        assert not standing.changed
+        assert not standing.sure
+    assert standing.p_value > 1e-3
+
+
+def test_two_changes_are_both_named(pair: SimulatedCell) -> None:
+    names = parameter_names(6)
+    left = with_parameter(pair.true["left"], names.index("a2"), 2e-4)
+    right = with_parameter(pair.true["right"], names.index("theta2"), 3e-4)
+    found, _ = checked(pair, {"left": left, "right": right})
+    assert {(one.arm, one.what) for one in found.changes} == {
+        ("left", "length a of link 2"),
+        ("right", "zero of joint 2"),
+    }
+
+
+def test_what_no_change_explains_is_said(pair: SimulatedCell) -> None:
+    stops = choose_stops(pair.belief, pair.candidates, PLANNED).order
+    readings = pair.measured(stops, 0)
+    wild = np.random.default_rng(5).normal(0.0, 2e-4, (PLANNED, 3))
+    readings["left"].p_M.flat[:] += wild.ravel()
+    test = SequentialTest(pair.belief, PLANNED)
+    test.add(readings)
+    assert test.conclusion().verdict == "not explained"
+
+
+def test_bad_readings_are_refused(pair: SimulatedCell) -> None:
+    test = SequentialTest(pair.belief, PLANNED)
+    with pytest.raises(InputError, match="no stop was measured"):
+        test.conclusion()
+    readings = pair.measured([0, 1], 0)
+    with pytest.raises(InputError, match="no arm 'third'"):
+        test.add({"third": readings["left"]})
+    readings["left"].p_M[0, 0] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        test.add(readings)
+    assert test.standing.stops == 0
+
+
+def test_stops_without_one_of_the_arms_count_in_their_order(pair: SimulatedCell) -> None:
+    readings = pair.measured([0, 1, 2, 3, 4, 5], 0)
+    late = {"left": readings["left"], "right": readings["right"].take([0, 4, 5])}
+    whole, parts = SequentialTest(pair.belief, PLANNED), SequentialTest(pair.belief, PLANNED)
+    whole.add(late)
+    seen = []
+    for stop in range(6):
+        some = {name: its.take(its.configuration == stop) for name, its in late.items()}
+        seen.append(parts.add(some).stops)
+    assert seen == [1, 2, 3, 4, 5, 6]
+    assert parts.standing.p_value == pytest.approx(whole.standing.p_value, rel=1e-9)
+    assert parts.standing.log_evidence == pytest.approx(whole.standing.log_evidence, rel=1e-9)
+
+
+def test_one_point_that_stands_alone_is_no_change(pair: SimulatedCell) -> None:
+    stops = choose_stops(pair.belief, pair.candidates, PLANNED).order
+    readings = pair.measured(stops, 0)
+    readings["left"].p_M[3] += [4e-4, -3e-4, 5e-4]
+    test = SequentialTest(pair.belief, PLANNED)
+    test.add(readings)
+    found = test.conclusion()
+    assert found.verdict == "cannot say"
+    assert not found.changes
+    assert all(arm.left_mm is None for arm in found.arms.values())
+    assert any("one point alone" in note for note in found.notes)
+
+
+def test_few_noisy_stops_cannot_say_and_state_what_they_would_find(pair: SimulatedCell) -> None:
+    readings = pair.measured([1, 2], 0)
+    test = SequentialTest(pair.belief, 2)
+    standing = test.add(readings)
+    found = test.conclusion()
+    assert standing.sure
+    assert not standing.changed
+    assert found.verdict == "cannot say"
+    assert found.weak
+    assert all(one.visible and one.detected > 5e-5 for one in found.weak if one.kind != "effect")
+    assert any("found from" in note for note in found.notes)
+
+
+def test_a_warmer_arm_has_grown(pair: SimulatedCell) -> None:
+    true = pair.true["left"]
+    rows = true.rows.copy()
+    rows[:, 1:3] *= 1.0 + 1.2e-4  # ten degrees of steel, five of aluminium
+    found, _ = checked(pair, {"left": replace(true, rows=rows)})
+    assert found.verdict == "arm changed"
+    assert found.changes[0].what == GROWTH
+    assert found.changes[0].value == pytest.approx(1.2e-4, rel=0.3)

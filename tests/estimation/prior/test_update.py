@@ -1,0 +1,186 @@
+"""An arm calibrated again: what is believed, what is free, and which changes are proven."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellapp.estimation.calibration.identification import identify
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.parameters import candidate_columns, weak_priors
+from cellapp.estimation.prior.belief import Belief, is_own
+from cellapp.estimation.prior.calibrate import stated_model, updated_arm
+from cellapp.estimation.prior.discovery import SearchWithPriors
+from cellapp.estimation.prior.earlier import Earlier, believed
+from cellapp.estimation.prior.linear_model import Measured
+from cellapp.estimation.prior.posterior import posterior
+from cellapp.estimation.prior.update import Updated, first_model, update
+from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.kinematics.chain import parameter_names, smr_positions
+from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm
+
+pytestmark = pytest.mark.fast
+TOOL = np.array([-0.03, 0.05, 0.11])
+
+
+def again(arm: SimulatedArm, earlier: Earlier, count: int, seed: int = 2) -> Updated:
+    readings = arm.readings(count, seed)
+    return update(arm.profile, "left", readings, measurement_conditions(readings), earlier.belief, earlier.since)
+
+
+def error_um(arm: SimulatedArm, outcome: Updated) -> float:
+    """Mean distance of predictions from the truth [um]."""
+    q = np.random.default_rng(9).uniform(-2.0, 2.0, (200, 6))
+    return float(np.linalg.norm(outcome.found.model.predict(q) - arm.model.predict(q), axis=1).mean()) * 1e6
+
+
+def test_readings_without_information_return_the_prior(arm: SimulatedArm, earlier: Earlier) -> None:
+    readings = replace(arm.readings(20, seed=3), sigma_m=np.full(20, 1e4))
+    conditions = measurement_conditions(readings)
+    belief = earlier.belief
+    model = first_model(arm.profile, "left", readings, conditions, belief)
+    prior = belief.prior(model.nominal, np.zeros(0))
+    after = Belief.of(posterior(model, readings, conditions, prior, scatter_m=0.0), np.ones(len(prior.mean)))
+    absolute = [one.nominal.vector()[list(one.columns)] for one in (belief, after)]
+    K = len(belief.columns)
+    before_mean = np.concatenate([absolute[0] + belief.mean[:K], belief.mean[K:]])
+    after_mean = np.concatenate([absolute[1] + after.mean[:K], after.mean[K:]])
+    sd = np.sqrt(np.diag(belief.covariance))
+    np.testing.assert_allclose((after_mean - before_mean) / sd, 0.0, atol=1e-3)
+    np.testing.assert_allclose(after.covariance / sd / sd[:, None], belief.covariance / sd / sd[:, None], atol=1e-3)
+
+
+def test_a_belief_that_knows_nothing_gives_the_geometry_of_today(arm: SimulatedArm) -> None:
+    bare = replace(arm, model=replace(arm.model, effects=()))
+    readings = bare.readings(40, seed=4)
+    conditions = measurement_conditions(readings)
+    weak = weak_priors(6)
+    columns = tuple(column for column in candidate_columns(arm.model.nominal) if is_own(column, 6))
+    sigma = np.array([weak[parameter_names(6)[column]] for column in columns])
+    belief = Belief(arm.model.nominal, columns, (), np.zeros(len(sigma)), np.diag(sigma**2), sigma)
+    model = first_model(arm.profile, "left", readings, conditions, belief)
+    prior = belief.prior(model.nominal, np.zeros(0))
+    found = posterior(model, readings, conditions, prior, scatter_m=0.0)
+    today = identify(
+        model.geometry, readings.q, readings.p_M, sigma=readings.sigma_m, prior_sigma=weak_priors(6),
+        prior_mean=model.nominal,
+    )  # fmt: skip
+    q = np.random.default_rng(9).uniform(-2.0, 2.0, (100, 6))
+    off = smr_positions(found.model.geometry, q) - smr_positions(today.geometry, q)
+    assert np.abs(off).max() < 2e-7
+
+
+def test_another_base_and_tool_do_not_leak_into_the_arm(arm: SimulatedArm, earlier: Earlier) -> None:
+    outcome = again(arm.mounted(ELSEWHERE, TOOL), earlier, 25)
+    assert outcome.changes == ()
+    assert all(part.used for part in outcome.parts.values())
+    assert error_um(arm.mounted(ELSEWHERE, TOOL), outcome) < 12.0
+    np.testing.assert_allclose(outcome.found.model.geometry.T_M_B()[:3, 3], ELSEWHERE[:3, 3], atol=5e-3)
+
+
+def test_few_readings_with_the_earlier_calibration_are_as_good_as_many(arm: SimulatedArm, earlier: Earlier) -> None:
+    moved = arm.mounted(ELSEWHERE, TOOL)
+    few = error_um(moved, again(moved, earlier, 30))
+    loose = replace(earlier, belief=earlier.belief.widened(np.full(len(earlier.belief.mean), 1e-6)))
+    many = error_um(moved, again(moved, loose, 30))
+    assert few < 0.7 * many
+
+
+@pytest.mark.parametrize(("joint", "sign"), [(2, 1.0), (4, -1.0)], ids=["joint 3", "joint 5"])
+def test_a_changed_joint_zero_is_found_named_and_measured(
+    arm: SimulatedArm, earlier: Earlier, joint: int, sign: float
+) -> None:
+    change = np.zeros((6, 5))
+    change[joint, 0] = sign * 0.31e-3
+    moved = arm.with_rows(change).mounted(ELSEWHERE, TOOL)
+    outcome = again(moved, earlier, 40)
+    found = [one for one in outcome.changes if one.what == f"zero of joint {joint + 1}"]
+    assert len(outcome.changes) == len(found) == 1
+    assert found[0].value == pytest.approx(sign * 0.31e-3, abs=4.0 * (found[0].standard_error or 0.0))
+    assert (found[0].sigmas or 0.0) > 5.0
+    assert "since 2026-03-01" in found[0].sentence
+    assert error_um(moved, outcome) < 10.0
+
+
+def test_an_effect_that_vanished_is_named(arm: SimulatedArm, earlier: Earlier) -> None:
+    term = arm.model.effects[0]
+    values = term.values.copy()
+    values[1] = 0.0  # of joint 3
+    repaired = replace(arm, model=replace(arm.model, effects=(replace(term, values=values),)))
+    outcome = again(repaired.mounted(ELSEWHERE, TOOL), earlier, 40)
+    assert [one.part for one in outcome.changes] == ["effects"]
+    assert "joint 3" in outcome.changes[0].what
+    assert "vanished" in outcome.changes[0].sentence
+
+
+def test_an_arm_that_is_another_one_is_not_believed(arm: SimulatedArm, earlier: Earlier) -> None:
+    rng = np.random.default_rng(8)
+    other = arm.with_rows(rng.normal(0.0, 1e-3, (6, 5)) * [1, 1, 1, 1, 0])
+    outcome = again(other.mounted(ELSEWHERE, TOOL), earlier, 60)
+    assert (outcome.parts["geometry"].drift or 1.0) > 1e-4
+    assert error_um(other.mounted(ELSEWHERE, TOOL), outcome) < 30.0
+
+
+def test_the_belief_has_no_say_in_base_and_tool(arm: SimulatedArm, earlier: Earlier) -> None:
+    readings = arm.readings(20, seed=2)
+    model = first_model(arm.profile, "left", readings, measurement_conditions(readings), earlier.belief)
+    prior = earlier.belief.prior(model.nominal, np.zeros(0))
+    free = [place for place, column in enumerate(prior.columns) if column < 6 or column >= 36]
+    assert len(free) == 9
+    assert not prior.precision[free].any()
+    assert len(Measured(readings, measurement_conditions(readings), np.ones(20)).take(np.arange(5))) == 5
+
+
+def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: SimulatedArm, earlier: Earlier) -> None:
+    law = EFFECTS["encoder_eccentricity"].forms[0].law()
+    readings = arm.readings(70, seed=6, learn=40)
+    columns = EFFECTS["encoder_eccentricity"].columns(arm.model.context(readings.q), law)
+    some = [column for column in columns if column.joint == 1]
+    names, units = tuple(column.name for column in some), tuple(column.unit for column in some)
+    new = EffectTerm("encoder_eccentricity", names, np.full(len(some), 1e-4), np.zeros(len(some)), units, law)
+    worn = replace(arm, model=replace(arm.model, effects=(*arm.model.effects, new))).mounted(ELSEWHERE, TOOL)
+    readings = worn.readings(70, seed=6, learn=40)
+    conditions = measurement_conditions(readings)
+    outcome = updated_arm(worn.profile, "left", readings, conditions, earlier)
+    model = stated_model(outcome.found, 0)
+    found = SearchWithPriors({"left": earlier})(worn.profile, "left", model, readings, conditions=conditions)
+    assert [effect.term.slug for effect in found.accepted] == ["encoder_eccentricity"]
+    assert "joint 2 has appeared since 2026-03-01" in found.sentence
+    assert [term.slug for term in found.model.effects] == ["joint_compliance", "encoder_eccentricity"]
+    np.testing.assert_allclose(found.model.effects[1].values, 1e-4, atol=3e-5)
+
+
+def test_a_wrong_effect_of_the_earlier_calibration_is_left_out(arm: SimulatedArm, earlier: Earlier) -> None:
+    free = replace(arm, model=replace(arm.model, effects=())).mounted(ELSEWHERE, TOOL)
+    outcome = again(free, earlier, 40)
+    assert outcome.used
+    assert outcome.parts["geometry"].used
+    assert not outcome.parts["effects"].used or outcome.changes
+    assert error_um(free, outcome) < 15.0
+
+
+def test_of_a_quite_different_arm_nothing_is_used(arm: SimulatedArm, earlier: Earlier) -> None:
+    belief = earlier.belief
+    terms = tuple(replace(term, values=-3.0 * term.values) for term in belief.terms)
+    mean = np.concatenate([-8.0 * belief.mean[: len(belief.columns)], *(term.values for term in terms)])
+    outcome = again(arm.mounted(ELSEWHERE, TOOL), replace(earlier, belief=replace(belief, mean=mean, terms=terms)), 60)
+    assert not outcome.used
+    assert not any(part.used for part in outcome.parts.values())
+    assert outcome.changes == ()
+    assert outcome.found.model.effects == ()
+
+
+def test_a_chain_passes_on_what_was_left_out_and_what_appeared(arm: SimulatedArm, earlier: Earlier) -> None:
+    free = replace(arm, model=replace(arm.model, effects=())).mounted(ELSEWHERE, TOOL)
+    readings = free.readings(60, seed=12)
+    before = update(
+        free.profile, "left", readings, measurement_conditions(readings), earlier.belief, earlier.since
+    )  # fmt: skip
+    models = {"left": stated_model(before.found, 0)}
+    belief, count = believed(free.profile, "left", models, {"left": readings}, earlier.belief, earlier.since)
+    assert count == 60
+    assert len(belief.mean) == len(belief.covariance) == len(belief.size) == len(belief.parts)
+    again_free = free.mounted(np.eye(4), -TOOL)
+    assert error_um(again_free, again(again_free, replace(earlier, belief=belief), 30)) < 15.0

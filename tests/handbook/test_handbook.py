@@ -1,0 +1,160 @@
+"""The handbook: a section and a figure for every effect, figures that are drawn again alike, the command."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cellapp.docs
+from cellapp.cell.profile import load_profile
+from cellapp.commands.docs.handbook import CHAPTERS, chapter_text, effect_sections, topic_text, topics
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile.obstacles import SHAPES
+from cellapp.interfaces.cli.app import app
+from cellapp.robot.effects import EFFECTS
+from tests.handbook import frame_figures, planning_figures
+from tests.handbook.chart import Chart, Series, chart_svg
+from tests.handbook.declarations import with_declarations
+from tests.handbook.effect_figures import FIGURES, figure_svg
+from tests.handbook.figure_files import write_figures
+from tests.handbook.scene import Scene, joint_offset, smr_shift
+
+pytestmark = pytest.mark.fast
+
+ROOT = Path(__file__).parents[2]
+TWIN = ROOT / "profiles" / "twin.yaml"
+DOCS = Path(cellapp.docs.__file__).parent
+MOST_BYTES = 15_000
+DRAWN = {*EFFECTS, planning_figures.FIGURE, *frame_figures.FIGURES}
+"""Stems of the figures that one command draws."""
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.of(load_profile(TWIN))
+
+
+def test_every_effect_has_a_section_and_a_figure() -> None:
+    assert set(effect_sections()) == set(EFFECTS)
+    assert set(FIGURES) == set(EFFECTS)
+    drawn = {path.stem for path in (DOCS / "figures").iterdir()}
+    assert {stem for stem in drawn if not stem.startswith(("screen-", "page-"))} == DRAWN
+
+
+@pytest.mark.parametrize("slug", EFFECTS)
+def test_a_section_says_what_it_is_what_imitates_it_and_what_to_do(slug: str) -> None:
+    section = effect_sections()[slug]
+    assert f"(figures/{slug}.svg)" in section
+    for part in ("```\n", "**Visible share.**", "**Usual size**", "**Check or mend**", "**What settles it**"):
+        assert section.count(part) >= 1, part
+    assert all(form.words in " ".join(section.split()) for form in EFFECTS[slug].forms)
+    for rival in EFFECTS[slug].look_alikes:
+        assert f"[{rival}](#{rival})" in section
+
+
+def test_what_the_handbook_repeats_of_declarations_is_up_to_date() -> None:
+    text = chapter_text("effects")
+    assert with_declarations(text) == text, "renew them: python -m cellapp.docs"
+    assert text.count("<!-- declared: ") == len(EFFECTS)
+    assert "<!--" not in topic_text("effects") + topic_text("backlash"), "people need not see the markers"
+
+
+def test_people_need_not_see_how_tests_run_an_example() -> None:
+    assert "\n```sh dev\n" in chapter_text("report")
+    assert "```sh dev" not in topic_text("report")
+    assert chapter_text("report").count("\n```sh") == topic_text("report").count("\n```sh\n")
+
+
+@pytest.mark.parametrize("slug", FIGURES)
+def test_figures_are_drawn_again_alike_and_are_small(slug: str, scene: Scene) -> None:
+    kept = (DOCS / "figures" / f"{slug}.svg").read_text("utf-8")
+    assert figure_svg(slug, scene) == kept, "draw them again: cellapp docs figures --out cellapp/docs/figures --force"
+    assert len(kept.encode()) < MOST_BYTES
+    drawing = ElementTree.fromstring(kept)
+    assert drawing.findtext("{*}title")
+
+
+@pytest.mark.parametrize("slug", FIGURES)
+def test_figures_show_an_effect(slug: str, scene: Scene) -> None:
+    chart = FIGURES[slug](scene)
+    for series in chart.series:
+        assert np.isfinite(series.x).all()
+        assert np.isfinite(series.y).all()
+        assert len(series.x) == len(series.y)
+    assert 2.0 < max(float(np.abs(series.y).max()) for series in chart.series) < 5000.0  # um or urad
+
+
+def test_the_figure_of_obstacles_is_drawn_from_the_example_of_its_chapter() -> None:
+    kept = (DOCS / "figures" / f"{planning_figures.FIGURE}.svg").read_text("utf-8")
+    twin = load_profile(TWIN)
+    assert planning_figures.figure_svg(twin) == kept, (
+        "draw it again: cellapp docs figures --out cellapp/docs/figures --force"
+    )
+    assert {one.shape for one in planning_figures.example_obstacles().values()} == set(SHAPES) - {"mesh"}
+    outlines, shadows, stands = planning_figures.obstacles_chart(twin).series
+    assert np.isnan(outlines.x).sum() == len(planning_figures.example_obstacles())
+    assert np.isnan(shadows.x).sum() == 4, "two edges of the shadows of pillar and lamp"
+    assert len(stands.x) == 1 + len(twin.arms)
+    other = twin.model_copy(update={"arms": {"one": twin.arms["left"]}})
+    with pytest.raises(InputError, match="needs arms named left, right"):
+        planning_figures.figure_svg(other)
+
+
+def test_a_chart_places_its_values_and_escapes_its_words() -> None:
+    chart = Chart("a < b", "x [m]", "y", (Series("one & two", np.array([0.0, 10.0]), np.array([0.0, 5.0])),))
+    text = chart_svg(chart)
+    assert "<title>a &lt; b</title>" in text
+    assert "one &amp; two" in text
+    assert '<path d="M66.0 272.0L544.0 34.0"' in text
+
+
+def test_a_parameter_that_a_law_does_not_have_is_refused(scene: Scene) -> None:
+    context, law = scene.context(scene.stretched(2)), EFFECTS["backlash"].law("constant")
+    with pytest.raises(ValueError, match="effect backlash: 0 of the parameters half_play9 are joint offsets"):
+        joint_offset(context, "backlash", law, {"half_play9": 1.0})
+    with pytest.raises(ValueError, match="shift the SMR"):
+        smr_shift(context, "backlash", law, {"half_play1": 1.0})
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None:
+    runner = CliRunner()
+    assert runner.invoke(app, ["docs", "discovery"]).output.startswith("# How discovery decides")
+    assert runner.invoke(app, ["docs", "figures"]).output.startswith("# Every figure"), "it draws only with --out"
+    section = runner.invoke(app, ["docs", "backlash"]).output
+    assert section.startswith("## backlash\n")
+    assert "## friction_windup" not in section
+    listed = runner.invoke(app, ["docs"]).output
+    assert all(topic in listed for topic in topics())
+    found = json.loads(runner.invoke(app, ["docs", "backlash", "--json", "-"]).stdout)
+    assert (found["schema"], found["topic"]) == ("cellapp-docs", "backlash")
+
+
+def test_the_command_draws_the_figures(tmp_path: Path) -> None:
+    ended = CliRunner().invoke(app, ["docs", "figures", "--profile", str(TWIN), "--out", str(tmp_path / "new")])
+    assert ended.exit_code == 0
+    assert {path.stem for path in (tmp_path / "new").iterdir()} == DRAWN
+
+
+def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"'sorcery' is not a topic; topics are {', '.join(CHAPTERS)}, joint"):
+        topic_text("sorcery")
+    for arguments, words in (
+        (["docs", "screens"], "needs --out DIR"),
+        (["docs", "backlash", "--out", str(tmp_path)], "--out belongs to 'figures', 'screens' and 'pages'"),
+    ):
+        assert words in str(CliRunner().invoke(app, arguments).exception)
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(InputError, match=r"cannot be written .*; give a file in a folder that you may write to"):
+        write_figures(load_profile(TWIN), tmp_path / "file")
+    twin = load_profile(TWIN)
+    unplaced = twin.model_copy(update={"tracker": twin.tracker.model_copy(update={"pose": None})})
+    with pytest.raises(InputError, match="figures need the poses of the tracker"):
+        write_figures(unplaced, tmp_path)

@@ -1,0 +1,26 @@
+"""The file on the page about paths, as it stands there."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from cellapp.interfaces.cli.app import app
+from tests.handbook.chapters import blocks
+
+
+def test_the_file_of_the_page_is_planned(finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(finished_run, "logs/my-run")
+    (file,) = blocks("paths", "yaml")
+    Path("seam.yaml").write_text(file, encoding="utf-8")
+    first = "".join(blocks("paths", "sh")).splitlines()[0].replace("profiles/paths/twin.yaml", "seam.yaml")
+    words = shlex.split(first)[1:]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    assert len(Path("q.csv").read_text("utf-8").splitlines()) > 500
+    assert "rehearsal" in str(CliRunner().invoke(app, [*words, "--force", "--rehearse"]).exception)

@@ -1,0 +1,65 @@
+"""The handbook by sections: headings, addresses of links, pictures by their words, search."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from cellapp.commands.docs.handbook import CHAPTERS, anchors, topic_text
+from cellapp.commands.docs.sections import search, section_at, sections
+from cellapp.ground.errors import InputError
+from cellapp.interfaces.cli.app import app
+
+pytestmark = pytest.mark.fast
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS)
+def test_the_sections_of_a_chapter_are_its_text_and_every_link_leads_somewhere(chapter: str) -> None:
+    its = sections(chapter)
+    assert "".join(one.text for one in its).rstrip("\n") == topic_text(chapter).rstrip("\n")
+    assert {one.anchor for one in its} == set(anchors(chapter))
+    assert its[0].level == 1
+    for one in its:
+        assert section_at(one.address, "effects") == one
+        assert "![" not in one.terminal_text
+        for _, place in one.links:
+            assert "://" in place or section_at(place, chapter) is not None, place
+
+
+def test_a_picture_is_named_by_its_words_once() -> None:
+    backlash = section_at("#backlash", "effects")
+    assert backlash is not None
+    words = "Offset of joint 2 over its last step: half play of 40 urad; hysteresis taken up over 11 deg"
+    assert backlash.terminal_text.count(words) == 1
+    assert f"*Picture: {words}*" in backlash.terminal_text
+    assert ("friction_windup", "#friction_windup") in backlash.links
+
+
+def test_links_lead_to_sections_chapters_and_nowhere_else() -> None:
+    base = section_at("frames.md#base", "files")
+    assert base is not None
+    assert (base.chapter, base.heading) == ("frames", "Base")
+    assert section_at("targets.md", "files") == sections("targets")[0]
+    assert section_at("https://jedisct1.github.io/minisign/", "certificate") is None
+    assert section_at("../../profiles/twin.yaml", "files") is None
+    with pytest.raises(InputError, match="not a topic"):
+        sections("sorcery")
+
+
+def test_a_search_finds_all_words_headings_first() -> None:
+    found = search("Hayati angle")
+    assert found[0].section.address == "frames.md#hayati-angle"
+    assert len(found) > 1
+    assert all("hayati" in hit.line.lower() or "angle" in hit.line.lower() for hit in found if hit.line)
+    assert search("") == search("no such word anywhere") == ()
+
+
+def test_the_command_searches() -> None:
+    runner = CliRunner()
+    listed = runner.invoke(app, ["docs", "--search", "hayati angle"]).output
+    assert listed.startswith("frames.md#hayati-angle\n  ")
+    result = json.loads(runner.invoke(app, ["docs", "--search", "nosuchword", "--json", "-"]).stdout)
+    assert result["text"] == "no section has all of these words: nosuchword"
+    assert "without a topic" in str(runner.invoke(app, ["docs", "backlash", "--search", "x"]).exception)

@@ -1,0 +1,981 @@
+"""The command line: every command once, its JSON, its exit code, and one sentence for every bad input."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import json
+import os
+import re
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+from cellapp.cell.exports.export_format import ExportFormat
+from cellapp.cell.exports.formats import formats_of
+from cellapp.cell.planning.planned_stops import straight_stops
+from cellapp.cell.planning.stored_stops import write_planned_stops
+from cellapp.cell.run import RunFile
+from cellapp.commands.trials.link_results import LinkLog, OtherArm, Struck
+from cellapp.ground.control import JobControl, Request
+from cellapp.interfaces import cli
+from drivers.findings import Finding
+from tests.loopback import own_address
+from tests.twin import PROFILES, write_profile
+
+ROOT = Path(__file__).parents[3]
+WAIT_S = 120.0
+DRAWN = "  stops: 30\n  method: random"
+"""To design stops takes seconds; what loads for it and what it prints is tested with a few."""
+FAR = "  - {name: far, arm: left, position: [9.0, 0.0, 0.0], rpy: [0, 0, 0]}"
+
+
+def few_targets() -> str:
+    """The first targets of each arm, and one that is out of reach."""
+    head, _, listed = (PROFILES / "targets" / "twin.yaml").read_text("utf-8").partition("targets:\n")
+    rows = listed.splitlines()
+    chosen = [row for arm in ("left", "right") for row in [row for row in rows if f"arm: {arm}" in row][:4]]
+    return "\n".join([f"{head}targets:", *chosen, FAR, ""])
+
+
+class Ended:
+    """How a command ended."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """What stands on standard output, which must be one strict JSON object and nothing else."""
+        found = json.loads(self.out, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
+        assert isinstance(found, dict)
+        assert isinstance(found["schema"], str)
+        assert found["version"] == 1
+        return found
+
+
+def exit_code(patch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Run the program in this process; return its exit code."""
+    patch.setattr(sys, "argv", ["cellapp", *map(str, arguments)])
+    try:
+        cli.main()
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    return 0
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Any:
+    """Run the program in this process, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+
+    def called(*arguments: object) -> Ended:
+        capsys.readouterr()
+        code = exit_code(monkeypatch, *arguments)
+        captured = capsys.readouterr()
+        assert "Traceback" not in captured.out + captured.err
+        assert not Path("cellapp-error.log").exists(), Path("cellapp-error.log").read_text()
+        return Ended(code, captured.out, captured.err)
+
+    return called
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONWARNINGS": "default"}
+
+
+def shell(*arguments: object, cwd: Path) -> Ended:
+    """Run the program as a process of its own."""
+    done = subprocess.run(
+        [sys.executable, "-m", "cellapp", *map(str, arguments)],
+        cwd=cwd,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert "Traceback" not in done.stdout + done.stderr
+    return Ended(done.returncode, done.stdout, done.stderr)
+
+
+def one_sentence(ended: Ended, *says: str, code: int = 2) -> None:
+    assert ended.code == code, ended.err
+    assert ended.out == ""
+    lines = [line for line in ended.err.splitlines() if line]
+    assert len(lines) == 1, ended.err
+    assert lines[0].startswith("cellapp: ")
+    for text in says:
+        assert text in lines[0]
+
+
+def bytes_below(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the profile, targets, and runs: planned, collected, calibrated, pushed. Never written by a test."""
+    folder = tmp_path_factory.mktemp("made")
+    edit(write_profile(folder), "  stops: 30", DRAWN)
+    (folder / "targets.yaml").write_text(few_targets())
+    steps: dict[str, Sequence[Sequence[object]]] = {
+        "planned": [("plan", "twin.yaml", "--run", "planned")],
+        "collected": [("collect", "collected")],
+        "calibrated": [("calibrate", "calibrated")],
+        "done": [("discover", "done"), ("push", "done", "targets.yaml", "--verify")],
+    }
+    before = None
+    for name, commands in steps.items():
+        if before is not None:
+            shutil.copytree(folder / before, folder / name)
+        for command in commands:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.chdir(folder)
+                assert exit_code(patch, *command, "--json", f"{name}-{command[0]}.json") == 0
+        before = name
+    return folder
+
+
+@pytest.fixture
+def work(made: Path, tmp_path: Path) -> Path:
+    """A copy of all that."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+# -- every command once -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fast
+def test_the_steps_one_by_one(made: Path) -> None:
+    results = {path.stem.partition("-")[2]: json.loads(path.read_text()) for path in made.glob("*.json")}
+    assert {step: (result["schema"], result["version"]) for step, result in results.items()} == {
+        "plan": ("cellapp-plan", 1),
+        "collect": ("cellapp-collect", 1),
+        "calibrate": ("cellapp-calibrate", 1),
+        "discover": ("cellapp-discover", 1),
+        "push": ("cellapp-verify", 1),
+    }
+    assert results["plan"]["stops"] == {"left": 30, "right": 30}
+    assert results["collect"]["stops"] == 30
+    for name in ("left", "right"):
+        arm = results["calibrate"]["arms"][name]
+        nominal, geometry = (arm["validate"][stage]["position_mm"] for stage in ("nominal", "geometry"))
+        assert geometry["mean"] < nominal["mean"]
+        assert nominal["n"] == geometry["n"] == 10
+        assert {"value", "standard_error", "unit"} <= set(next(iter(arm["identified"].values())))
+        assert results["discover"]["arms"][name]["verdict"] in (
+            "explained", "nothing missing", "unknown effect", "ambiguous",
+        )  # fmt: skip
+        verified = results["push"]["arms"][name]
+        assert verified["compensated_mm"]["mean"] < 0.2 * verified["nominal_mm"]["mean"]
+    assert results["calibrate"]["pair"]["method_1"]["cooperative_mm"]["n"] == 10
+    notes = [target["note"] for target in results["push"]["targets"]]
+    assert notes[-1].startswith("out of reach: ")
+    assert notes.count("") >= 6
+
+
+def test_doctor(work: Path, call: Any) -> None:
+    assert call("doctor", "twin.yaml", "--json", "-").json["schema"] == "cellapp-doctor"
+    text = (work / "ur10-ur5.yaml").read_text("utf-8")  # a port that nobody serves, on this machine
+    (work / "ur10-ur5.yaml").write_text(re.sub(r"host: 192\.168\.0\.1", "host: 127.0.0.1", text), "utf-8")
+    ended = call("doctor", "ur10-ur5.yaml")
+    assert ended.code == 1
+    assert "checks failed" in ended.err
+
+
+def test_plan_and_collect_to_standard_output(work: Path, call: Any) -> None:
+    assert call("plan", "twin.yaml", "--run", "new", "--json", "-").json["stops"] == {"left": 30, "right": 30}
+    with RunFile.open(work / "new") as new, RunFile.open(work / "planned") as first:
+        for name, q in first.read_plan().items():
+            np.testing.assert_array_equal(new.read_plan()[name], q)
+    ended = call("collect", "new", "--json", "-")
+    assert ended.json["stops"] == 30
+    assert "30 stops stored" in ended.err, "what a person reads goes elsewhere"
+
+
+def test_calibrate_discover_compensate_push_report_to_standard_output(work: Path, call: Any) -> None:
+    assert call("calibrate", "collected", "--json", "-").json["schema"] == "cellapp-calibrate"
+    assert call("discover", "collected", "--json", "-").json["schema"] == "cellapp-discover"
+    found = call("compensate", "collected", "targets.yaml", "--json", "-").json
+    assert found["targets"][-1]["refusal"].startswith("out of reach: ")
+    assert {len(entry["q_compensated"]) for entry in found["targets"] if not entry["refusal"]} == {6}
+    assert call("push", "collected", "targets.yaml", "--json", "-").json["arms"] == {}
+    assert call("push", "collected", "targets.yaml", "--verify", "--json", "-").json["arms"]["left"]
+    found = call("report", "collected", "--json", "-").json
+    assert set(found) >= {"schema", "version", "page", "calibrate", "discover", "compensate", "verify"}
+    assert (work / "collected" / "report.html").read_text("utf-8").lstrip().lower().startswith("<!doctype html>")
+
+
+def test_what_a_person_sees_without_json(work: Path, call: Any) -> None:
+    ended = call("calibrate", "collected", "--parameters")
+    assert ended.code == 0
+    assert "Arm left: held-out errors [mm]" in ended.out
+    assert "Arm right: identified parameters" in ended.out
+    ended = call("push", "done", "targets.yaml", "--verify")
+    assert "left, compensated" in ended.out
+    assert "target far: out of reach" in ended.out
+    ended = call("push", "done", "targets.yaml")
+    assert re.match(r"(\d+) of \d+ targets reached\n", ended.out)
+    assert call("show", "planned", "log").out == "no log lines to show\n"
+
+
+PATHS = """\
+schema: cellapp-paths
+version: 1
+paths:
+  - name: short
+    arm: left
+    poses:
+      - {position: [-0.15, -0.75, 0.55], rpy: ["90 deg", 0, 0]}
+      - {position: [-0.10, -0.75, 0.55]}
+    speed: 100 mm/s
+    tolerance: 0.3 mm
+"""
+
+
+def test_paths_are_planned_measured_and_shown(work: Path, call: Any) -> None:
+    (work / "paths.yaml").write_text(PATHS)
+    assert call("show", "collected", "paths").err.endswith("no paths are stored; run 'cellapp follow' first\n")
+    planned = call("follow", "done", "paths.yaml", "--out", "q.csv", "--json", "-").json
+    assert planned["schema"] == "cellapp-path"
+    assert (work / "q.csv").is_file()
+    assert call("follow", "done", "paths.yaml", "--verify").code == 0
+    shown = call("show", "done", "paths")
+    assert "Distance of measured points from the path" in shown.out
+    assert call("report", "done").code == 0
+    assert "<h2>Paths</h2>" in (work / "done" / "report.html").read_text("utf-8")
+
+
+def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
+    (work / "targets" / "twin.yaml").write_text(few_targets())
+    ended = call("run", "twin.yaml", "--run", "all/of/it", "--json", "-")
+    assert ended.code == 0, ended.err
+    found = ended.json
+    assert set(found) >= {"calibrate", "discover", "compensate", "verify"}
+    assert {path.name for path in (work / "all/of/it").iterdir()} >= {"run.sqlite", "calibration.json", "report.html"}
+    assert not [path for path in (work / "all/of/it").iterdir() if path.name.startswith("run.sqlite-")]
+
+
+SHOWN = {
+    "overview": ("next: cellapp report done", "cellapp-overview"),
+    "calibration": ("Arm left: held-out errors [mm]", "cellapp-calibrate"),
+    "parameters": ("Arm right: identified parameters", "cellapp-calibrate"),
+    "discovery": ("verdict", "cellapp-discover"),
+    "plan": ("Arm left: planned stops", "cellapp-stops"),
+    "collection": ("Sessions of collecting", "cellapp-collection"),
+    "targets": ("out of reach", "cellapp-compensate"),
+    "verification": ("left, compensated", "cellapp-verify"),
+    "log": ("warning  the first line", "cellapp-log"),
+    "profile": ('"name": "twin"', "cellapp-profile"),
+    "history": ("rests on: profile", "cellapp-history"),
+}
+
+
+@pytest.mark.fast
+def test_all_about_one_target_is_shown(work: Path, call: Any) -> None:
+    ended = call("show", "done", "targets", "--target", "left-01", "--json", "one.json")
+    assert ended.code == 0, ended.err
+    assert "standard uncertainty of a coordinate" in ended.out
+    assert "mm with the nominal command" in ended.out
+    assert [target["name"] for target in json.loads((work / "one.json").read_text("utf-8"))["targets"]] == ["left-01"]
+    one_sentence(call("show", "done", "targets", "--target", "nobody"), "no compensated target 'nobody' is stored")
+    one_sentence(call("show", "done", "plan", "--target", "left-01"), "--target belongs to 'targets'")
+
+
+def test_looking_changes_no_byte(work: Path, call: Any) -> None:
+    with RunFile.open(work / "done", write=True) as run:
+        run.log("warning", "the first line")
+        run.log("info", "the last line")
+    before = bytes_below(work / "done")
+    for part, (says, schema) in SHOWN.items():
+        ended = call("show", "done", part)
+        assert ended.code == 0, ended.err
+        assert says in ended.out, part
+        assert call("show", "done", part, "--json", "-").json["schema"] == schema
+    found = call("runs", ".", "--json", "-").json
+    assert {Path(run["run"]).name for run in found["runs"]} == {"planned", "collected", "calibrated", "done"}
+    assert call("compare", "done", "calibrated", "--json", "-").json["arms"].keys() == {"left", "right"}
+    assert bytes_below(work / "done") == before
+    lines = call("show", "done", "log", "--level", "info", "--last", "1", "--json", "-").json["lines"]
+    assert [line["level"] for line in lines] == ["info"]
+
+
+@pytest.mark.fast
+def test_runs_are_listed_and_compared(work: Path, call: Any) -> None:
+    listed = call("runs", ".")
+    assert listed.code == 0, listed.err
+    for text in ("Runs below .", "simulated", "next in the newest run: cellapp "):
+        assert text in " ".join(listed.out.split())
+    compared = call("compare", "calibrated", "done")
+    assert compared.code == 0, compared.err
+    for text in ("the profiles are the same", "calibrated was not searched for missing effects", "a: calibrated"):
+        assert text in compared.out
+    empty = call("runs")
+    assert (empty.code, empty.out) == (0, "no runs below logs; 'cellapp run PROFILE' makes one\n")
+
+
+def test_what_is_out_of_date_is_shown_and_not_pushed(work: Path, call: Any) -> None:
+    with RunFile.open(work / "done", write=True) as run:
+        for name in run.profile.arms:
+            words = list(run.readings(name).split or ())
+            run.assign_splits(name, [*words[1:], words[0]])
+    assert "the discovery is out of date" in call("calibrate", "done").out
+    assert "calibrated again since" in " ".join(call("show", "done").out.split())
+    assert "out of date: " in call("show", "done", "verification").out
+    before = bytes_below(work / "done")
+    one_sentence(call("push", "done", "targets.yaml"), "'discover' is out of date", "Run 'cellapp discover done' first")
+    assert bytes_below(work / "done") == before
+    insisted = call("push", "done", "targets.yaml", "--verify", "--out-of-date", "--json", "-")
+    assert "was used although 'discover' is out of date" in insisted.json["notes"][0]
+    assert call("discover", "done").code == 0
+    assert call("push", "done", "targets.yaml", "--verify").code == 0
+
+
+def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call: Any) -> None:
+    schemas = call("schema", "--json", "-").out
+    schemas = json.loads(schemas)
+    results = [json.loads(path.read_text("utf-8")) for path in made.glob("*-*.json")]
+    results += [call("show", "done", part, "--json", "-").json for part in SHOWN if part != "profile"]
+    results += [call("runs", ".", "--json", "-").json, call("compare", "collected", "done", "--json", "-").json]
+    results += [call("report", "done", "--json", "-").json, call("doctor", "twin.yaml", "--json", "-").json]
+    assert len({result["schema"] for result in results}) >= 10
+    for result in results:
+        jsonschema.validate(result, schemas[result["schema"]])
+    assert json.loads(call("schema", "cellapp-calibrate").out) == schemas["cellapp-calibrate"]
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate({**results[0], "unknown": 1}, schemas[results[0]["schema"]])
+
+
+def test_trials(work: Path, call: Any) -> None:
+    found = call("trials", "coverage", "twin.yaml", "--n", "2", "--stops", "25", "--jobs", "1", "--json", "-").json
+    assert found["arms"]["left"]["runs"] == 2
+
+
+def test_a_trial_of_the_bridge(work: Path, call: Any) -> None:
+    found = call("trials", "bridge", "twin.yaml", "--measurements", "10", "--every", "5", "--json", "-").json
+    assert (found["delivered"], found["lost"], found["doubled"], found["strange"]) == (10, 0, 0, 0)
+    shown = call("trials", "bridge", "twin.yaml", "--measurements", "4", "--every", "2")
+    assert shown.code == 0
+    assert "4 measurements asked for, 4 delivered; 0 lost, 0 doubled, 0 mixed up" in shown.out
+
+
+@pytest.mark.parametrize("complaints", [[], ["move 3: an arm still moves"]])
+def test_a_trial_of_links_that_breaks_a_promise_exits_with_one(
+    work: Path, call: Any, monkeypatch: pytest.MonkeyPatch, complaints: list[str]
+) -> None:
+    struck = [Struck("link closed", "during", "left", 0.07, 0.15, 0.22, (OtherArm("right", 0.01, 0.05),))]
+    monkeypatch.setattr(
+        "cellapp.commands.trials.links.link_trials",
+        lambda *_: LinkLog(4, struck, complaints, connect_s=[0.2], state_s=[0.005], overhead_s=[0.04]).result(),
+    )
+    ended = call("trials", "links", "--moves", "4", "--every", "2")
+    assert ended.code == (1 if complaints else 0)
+    assert "link closed" in ended.out
+    assert "kept" in ended.out
+    assert all(complaint in ended.out for complaint in complaints)
+    found = call("trials", "links", "--json", "-").json
+    assert found["by_fault"]["link closed"]["at_rest_s"]["max"] == 0.15
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--host", "0.0.0.0"], "reachable from other machines: give a token"),
+        (["--token-file", "a", "--token-env", "B"], "give --token-file or --token-env, not both"),
+        (["--token-env", "CELLAPP_NO_SUCH_TOKEN"], "CELLAPP_NO_SUCH_TOKEN is not set"),
+    ],
+)
+def test_a_bridge_that_would_stand_open_is_refused(work: Path, call: Any, arguments: list[str], says: str) -> None:
+    one_sentence(call("tracker-bridge", "twin.yaml", *arguments), says)
+
+
+def test_a_verification_that_does_not_hold_exits_with_one(
+    work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "cellapp.cell.driving.target_visit.with_approach", lambda arm, command, here, conditions: command + 0.02
+    )
+    ended = call("push", "done", "targets.yaml", "--verify", "--json", "-")
+    assert ended.code == 1
+    assert "verification: arm left: the mean error at compensated targets is" in ended.err
+    assert ended.json["arms"]["left"]["compensated_mm"]["mean"] > 5.0, "the numbers are reported all the same"
+
+
+# -- readings out and in ----------------------------------------------------------------------------------------------
+
+
+def test_the_identified_arms_for_other_programs(work: Path, call: Any) -> None:
+    out = call("export", "done", "--geometry", "arms.json")
+    assert out.code == 0
+    arms = json.loads((work / "arms.json").read_text("utf-8"))["arms"]
+    assert set(arms) == {"left", "right"}
+    assert [len(arm["urdf"]) for arm in arms.values()] == [7, 7]
+    assert set(arms["left"]["ur_deltas"]["lost"]["beta_rad"]) == {"beta2", "beta3"}
+    assert "lose" in out.out
+    assert "--as writes a file for each program" in out.out
+    refused = call("export", "done")
+    assert refused.code == 2
+    assert "--csv FILE" in refused.err
+
+
+def test_the_calibrated_arms_in_every_format(work: Path, call: Any) -> None:
+    listed = call("export", "--help").out
+    for form in formats_of(ExportFormat):
+        assert form in listed
+        ended = call("export", "done", "--as", form, "--out", f"{form}.txt", "--json", "-")
+        assert ended.code == 0
+        assert ended.json["format"] == form
+        for name, arm in ended.json["arms"].items():
+            assert (work / arm["file"]).is_file()
+            assert arm["conversion_mm"] < 1e-3
+            for part, loss in arm["lost"].items():
+                assert f"{part}: {loss['rms_mm']:.3f} mm rms" in ended.err, name
+
+
+def test_the_league_on_one_series(work: Path, call: Any) -> None:
+    there = ("--data", ROOT / "tests" / "fixtures", "--profiles", PROFILES)
+    ended = call("trials", "league", "--series", "UR5", "--rows", 60, "--seeds", 1, *there, "--json", "-")
+    missed = [bar for bar in ended.json["bars"] if not bar["met"]]
+    assert ended.code == (1 if missed else 0)
+    assert [line["held_out"] for line in ended.json["lines"]] == [960, 940, 20]
+    assert call("trials", "league", "--markdown", "nowhere/league.md", *there).code == 2
+
+
+def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> None:
+    assert call("export", "collected", "--csv", "out.csv", "--json", "-").json["readings"] == {"left": 30, "right": 30}
+    found = call("import", "twin.yaml", "out.csv", "--run", "again", "--json", "-").json
+    assert found["readings"] == {"left": 30, "right": 30}
+    assert found["notes"] == []
+    with RunFile.open(work / "collected") as first, RunFile.open(work / "again") as again:
+        for name in ("left", "right"):
+            one, other = first.readings(name), again.readings(name)
+            for field in ("configuration", "time_s", "q", "approach", "p_M", "payload_kg", "temperature_c"):
+                assert getattr(one, field).tobytes() == getattr(other, field).tobytes(), field
+            for field in ("joint_temperature_c", "covariance_M"):
+                np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+    assert call("calibrate", "again").code == 0
+    call("export", "again", "--csv", "again.csv")
+    for before, after in zip(rows_of(work / "out.csv"), rows_of(work / "again.csv"), strict=True):
+        assert before == {key: value for key, value in after.items() if key != "split"}
+
+
+def test_an_import_in_order_says_what_it_derived(work: Path, call: Any) -> None:
+    readings = PROFILES.parent / "tests" / "fixtures" / "ur5-real" / "readings.csv"
+    made = call(
+        "import", str(PROFILES / "ur5-real.yaml"), str(readings), "--run", "ordered", "--in-order", "--json", "-"
+    )
+    assert made.json["in_order"] == {"left": {"by": "rows", "approach": 6114, "step": 6114, "contradicted": 0}}
+    assert "6114 approach signs" in made.err
+    assert "6114 approach signs" in call("show", "ordered").out
+
+
+def test_a_replay_reads_only_and_ends_on_request(work: Path, call: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits_s: list[float] = []
+    stops_at: list[int] = []
+
+    def at_once(control: JobControl, *requests: Request, timeout_s: float) -> Request:
+        waits_s.append(timeout_s)
+        if len(waits_s) in stops_at:
+            control.stop()
+        return control.request
+
+    monkeypatch.setattr(JobControl, "wait_while", at_once)
+    monkeypatch.setattr("cellapp.cell.driving.replay._DUE_S", np.inf)
+    before = bytes_below(work / "collected")
+    ended = call("replay", "collected", "--speed", "100", "--json", "-")
+    jsonschema.validate(ended.json, json.loads(call("schema", "cellapp-replay").out))
+    assert (ended.json["stops"], ended.json["readings"]) == (30, {"left": 30, "right": 30})
+    assert waits_s[-1] <= ended.json["duration_s"] / 100.0
+    assert "played 100 times as fast" in ended.err
+    stops_at.append(len(waits_s) + 20)
+    ended = call("replay", "collected", "--speed", "1")
+    assert (ended.code, ended.out) == (4, "")
+    assert "stopped on request" in ended.err
+    assert bytes_below(work / "collected") == before
+
+
+# -- bad input --------------------------------------------------------------------------------------------------------
+
+
+def spoil_run(run: Path, statement: str) -> None:
+    connection = sqlite3.connect(run / "run.sqlite")
+    connection.execute(statement)
+    connection.commit()
+    connection.close()
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), "utf-8")
+
+
+def misspelt_key(work: Path) -> None:
+    edit(work / "twin.yaml", "payload:", "payloud:")
+
+
+def truncated(work: Path) -> None:
+    file = work / "collected" / "run.sqlite"
+    file.write_bytes(file.read_bytes()[:5000])
+
+
+def newer(work: Path) -> None:
+    spoil_run(work / "collected", "PRAGMA user_version=99")
+
+
+def damaged_basis(work: Path) -> None:
+    spoil_run(work / "done", "UPDATE stage SET basis = 'x' WHERE name = 'discover'")
+
+
+def damaged_model(work: Path) -> None:
+    spoil_run(work / "done", "UPDATE stage SET model = '[1]' WHERE name = 'calibrate'")
+
+
+BAD = [
+    # what is spoilt, the command, what is said
+    (misspelt_key, "doctor twin.yaml", ["twin.yaml:", ": arms.left.payloud", "did you mean 'payload'?"]),
+    (misspelt_key, "plan twin.yaml --run new", ["twin.yaml:", ": arms.left.payloud"]),
+    (misspelt_key, "run twin.yaml --run new", ["twin.yaml:", ": arms.left.payloud"]),
+    (None, "plan nowhere.yaml --run new", ["nowhere.yaml"]),
+    (None, "doctor targets", ["targets"]),
+    (None, "plan twin.yaml --run collected", ["collected already holds a run", "choose a new folder"]),
+    (None, "run twin.yaml --run collected", ["collected already holds a run"]),
+    (None, "plan twin.yaml --run targets", ["targets is not empty"]),
+    (None, "plan twin.yaml --run twin.yaml", ["twin.yaml is a file"]),
+    (None, "collect nothing", ["nothing: run folder not found", "'cellapp plan'"]),
+    (None, "calibrate targets", ["targets holds no run"]),
+    (None, "collect collected", ["30 stops are stored already", "--resume"]),
+    (truncated, "calibrate collected", ["run.sqlite is cut off: 5000 bytes of"]),
+    (truncated, "collect collected --resume", ["run.sqlite is cut off"]),
+    (newer, "report collected", ["written by a newer cellapp (schema 99"]),
+    (None, "calibrate planned", ["arm 'left' has no readings", "collect or import"]),
+    (None, "discover planned", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "discover collected", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "push collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "compensate collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (
+        lambda work: (work / "holes.csv").write_text("name,arm,x_mm,y_m,z_mm\none,left,1,2,3\n"),
+        "compensate done holes.csv",
+        ["holes.csv:1: y_m: column x_mm is in mm; give all coordinates of a file in one unit"],
+    ),
+    (
+        lambda work: (work / "holes.csv").write_text("name,arm,frame,x_mm,y_mm,z_mm\none,left,plate,1,2,3\n"),
+        "push done holes.csv --verify",
+        ["holes.csv:2: target 'one': no frame 'plate'; frames are base, tracker, left, right"],
+    ),
+    (None, "export collected --geometry out.json", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "export collected --as urdf --out out.urdf", ["not calibrated yet; run 'cellapp calibrate' first"]),
+    (None, "export done --as jpeg --out out.urdf", ["no format 'jpeg'; --as takes ur-calibration, ur-description, "]),
+    (None, "export done --as urdf", ["--as FORMAT and --out FILE belong together"]),
+    (None, "export done --out out.urdf", ["--as FORMAT and --out FILE belong together"]),
+    (None, "export done --as urdf --out out.urdf --csv out.csv", ["without --csv, --plan and --geometry"]),
+    (None, "export done --as urdf --out out.urdf --arm third", ["no calibrated arm 'third'; arms are left, right"]),
+    (None, "export done --as urdf --out targets", ["--out targets is a folder; give the path of a file"]),
+    (None, "export done --as urdf --out .", ["--out . is a folder; give the path of a file"]),
+    (None, "export done --as urdf --out out.urdf --stage plan", ["no model of a stage 'plan'; there are calibrate, "]),
+    (None, "export done --as dh --out twin.yaml --arm left", ["twin.yaml is a profile; such a file is never replaced"]),
+    (None, "export done --as dh --out twin.yaml/dh.yaml", ["cannot be written"]),
+    (damaged_model, "export done --as dh --out dh.yaml", ['expected a file with "schema": "cellapp-calibration"']),
+    (None, "show planned calibration", ["no calibration is stored; run 'cellapp calibrate' first"]),
+    (None, "show planned targets", ["no compensated targets are stored; run 'cellapp compensate' first"]),
+    (damaged_basis, "show done", ["run.sqlite is damaged (basis of stage "]),
+    (damaged_model, "show done", ["the stored model of 'calibrate' is damaged; run 'cellapp calibrate' again"]),
+    (None, "show planned overview --last 3", ["--level and --last belong to 'log'"]),
+    (None, "show nothing", ["nothing: run folder not found"]),
+    (None, "runs nowhere", ["nowhere: folder not found; give a folder that holds runs"]),
+    (None, "runs twin.yaml", ["twin.yaml is not a folder"]),
+    (None, "compare done done", ["done and done are the same run"]),
+    (None, "compare done nothing", ["nothing: run folder not found"]),
+    (newer, "compare done collected", ["written by a newer cellapp (schema 99"]),
+    (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-plan, "]),
+    (None, "push done targets.yaml --verify --iterate 0", ["--iterate: expected 1 to 20 rounds, got 0"]),
+    (None, "push done targets.yaml --iterate 2", ["--iterate corrects what was measured; add --verify"]),
+    (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
+    (None, "push done twin.yaml", ["twin.yaml:7: schema: "]),
+    (None, "export planned --csv out.csv", ["holds no readings yet"]),
+    (None, "replay planned", ["there are no readings to play back"]),
+    (None, "replay nothing", ["nothing: run folder not found"]),
+    (None, "replay collected --speed 0.5", ["the speed 0.5 is not possible; give one from 1 to 100 times"]),
+    (None, "replay collected --speed nan", ["the speed nan is not possible"]),
+    (truncated, "replay collected", ["run.sqlite is cut off"]),
+    (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: file not found"]),
+    (None, "export done --csv nowhere/out.csv", ["--csv: nowhere/out.csv: folder not found"]),
+    (None, "calibrate collected --json targets", ["--json: targets is a folder"]),
+    (None, "trials coverage ur10-ur5.yaml --n 2", ["profile ur10-ur5: these trials need a section 'plant'"]),
+    (None, "trials paper ur10-ur5.yaml --seeds 1", ["the comparison needs a section 'plant' and two arms"]),
+    (None, "trials league --data nowhere", ["nowhere/ur10-real/readings.csv: file not found", "say with --data"]),
+    (None, "trials league --series X", ["'X' is not a series of the league"]),
+    (None, "trials league --rows few", ["--rows: expected numbers of rows or 'all'"]),
+    (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: folder not found"]),
+    (None, "emulate ur10-ur5.yaml", ["no controller to emulate"]),
+    (None, "run ur10-ur5.yaml --run new", ["this moves real arms (left, right)", "--allow-motion"]),
+    (None, "stop nothing", ["nothing: no run is here"]),
+    *((None, f"{verb} done", ["no job runs in done"]) for verb in ("pause", "resume", "stop", "abort")),
+]
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(("spoil", "command", "says"), BAD, ids=[f"{n}: {case[1]}" for n, case in enumerate(BAD)])
+def test_bad_input_gets_one_sentence_and_nothing_is_touched(
+    work: Path, call: Any, spoil: Any, command: str, says: list[str]
+) -> None:
+    if spoil is not None:
+        spoil(work)
+    before = bytes_below(work)
+    one_sentence(call(*command.split()), *says)
+    assert bytes_below(work) == before
+    assert not (work / "new").exists()
+
+
+def write_csv(work: Path, rows: list[dict[str, str]]) -> None:
+    with (work / "bad.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture
+def table(work: Path, call: Any) -> list[dict[str, str]]:
+    assert call("export", "collected", "--csv", "good.csv").code == 0
+    return rows_of(work / "good.csv")
+
+
+def test_a_missing_column_a_number_that_is_none_and_a_missing_arm(
+    work: Path, call: Any, table: list[dict[str, str]]
+) -> None:
+    def refused(rows: list[dict[str, str]], *says: str) -> None:
+        write_csv(work, rows)
+        before = bytes_below(work)
+        one_sentence(call("import", "twin.yaml", "bad.csv", "--run", "new"), *says)
+        assert bytes_below(work) == before
+        assert not (work / "new").exists()
+
+    for column in ("z_m", "q3"):
+        refused(
+            [{key: value for key, value in row.items() if key != column} for row in table],
+            f"bad.csv:1: {column}: the column is missing",
+        )
+    for column, value in (("q2", "nan"), ("x_m", "inf"), ("y_m", "")):
+        changed = [dict(row) for row in table]
+        changed[3][column] = value
+        refused(changed, f"bad.csv:5: {column}: ")
+    refused([row for row in table if row["arm"] == "left"], "bad.csv: arm: ", "no reading of arm right")
+    refused([table[0]], "no reading of arm right")
+
+
+@pytest.mark.parametrize("stops", [1, 2, 5])
+def test_fewer_readings_than_can_be_calibrated_from(
+    work: Path, call: Any, table: list[dict[str, str]], stops: int
+) -> None:
+    write_csv(work, table[: 2 * stops])
+    assert call("import", "twin.yaml", "bad.csv", "--run", "few").code == 0
+    one_sentence(call("calibrate", "few"), "arm 'left': ", "measure more configurations")
+    assert not (work / "few" / "calibration.json").exists()
+
+
+def test_fewer_readings_than_parameters(work: Path, call: Any, table: list[dict[str, str]]) -> None:
+    """Priors complete what the readings do not determine: 18 coordinates improve the nominal geometry, pairs wait."""
+    rows = [{**row, "split": "identify" if int(row["configuration"]) < 6 else "validate"} for row in table[:20]]
+    write_csv(work, rows)
+    assert call("import", "twin.yaml", "bad.csv", "--run", "few").code == 0
+    ended = call("calibrate", "few", "--json", "-")
+    assert ended.code == 0
+    for arm in ended.json["arms"].values():
+        shown = {stage: errors["position_mm"]["rms"] for stage, errors in arm["validate"].items()}
+        assert shown["geometry"] < 0.9 * shown["nominal"]
+    assert "pair: skipped, 10 common stops leave 6 to identify and 4 to validate" in " ".join(ended.json["notes"])
+
+
+def test_a_plan_that_cannot_be_made_leaves_no_run_behind(work: Path, call: Any) -> None:
+    text = (work / "twin.yaml").read_text("utf-8")
+    (work / "twin.yaml").write_text(re.sub(r"(?m)^  floor: .*$", "  floor: 0.4", text), "utf-8")
+    before = bytes_below(work)
+    one_sentence(call("plan", "twin.yaml", "--run", "new/one"), "arm left: none of", "the floor")
+    assert bytes_below(work) == before
+    assert not (work / "new").exists()
+    (work / "twin.yaml").write_text(text.replace("  stops: 30", "  stops: 3"), "utf-8")
+    assert call("plan", "twin.yaml", "--run", "new/one").code == 0
+
+
+def test_a_target_list_that_is_wrong_is_found_before_anything_moves(work: Path, call: Any) -> None:
+    edit(work / "targets" / "twin.yaml", "arm: right", "arm: middle")
+    before = bytes_below(work)
+    one_sentence(call("run", "twin.yaml", "--run", "new"), "target 'right-01': no arm 'middle'")
+    assert bytes_below(work) == before
+
+
+def test_a_controller_that_is_not_there_is_named_and_nothing_is_stored(work: Path, call: Any) -> None:
+    edit(work / "ur10-ur5.yaml", "stops: 400", "stops: 3\n  method: random")
+    edit(work / "ur10-ur5.yaml", "192.168.0.10", own_address(49))
+    edit(work / "ur10-ur5.yaml", "192.168.0.11", own_address(50))
+    assert call("plan", "ur10-ur5.yaml", "--run", "real").code == 0
+    before = bytes_below(work)
+    one_sentence(call("collect", "real"), f"arm left: {own_address(49)}:29999: no connection", code=3)
+    assert bytes_below(work) == before
+
+
+def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
+    work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failed = [Finding("arm left: link", "failed", "no answer")]
+    monkeypatch.setattr("cellapp.commands.confirm.examine", lambda profile: failed)
+    edit(work / "ur10-ur5.yaml", "stops: 400", "stops: 3\n  method: random")
+    assert call("plan", "ur10-ur5.yaml", "--run", "real").code == 0
+    before = bytes_below(work)
+    one_sentence(call("collect", "real"), "this moves real arms (left, right)", "--allow-motion")
+    one_sentence(call("collect", "real", "--allow-motion"), "arm left: link: no answer", "nothing was moved", code=1)
+    assert bytes_below(work) == before
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("arguments", [["nonsense"], ["plan"], ["plan", "twin.yaml"], ["collect", "--unknown", "done"]])
+def test_bad_usage(work: Path, call: Any, arguments: list[str]) -> None:
+    ended = call(*arguments)
+    assert ended.code == 2
+    assert ended.out == ""
+    assert "Usage" in ended.err
+
+
+# -- processes --------------------------------------------------------------------------------------------------------
+
+LIGHT = (
+    "--help",
+    "plan twin.yaml --run new",
+    "collect planned",
+    "doctor twin.yaml",
+    "docs backlash",
+    "runs .",
+    "compare done calibrated",
+    *(f"show done {part}" for part in ("overview", "calibration", "discovery", "verification", "plan")),
+    "calibrate collected",
+    "discover calibrated",
+    "compensate done targets.yaml",
+    "report done",
+)
+"""Commands that neither open the terminal application nor need several computers."""
+WATCH = """
+import sys
+from cellapp import cli
+HEAVY = {"torch", "matplotlib", "pandas", "dask", "plotly", "playwright", "textual", "scipy.stats"}
+for command in sys.argv[1:]:
+    sys.argv = ["cellapp", *command.split()]
+    try:
+        cli.main()
+    except SystemExit as ended:
+        assert not ended.code, command
+    heavy = HEAVY & sys.modules.keys()
+    assert not heavy, f"{command}: {heavy}"
+"""
+
+
+def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work: Path) -> None:
+    edit(work / "twin.yaml", DRAWN, "  stops: 3")
+    done = subprocess.run(
+        [sys.executable, "-c", WATCH, *LIGHT],
+        cwd=work,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_help_names_every_command(tmp_path: Path) -> None:
+    ended = shell("--help", cwd=tmp_path)
+    assert ended.code == 0
+    for command in ("run", "doctor", "plan", "collect", "replay", "import", "export", "calibrate", "discover",
+                    "compensate", "push", "report", "show", "schema", "docs", "trials", "emulate", "tracker-bridge",
+                    "pause", "resume", "stop", "abort", "runs", "compare", "correct"):  # fmt: skip
+        assert f" {command} " in ended.out
+
+
+def test_bad_input_in_a_process_of_its_own(work: Path) -> None:
+    misspelt_key(work)
+    one_sentence(shell("plan", "twin.yaml", "--run", "new", cwd=work), "twin.yaml:", ": arms.left.payloud")
+
+
+@pytest.fixture
+def long_run(work: Path) -> Path:
+    """A run of many stops between two that were planned, long enough to be interrupted."""
+    with RunFile.open(work / "planned", write=True) as run:
+        plan = run.read_plan()
+        write_planned_stops(run, straight_stops({name: np.tile(q[:2], (60, 1)) for name, q in plan.items()}))
+    return work / "planned"
+
+
+def wait_for_stops(run: Path, process: subprocess.Popen[str]) -> None:
+    """Wait until a collecting process has stored some stops."""
+    for _ in range(600):
+        with RunFile.open(run) as seen:
+            if len(seen.stops_done()) >= 5:
+                return
+        try:
+            process.wait(0.05)
+        except subprocess.TimeoutExpired:
+            continue
+        pytest.fail(f"it ended by itself: {process.stderr.read() if process.stderr else ''}")
+
+
+def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
+    """Collect as a process, and send it a signal when some stops are stored."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cellapp", "collect", run.name],
+        cwd=run.parent,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        wait_for_stops(run, process)
+        process.send_signal(number)
+        out, err = process.communicate(timeout=WAIT_S)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def check_resumes(run: Path, collect: Callable[..., Ended]) -> None:
+    with RunFile.open(run) as seen:
+        stored = seen.stops_done()
+        assert 5 <= len(stored) < 120
+        assert stored == set(range(len(stored)))
+        for name in ("left", "right"):
+            np.testing.assert_array_equal(seen.readings(name).configuration, np.arange(len(stored)))
+    ended = collect("collect", run.name, "--resume", "--json", "-")
+    assert ended.code == 0, ended.err
+    assert ended.json["stops"] == 120
+    with RunFile.open(run) as seen:
+        plan = seen.read_plan()
+        for name in ("left", "right"):
+            np.testing.assert_array_equal(seen.readings(name).configuration, np.arange(120))
+            np.testing.assert_allclose(seen.readings(name).q, plan[name], atol=1e-12)
+            assert np.all(np.diff(seen.readings(name).time_s) > 0.0)
+
+
+def test_killed_in_the_middle_it_is_resumed(long_run: Path) -> None:
+    ended = interrupted(long_run, signal.SIGKILL)
+    assert ended.returncode == -signal.SIGKILL
+    check_resumes(long_run, functools.partial(shell, cwd=long_run.parent))
+
+
+def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path, call: Any) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cellapp", "collect", long_run.name],
+        cwd=long_run.parent,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stderr is not None
+        wait_for_stops(long_run, process)
+        paused = shell("pause", long_run.name, cwd=long_run.parent)
+        assert (paused.code, paused.out[:6]) == (0, "pause:"), paused.err
+        assert "collect: paused" in process.stderr.readline()
+        one_sentence(call("collect", long_run.name, "--resume"), "another job runs here")
+        one_sentence(call("pause", long_run.name), "paused already")
+        stopped = call("stop", long_run.name, "--json", "-")
+        assert stopped.json["answer"].startswith("stopped: all arms brake")
+        process.communicate(timeout=WAIT_S)
+        assert process.returncode == 4
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    one_sentence(call("stop", long_run.name), "no job runs in planned")
+    with RunFile.open(long_run) as run:
+        (session,) = run.sessions()
+        assert session.requests[0][1] == "pause"
+        assert session.outcome == "stopped"
+    check_resumes(long_run, call)
+
+
+@pytest.mark.parametrize(
+    ("number", "cause"),
+    [
+        (signal.SIGINT, "a person stopped the arms"),
+        (signal.SIGTERM, "the program was asked to end (SIGTERM)"),
+        (signal.SIGHUP, "the terminal was closed"),
+    ],
+    ids=["Ctrl-C", "SIGTERM", "closed terminal"],
+)
+def test_interrupted_it_exits_with_four_says_by_what_and_is_resumed(
+    long_run: Path, call: Any, number: int, cause: str
+) -> None:
+    ended = interrupted(long_run, number)
+    assert ended.returncode == 4, ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert "'cellapp collect DIR --resume'" in ended.stderr
+    assert not (long_run / "run.sqlite-wal").exists(), "the file is whole"
+    with RunFile.open(long_run) as run:
+        assert cause in run.sessions()[-1].requests[-1][-1]
+    check_resumes(long_run, call)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_before_the_command_begins_it_exits_with_four(
+    call: Any, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def interrupt(profile: object) -> None:
+        signal.raise_signal(number)
+
+    monkeypatch.setattr("cellapp.interfaces.cli.app.Job", interrupt)
+    before = signal.getsignal(number)
+    one_sentence(call("plan", "twin.yaml", "--run", "new"), "stopped on request", code=4)
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize(
+    ("command", "begins"),
+    [
+        (["emulate", "twin.yaml", "--pace", "5"], "arm left: UR10 (CB3)"),
+        (["tracker-bridge", "twin.yaml", "--port", "0"], "tracker (simulated) at 127.0.0.1 port "),
+    ],
+    ids=["emulate", "tracker-bridge"],
+)
+def test_what_serves_does_so_until_it_is_interrupted(tmp_path: Path, command: list[str], begins: str) -> None:
+    write_profile(tmp_path)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "cellapp", *command],
+        cwd=tmp_path,
+        env={**environment(), "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=WAIT_S)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    if process.returncode == 3 and "in use" in err:
+        pytest.skip("another emulator listens here")
+    assert process.returncode == 0, err
+    assert first.startswith(begins)
+    assert "Traceback" not in out + err

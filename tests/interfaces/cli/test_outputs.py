@@ -1,0 +1,342 @@
+"""No option of any command replaces what is there, unless that is said; some files never. The options are derived."""
+
+from __future__ import annotations
+
+import errno
+import inspect
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, get_args, get_origin
+
+import numpy as np
+import pytest
+import typer
+
+from cellapp.cell.profile.files import write_new
+from cellapp.cell.run import RunFile
+from cellapp.estimation.readings import Reading
+from cellapp.ground import outputs
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs
+from cellapp.interfaces import cli
+from cellapp.interfaces.cli.app import app
+from cellapp.interfaces.cli.command_outputs import Written, written_by
+from tests.cell.run.two_arm_cell import two_arms
+
+ROOT = Path(__file__).parents[3]
+OLD = b"what a person wrote\n"
+REQUESTS = ("pause", "resume", "stop", "abort")
+"""They look at the file after the request was sent, which may be a stop."""
+READ = {
+    *(
+        "--run",
+        "--from",
+        "--keep",
+        "--check",
+        "--prior",
+        "--answers",
+        "--readings",
+        "--data",
+        "--key",
+        "--public-key",
+        "--person",
+    ),
+    *("--token-file", "--profile", "--profiles", "--simulated-plant"),
+}
+"""Options that name files or folders which are read, or runs that are made, never over others."""
+PLACES = ("FILE", "CSV", "DIR", "FOLDER", "KEYFILE", "PUB", "EARLIER")
+"""How options say in the help that they name a file or folder."""
+
+
+class Command(NamedTuple):
+    words: tuple[str, ...]
+    function: Callable[..., Any]
+
+
+def commands(group: typer.Typer = app, words: tuple[str, ...] = ()) -> Iterator[Command]:
+    """Every command that there is."""
+    for one in group.registered_commands:
+        assert one.callback is not None
+        function = inspect.unwrap(one.callback)
+        yield Command((*words, one.name or function.__name__.replace("_", "-")), function)
+    for below in group.registered_groups:
+        assert below.typer_instance is not None
+        assert below.name is not None
+        yield from commands(below.typer_instance, (*words, below.name))
+
+
+ALL = tuple(commands())
+FILES = [(one, option) for one in ALL for option, how in written_by(one.function).items() if how is Written.FILE]
+IDS = [" ".join((*one.words, option)) for one, option in FILES]
+
+
+@pytest.fixture
+def run_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file of a run in the folder R below the working folder, closed, and what else is never replaced."""
+    monkeypatch.chdir(tmp_path)
+    with RunFile.create(Path("R"), two_arms()) as run:
+        run.add_stop(0, {"left": Reading(q=np.zeros(2), p_M=np.zeros(3))})
+    Path("there.txt").write_bytes(OLD)
+    Path("cell.yaml").write_text("# a cell\nschema: cellapp-profile\nversion: 1\n")
+    Path("draft.txt").write_text("name: draft\narms:\n  left: {}\ntracker: {}\n")
+    Path("k.key").write_text("-----BEGIN ENCRYPTED PRIVATE KEY-----\nMIG\n-----END ENCRYPTED PRIVATE KEY-----\n")
+    Path("k.pub").write_text("untrusted comment: minisign public key 1\nRWQ\n")
+    Path("signed.json").write_text("{}\n")
+    Path("signed.json.minisig").write_text("untrusted comment: signature\n")
+    Path("link.csv").symlink_to("R/run.sqlite")
+    Path("hard.csv").hardlink_to("R/run.sqlite")
+    return Path("R/run.sqlite")
+
+
+PROTECTED = (
+    *("R/run.sqlite", "link.csv", "hard.csv", "cell.yaml", "draft.txt", "k.key", "k.pub"),
+    *("signed.json", "signed.json.minisig"),
+)
+
+
+def files_here() -> dict[str, bytes]:
+    """Name -> content; the journals that SQLite makes for readers of a run are its own."""
+    found = (path for path in Path().rglob("*") if path.is_file() and not path.name.endswith(("-shm", "-wal")))
+    return {str(path): path.read_bytes() for path in found}
+
+
+def called(patch: pytest.MonkeyPatch, *words: str) -> int:
+    patch.setattr(sys, "argv", ["cellapp", *words])
+    try:
+        cli.main()
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    return 0
+
+
+def usage(command: Command, given: str, but: str) -> list[str]:
+    """The words that a command must have, each a path that is there, but one option."""
+    words = [*command.words, *(["--pdf"] if command.words == ("report",) else [])]
+    for one in inspect.signature(command.function, eval_str=True).parameters.values():
+        info = next((it for it in get_args(one.annotation)[1:] if hasattr(it, "param_decls")), None)
+        if one.default is not inspect.Parameter.empty or info is None:
+            continue
+        if not isinstance(info, typer.models.OptionInfo):
+            words.append(given)
+        elif info.default != but:
+            words += [str(info.default), "elsewhere"]
+    return words
+
+
+# -- the declarations -------------------------------------------------------------------------------------------------
+
+
+def test_every_option_that_names_a_place_says_whether_it_writes() -> None:
+    open_ones = []
+    for command in ALL:
+        written = written_by(command.function)
+        for one in inspect.signature(command.function, eval_str=True).parameters.values():
+            if get_origin(one.annotation) is not Annotated:
+                continue
+            kind, *rest = get_args(one.annotation)
+            info = next(it for it in rest if hasattr(it, "param_decls"))
+            is_place = "Path" in str(kind) or info.metavar in PLACES
+            if isinstance(info, typer.models.OptionInfo) and is_place and info.default not in {*written, *READ}:
+                open_ones.append((command.words, info.default))
+    assert open_ones == [], "say in the annotation how it writes (Written), or name it above if it is read"
+
+
+def test_every_command_has_its_outputs() -> None:
+    assert len(ALL) > 45
+    assert [one.words for one in ALL if "--json" not in written_by(one.function)] == []
+    by_option = {option for one in ALL for option in written_by(one.function)}
+    assert by_option == {
+        "--json",
+        "--csv",
+        "--plan",
+        "--out",
+        "--geometry",
+        "--page",
+        "--markdown",
+        "--store",
+        "--keep",
+    }
+
+
+# -- every option of every command ------------------------------------------------------------------------------------
+
+
+def protected_from(command: Command, option: str) -> tuple[str, ...]:
+    """The run file and one other for each option, all for one that a person uses most: one door decides for all."""
+    if (command.words, option) == (("export",), "--csv"):
+        return PROTECTED
+    return "R/run.sqlite", PROTECTED[FILES.index((command, option)) % len(PROTECTED)]
+
+
+@pytest.mark.parametrize(("command", "option"), FILES, ids=IDS)
+def test_what_is_there_stays(
+    command: Command, option: str, run_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = files_here()
+    words = usage(command, "R", option)
+    for name in ("there.txt", *protected_from(command, option)):
+        assert called(monkeypatch, *words, option, name) == 2, name
+        said = capsys.readouterr().err
+        if command.words[0] not in REQUESTS:
+            assert f"{option}: {name} " in said, said
+            assert "othing was" in said, said
+    for name in protected_from(command, option):
+        assert called(monkeypatch, *words, option, name, "--force") == 2, name
+        said = capsys.readouterr().err
+        if command.words[0] not in REQUESTS:
+            assert "never replaced" in said, said
+    if len(words) > len(command.words) and command.words[0] not in REQUESTS:
+        given = usage(command, "there.txt", option)
+        if "there.txt" in given:
+            assert called(monkeypatch, *given, option, "there.txt", "--force") == 2
+            assert "input" in capsys.readouterr().err
+    assert files_here() == before
+
+
+WRITERS = [
+    (("export", "R"), "--csv", b"configuration,arm"),
+    (("show", "R"), "--json", b"{"),
+    (("schema",), "--json", b"{"),
+    (("runs", "."), "--json", b"{"),
+    (("docs", "backlash"), "--json", b"{"),
+    (("fleet", "R"), "--page", b"<!DOCTYPE"),
+]
+
+
+@pytest.mark.parametrize(("words", "option", "begins"), WRITERS, ids=[f"{one[0][0]} {one[1]}" for one in WRITERS])
+def test_force_replaces_whole_or_not_at_all(
+    words: tuple[str, ...], option: str, begins: bytes, run_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("empty.txt").touch()
+    for name in ("new.txt", "empty.txt"):
+        assert called(monkeypatch, *words, option, name) == 0
+        assert Path(name).read_bytes().lower().startswith(begins.lower())
+    before = files_here()
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        for name, force in (("there.txt", ["--force"]), ("other.txt", [])):
+            assert called(patch, *words, option, name, *force) == 2
+    assert files_here() == before, "neither a part of the new one nor a gap where the old one was"
+    Path("to.txt").symlink_to("there.txt")
+    assert called(monkeypatch, *words, option, "to.txt", "--force") == 0
+    assert Path("to.txt").is_symlink()
+    assert Path("there.txt").read_bytes().lower().startswith(begins.lower())
+
+
+def full(handle: int) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_two_options_with_one_file(run_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for force in ([], ["--force"]):
+        assert called(monkeypatch, "export", "R", "--csv", "a.csv", "--json", "a.csv", *force) == 2
+    assert not Path("a.csv").exists()
+
+
+def test_a_journal_of_a_run_is_neither_a_store_nor_a_file(run_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for suffix in ("-wal", "-journal", "-shm"):
+        name = f"R/run.sqlite{suffix}"
+        assert called(monkeypatch, "show", "R", "--json", name, "--force") == 2
+        words = ("trials", "coverage", str(ROOT / "profiles/twin.yaml"), "--n", "2", "--stops", "25", "--jobs", "1")
+        assert called(monkeypatch, *words, "--store", name) == 2
+        assert called(monkeypatch, *words, "--store", "R/run.sqlite") == 2
+
+
+# -- the door itself --------------------------------------------------------------------------------------------------
+
+
+def test_files_that_are_named_after_an_option(run_file: Path) -> None:
+    files = {Path("new/a.txt"): "a", Path("there.txt"): "b"}
+    with pytest.raises(InputError, match=r"there\.txt exists already"):
+        write_new(files)
+    assert not Path("new").exists()
+    write_new(files, Outputs(force=True))
+    assert Path("there.txt").read_text() == "b"
+    write_new(files)  # the same content: nothing to lose
+    for name in PROTECTED:
+        with pytest.raises(InputError, match="never replaced"):
+            write_new({Path(name): "x"}, RENEWED)
+
+
+def test_a_file_that_another_program_makes_meanwhile_stays(run_file: Path) -> None:
+    def write() -> None:
+        with NEW_ONLY.open(Path("late.txt")) as file:
+            file.write(b"mine")
+            Path("late.txt").write_bytes(OLD)
+
+    with pytest.raises(InputError, match="made by another program"):
+        write()
+    assert Path("late.txt").read_bytes() == OLD
+    assert not list(Path().glob(".cellapp-*"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such devices")
+def test_devices_pipes_and_standard_output_are_written_to_as_they_are(run_file: Path) -> None:
+    RENEWED.write(Path("/dev/null"), b"x")
+    with pytest.raises(InputError, match=r"/dev/full: cannot be written \(No space left on device\)"):
+        NEW_ONLY.write(Path("/dev/full"), b"x")
+    done = program("show", "R", "--json", "/dev/stdout")
+    assert (done.returncode, done.stdout.rstrip()[-1:]) == (0, b"}")
+    with Path("grown.txt").open("wb") as out:
+        out.write(OLD)
+        out.flush()
+        assert program("schema", "cellapp-check", "--json", "/dev/stdout", stdout=out).returncode == 0
+    assert Path("grown.txt").read_bytes().startswith(OLD), "what was redirected is added, nothing is cut off"
+    with Path("/dev/full").open("wb") as out:
+        done = program("schema", "--json", "-", stdout=out)
+    assert done.returncode == 2
+    assert b"cellapp: --json: standard output cannot be written (No space left on device)" in done.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell with pipes")
+@pytest.mark.parametrize("words", ["schema", "schema --json -", "schema --json /dev/stdout", "docs effects"])
+def test_who_reads_one_line_ends_it_well(words: str, run_file: Path) -> None:
+    line = f"set -o pipefail; {sys.executable} -m cellapp {words} | head -1"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, env=surroundings(), timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def surroundings() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+def program(*words: str, stdout: Any = subprocess.PIPE) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [sys.executable, "-m", "cellapp", *words],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        env=surroundings(),
+        timeout=60,
+        check=False,
+    )
+
+
+def test_no_other_room_opens_a_file_to_replace_it() -> None:
+    """Whoever writes what a person named goes through the door; these write files that cellapp itself names."""
+    own = {
+        "cellapp/ground/outputs.py",
+        "cellapp/robot/model/model.py",
+        "cellapp/cell/run/file.py",
+        "cellapp/commands/certificate/sign_key.py",
+        "cellapp/commands/trials/sealed.py",
+        "cellapp/commands/trials/campaigns/disk.py",
+        "cellapp/commands/trials/storm.py",
+        "cellapp/commands/trials/terminal_presses.py",
+        "cellapp/commands/trials/league/series.py",
+        "tests/handbook/__main__.py",
+        "cellapp/cell/driving/requests/job_requests.py",
+    }
+    words = (".write_text(", ".write_bytes(", "os.replace(", '.open("w', '"wb")', "copyfile(")
+    doors = ("outputs.write_text(", "RENEWED.write_text(", "REMEDY).write_text(")
+    found = set()
+    for path in (ROOT / "cellapp").rglob("*.py"):
+        text = path.read_text("utf-8")
+        for door in doors:
+            text = text.replace(door, "")
+        if any(word in text for word in words):
+            found.add(path.relative_to(ROOT).as_posix())
+    assert found == own
+    assert outputs.__doc__ is not None

@@ -1,0 +1,116 @@
+"""What is shown of collecting: in the terminal, with ``show``, and on the page; nothing for runs without sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.records import CollectResult, MissingReading
+from cellapp.cell.run import Outcome, ReferenceRow, RunFile
+from cellapp.commands.collect.view import collect_lines, collection_tables, other_notes
+from cellapp.commands.pipeline import collect_stops, plan_new_run
+from cellapp.interfaces.page.collection_section import collection_state, drift_figures
+from cellapp.interfaces.page.page import page_text
+from tests.interfaces.page.parsed_page import NOON
+from tests.twin import small_twin
+
+pytestmark = pytest.mark.fast
+
+HOSTILE = "<script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A collected run in which one reading is missing, a person paused, and references drifted."""
+    folder = tmp_path_factory.mktemp("collected") / "run"
+    plan_new_run(small_twin(20, plan={"method": "random"}), folder)
+    with RunFile.open(folder, write=True) as run:
+        run.add_stop(3, {}, [Outcome(3, "left", "not measured", HOSTILE), Outcome(3, "right", "left out", "forbidden")])
+        collect_stops(run, resume=True)
+        session = run.begin_session()
+        run.record_request(session, "pause", "paused by a person")
+        for number, x_mm in enumerate((0.0, 0.02, 0.05)):
+            run.add_reference(
+                ReferenceRow("nest A", 10 * number, 60.0 * number, np.array([x_mm * 1e-3, 0, 0]), session)
+            )
+    return folder
+
+
+@pytest.fixture
+def run(folder: Path) -> Iterator[RunFile]:
+    with RunFile.open(folder) as opened:
+        yield opened
+
+
+def test_sessions_requests_missing_readings_drift_and_errors_are_tables(run: RunFile) -> None:
+    state = collection_state(run)
+    assert state is not None
+    sessions, requests, drift, errors = (
+        table for table in collection_tables(state) if not table.title.startswith("Missing")
+    )
+    assert [row[3] for row in sessions.text_rows()] == ["complete", "the program died"]
+    assert [row[2:] for row in requests.text_rows()] == [("pause", "paused by a person")]
+    assert [row[1] for row in drift.text_rows()] == ["0.0000", "0.0200", "0.0500"]
+    assert "limit 0.100 mm" in drift.title
+    assert {row[0] for row in errors.text_rows()} == {"left", "right"}
+    (figure,) = drift_figures(state)
+    assert [(entry.look and entry.look.colour, entry.text) for entry in figure.legend] == [
+        ("arm1", "nest A"),
+        ("ink", "limit"),
+    ]
+    assert "the limit is 0.100 mm" in figure.note
+
+
+def test_a_run_without_sessions_shows_nothing(single: RunFile) -> None:
+    assert collection_state(single) is None
+    assert drift_figures(None) == []
+    assert "<h2>Collecting</h2>" not in page_text(single, NOON)
+
+
+def test_the_page_has_a_section_and_escapes_what_devices_said(double: RunFile) -> None:
+    session = double.begin_session()
+    double.record_request(session, "suspend", HOSTILE)
+    for number in range(2):
+        double.add_reference(ReferenceRow(HOSTILE, number, float(number), np.array([number * 1e-5, 0, 0]), session))
+    text = page_text(double, NOON)
+    assert "<h2>Collecting</h2>" in text
+    assert HOSTILE not in text
+    assert "&lt;script&gt;alert(1)" in text
+
+
+def missing(count: int, *, reason: str = "no SMR") -> tuple[MissingReading, ...]:
+    return tuple(MissingReading(stop=2 * k, arm="left", kind="not measured", reason=reason) for k in range(count))
+
+
+def test_the_first_missing_readings_are_printed_and_counted() -> None:
+    result = CollectResult(
+        stops=380, notes=(), missing=missing(14), missing_share=0.0175, tolerated_share=0.05,
+        standard_error_mm={"left": 0.0123},
+    )  # fmt: skip
+    lines = collect_lines(result)
+    assert lines[0] == "380 stops stored: complete"
+    assert lines[1] == "14 planned readings are missing (1.8%, tolerated 5.0%):"
+    assert lines[2] == "  stop 1, arm left: not measured: no SMR"
+    assert len([line for line in lines if line.startswith("  stop")]) == 10
+    assert "and 4 more" in lines[12]
+    assert lines[-1] == "standard error of a predicted position: left 0.0123 mm"
+
+
+def test_stops_in_a_row_are_one_line_and_notes_do_not_repeat_them() -> None:
+    left = tuple(
+        MissingReading(stop=stop, arm=arm, kind="not tried", reason="the session ended before")
+        for stop in range(10, 30)
+        for arm in ("left", "right")
+    )
+    notes = ("stop 3, arm left: not measured: no SMR", "smallest distance between the arms 80 mm")
+    result = CollectResult(stops=10, notes=notes, missing=(*missing(1), *left), missing_share=0.5)
+    assert [line for line in collect_lines(result) if line.startswith("  stop")] == [
+        "  stop 1, arm left: not measured: no SMR",
+        "  stop 11 to 30, arm left: not tried: the session ended before",
+        "  stop 11 to 30, arm right: not tried: the session ended before",
+    ]
+    assert other_notes(result, notes) == [notes[1]]
+    assert other_notes(None, notes) == list(notes)

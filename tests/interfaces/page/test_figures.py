@@ -1,0 +1,206 @@
+"""Figures: whatever the numbers and the names, they can be drawn, in the colours of the page."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+import sys
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from cellapp.commands.calibrate.charts_accuracy import certainty_chart
+from cellapp.commands.calibrate.charts_vectors import scale_length_mm, vector_chart
+from cellapp.commands.discover.charts import is_line
+from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, bar_chart, series
+from cellapp.estimation.discovery.records import Picture
+from cellapp.interfaces.page import plotly_script
+from cellapp.interfaces.page.cell_figures import scene_figure
+from cellapp.interfaces.page.cell_scene import Capsules, CellScene, ErrorVectors, SceneArm
+from cellapp.interfaces.page.chart_figure import chart_figure
+from cellapp.interfaces.page.chart_svg import chart_svg
+from cellapp.interfaces.page.plotly_script import plotly_base64, plotly_notice
+from cellapp.interfaces.render.chart_axis import equal_scales, scale_of
+from cellapp.interfaces.render.chart_data import chart_data, rounded
+from tests.interfaces.page.cases import picture
+
+pytestmark = pytest.mark.fast
+HOSTILE = "</script><b onclick='x'>%{y} & 'it'</b>\u2028"
+
+
+def cloud_or_line(x: np.ndarray, y: np.ndarray) -> Picture:
+    values = tuple(y.tolist())
+    return Picture(title="", effect="", x_label="", y_label="", x=tuple(x.tolist()), measured=values, computed=values)
+
+
+def test_a_line_is_drawn_through_a_function_and_none_through_a_cloud() -> None:
+    x = np.linspace(0.0, 5.0, 200)
+    rng = np.random.default_rng(0)
+    for function in (np.sin(12.0 * x), np.sign(x - 2.0), x**2, np.ones(200)):
+        assert is_line(cloud_or_line(x, function))
+    for cloud in (rng.uniform(0.0, 1.0, 200), x * rng.uniform(0.5, 1.0, 200)):
+        assert not is_line(cloud_or_line(x, cloud))
+    assert is_line(picture("transmission_error", 1, curve=True))
+
+
+# -- any numbers ------------------------------------------------------------------------------------------------------
+
+numbers = st.one_of(st.floats(min_value=-1e9, max_value=1e9), st.just(float("nan")))
+values = st.lists(numbers, min_size=1, max_size=80)
+
+
+@example(y=[5e-324], kind="line", logarithmic=True, equal=False, band=False)
+@example(y=[0.0, 5e-324], kind="points", logarithmic=False, equal=True, band=False)
+@given(
+    y=values,
+    kind=st.sampled_from(("line", "points", "steps")),
+    logarithmic=st.booleans(),
+    equal=st.booleans(),
+    band=st.booleans(),
+)
+def test_whatever_the_numbers_a_chart_can_be_drawn(
+    y: list[float], kind: Kind, logarithmic: bool, equal: bool, band: bool
+) -> None:
+    width = np.abs(y) if band and kind == "line" else None
+    drawn = series("a", np.arange(float(len(y))), y, kind, band=width)
+    equal = equal and not logarithmic
+    chart = Chart("t", Axis("x"), Axis("y", "mm", logarithmic), (drawn,), "m", (Limit("l", 1.0),), equal=equal)
+    svg = chart_svg(chart)
+    ElementTree.fromstring(svg)
+    assert "nan" not in svg
+    assert "inf" not in svg
+    content = json.loads(chart_data(chart))
+    assert len(content["series"][0]["y"]) == len(y)
+
+
+@given(
+    low=st.floats(min_value=-1e6, max_value=1e6),
+    span=st.floats(min_value=1e-3, max_value=1e6),
+    logarithmic=st.booleans(),
+)
+def test_every_axis_has_some_ticks_inside_of_it_and_not_too_many(low: float, span: float, logarithmic: bool) -> None:
+    ends = np.array([abs(low) + 1e-3, abs(low) + 1e-3 + span] if logarithmic else [low, low + span])
+    scale = scale_of(Axis("x", "", logarithmic), [ends], 50.0, 350.0)
+    pixels = [pixel for pixel, _ in scale.ticks()]
+    assert 2 <= len(pixels) <= 21
+    assert pixels == sorted(pixels)
+    assert pixels[0] >= 49.9
+    assert pixels[-1] <= 350.1
+    assert scale.at(ends)[0] < scale.at(ends)[1]
+
+
+def test_ticks_are_those_that_a_person_would_choose() -> None:
+    degrees = scale_of(Axis("joint 1", "deg"), [np.array([-180.0, 180.0])], 0.0, 100.0, (-180.0, 180.0))
+    assert [label for _, label in degrees.ticks()] == ["-180", "-120", "-60", "0", "60", "120", "180"]
+    counts = scale_of(Axis("stops"), [np.array([0.0, 3.0])], 0.0, 100.0, from_zero=True)
+    assert [label for _, label in counts.ticks()] == ["0", "1", "2", "3"]
+    errors = scale_of(Axis("error", "mm", logarithmic=True), [np.array([0.02, 8.0])], 0.0, 100.0)
+    assert [label for _, label in errors.ticks()] == ["0.1", "1", "10"]
+
+
+def test_a_map_has_the_same_scale_along_both_axes() -> None:
+    x, y = (
+        scale_of(Axis("x"), [np.array([0.0, 8.0])], 0.0, 400.0),
+        scale_of(Axis("y"), [np.array([0.0, 1.0])], 200.0, 0.0),
+    )
+    x, y = equal_scales(x, y)
+    steps = [scale.at(np.array([1.0, 2.0])) for scale in (x, y)]
+    assert abs(np.diff(steps[0])[0]) == pytest.approx(abs(np.diff(steps[1])[0]))
+
+
+# -- data for the script ----------------------------------------------------------------------------------------------
+
+
+def test_names_that_a_person_wrote_end_no_script_and_are_no_markup() -> None:
+    drawn = series(HOSTILE, [1.0], [2.0], "points", hints=[HOSTILE])
+    chart = Chart(HOSTILE, Axis(HOSTILE), Axis("y"), (drawn,), HOSTILE, (Limit(HOSTILE, 1.0),))
+    data = chart_data(chart)
+    assert "<" not in data
+    assert "\u2028" not in data
+    assert json.loads(data)["series"][0]["hints"] == [HOSTILE]
+    assert "<b" not in chart_svg(chart)
+    assert "<b" not in chart_svg(bar_chart("t", {HOSTILE: (1.0, HOSTILE)}, Axis("y"), "m"))
+
+
+def test_values_are_rounded_to_what_the_eye_needs() -> None:
+    assert rounded(np.array([1.23456789, 101.0, np.nan])) == [1.235, 101, None]
+    assert rounded(np.array([0.0123456, 12.3456]), logarithmic=True) == [0.01235, 12.35]
+    assert rounded(np.array([3.0, 3.0])) == [3, 3]
+    assert rounded(np.array([np.nan, np.inf])) == [None, None]
+
+
+def test_an_empty_chart_says_why_and_draws_nothing() -> None:
+    figure = chart_figure("a", Chart("t", Axis("x"), Axis("y"), (), "Measure first."))
+    assert (figure.svg, figure.data, figure.legend, figure.note) == ("", "", (), "Measure first.")
+
+
+def test_the_script_of_the_page_is_that_of_the_package_and_always_the_same_text() -> None:
+    text = plotly_base64()
+    script = gzip.decompress(base64.b64decode(text))
+    assert script.startswith(b"/**\n* plotly.js")
+    assert plotly_notice().startswith("plotly.js v")
+    assert "Copyright" in plotly_notice()
+    assert "MIT license" in plotly_notice()
+    plotly_base64.cache_clear()
+    assert plotly_base64() == text
+    assert "plotly" not in sys.modules
+
+
+def test_without_the_package_the_page_has_no_script_to_unpack(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plotly_script, "find_spec", lambda name: None)
+    assert plotly_base64.__wrapped__() == ""
+    assert plotly_notice() == ""
+
+
+# -- single charts ----------------------------------------------------------------------------------------------------
+
+
+def test_arrows_have_a_round_scale_and_their_lengths_under_the_pointer() -> None:
+    vectors = np.array([[3.0e-4, 0.0, 0.0]] * 9 + [[0.0, 9.0e-4, 0.0]])
+    assert scale_length_mm(vectors) == pytest.approx(0.2)
+    assert scale_length_mm(np.zeros((2, 3))) > 0.0
+    chart = vector_chart("t", [4, 5, 6], np.eye(3), vectors[:3], 2)
+    arrows, points, scale = chart.series
+    assert scale.name == "scale: 0.2 mm"
+    assert points.hints[1] == "stop 5: 0.300 mm"
+    assert arrows.x[1] - arrows.x[0] == pytest.approx(1.5 * (scale.x[1] - scale.x[0]))
+    assert "most point the same way" in chart.message
+
+
+def test_errors_are_compared_with_what_was_predicted() -> None:
+    chart = certainty_chart("left", np.array([0.1, 0.2]), np.sqrt(12.0) * np.array([0.3, 0.3]), np.sqrt(0.065))
+    assert chart.message.startswith("Errors are 2.00 times as large as expected")
+
+
+def scene(base: list[float]) -> CellScene:
+    chain = np.array([base, [base[0], base[1], base[2] + 1.0]])
+    capsules = Capsules(chain[:1], chain[1:], np.array([0.1]))
+    errors = tuple(
+        ErrorVectors(stage, chain + 0.1, np.full((2, 3), size), np.array([1, 2]))
+        for stage, size in (("nominal", 1e-3), ("effects", 1e-5))
+    )
+    arm = SceneArm(HOSTILE, chain[0], chain, capsules, chain + 0.1, np.array([1, 2]), errors)
+    return CellScene((arm,), {HOSTILE: np.random.default_rng(0).normal(size=(9, 3))}, 100.0)
+
+
+@pytest.mark.parametrize(
+    "base", [[3.0, 1.0, -1.0], [0.0, 0.0, 2.0], [-2.0, 0.0, 0.0]], ids=("beside", "above", "behind")
+)
+def test_arms_in_space_are_drawn_wherever_they_are_mounted(base: list[float]) -> None:
+    figure = scene_figure("a", scene(base))
+    assert "nan" not in figure.svg
+    assert "<b" not in figure.svg + figure.data
+    (box,) = re.findall(r'viewBox="([^"]*)"', figure.svg)
+    assert min(float(number) for number in box.split()[2:]) > 100.0
+    layers = json.loads(figure.data)["layers"]
+    assert [layer["kind"] for layer in layers] == ["arm", "stops", "errors", "errors", "obstacles", "tracker"]
+    assert layers[2]["step_mm"][0] == [1.0, 1.0]
+    assert layers[3]["hints"][0] == "after, stop 1: 0.017 mm"
+    # the last entry has no layer of its own: it says how much longer errors are drawn
+    assert [entry.series for entry in figure.legend] == [(0,), (1,), (2,), (3,), (4,), (5,), ()]
+    assert "before and 0.017 mm (geometry and effects) after" in figure.note

@@ -1,0 +1,254 @@
+"""The first screen of the page: errors against tolerances, before and after, what was found, what to do next."""
+
+from __future__ import annotations
+
+from datetime import date
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cellapp.cell.profile import load_profile
+from cellapp.commands.report.before_after import BeforeAfterFigure, ComparedErrors, before_after_figure
+from cellapp.commands.report.data import ReportData
+from cellapp.commands.report.judged import judged_matrix, judgement_table
+from cellapp.commands.report.summary import summary, verdict
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.view.acceptance_words import CHARACTERISTIC_WORDS, judged_sentence
+from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
+from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.acceptance import Instrument, Tolerances, Traceability
+from cellapp.interfaces.page.page_sections import SECTIONS, page_sections
+from tests.interfaces.page.cases import discovery
+from tests.twin import PROFILES
+
+pytestmark = pytest.mark.fast
+
+TWIN = load_profile(PROFILES / "twin.yaml")
+TODAY = date(2026, 6, 1)
+STATES: tuple[Conformity, ...] = ("conforms", "does not conform", "cannot say")
+
+
+def judged(
+    characteristic: Characteristic, where: str, conformity: Conformity, value_mm: float | None = 0.05
+) -> Judgement:
+    return Judgement(
+        characteristic=characteristic,
+        where=where,
+        value_mm=value_mm,
+        expanded_mm=None if value_mm is None else 0.02,
+        tolerance_mm=0.1,
+        rule="guarded",
+        conformity=conformity,
+        source="verification, 20 targets",
+        n=20,
+    )
+
+
+def data_of(profile: Profile | None = None, *, next_step: str = "", **results: Any) -> ReportData:
+    """What a run has, with results as given."""
+    found = RunResults(run="/cells/run", **results)
+    return ReportData(
+        profile=profile or TWIN,
+        results=found,
+        calibrate=cast(Any, SimpleNamespace(arms={}, pair={})),
+        calibrated=cast(Any, None),
+        discovered=None,
+        readings={},
+        in_order={},
+        events=(),
+        model_in_force="",
+        next_step=next_step,
+    )
+
+
+# -- verdict ----------------------------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.sampled_from(STATES), min_size=1, max_size=8))
+def test_the_verdict_is_the_worst_of_all(states: list[Conformity]) -> None:
+    found = verdict(data_of(), [judged("position", f"arm{number}", one) for number, one in enumerate(states)])
+    worst = next(one for one in ("does not conform", "cannot say", "conforms") if one in states)
+    assert found.state == worst
+    assert ("does not" in found.title) == (worst == "does not conform")
+    if worst == "conforms":
+        assert found.sentence == f"All {len(states)} errors with a tolerance are inside it."
+    else:
+        assert found.sentence.startswith(f"{states.count('conforms')} of {len(states)} errors with a tolerance conform")
+
+
+def test_what_does_not_conform_is_named() -> None:
+    sentence = judged_sentence(
+        [
+            judged("position", "left", "does not conform"),
+            judged("position", "right", "does not conform"),
+            judged("pose_accuracy", "left", "cannot say"),
+            judged("drift", "left", "cannot say", None),
+            judged("distance", "left", "conforms"),
+        ]
+    )
+    assert "2 do not: position error of left and right" in sentence
+    assert "1 not decided within the uncertainty; 1 not measured." in sentence
+
+
+def test_without_tolerances_it_says_how_to_give_them() -> None:
+    profile = TWIN.model_copy(update={"tolerances": Tolerances()})
+    found = verdict(data_of(profile), ())
+    assert found.state is None
+    assert "no tolerances" in found.title
+    assert "'tolerances'" in found.sentence
+
+
+def test_nothing_is_judged_on_a_calibration_that_is_out_of_date() -> None:
+    found = verdict(
+        data_of(out_of_date={"calibrate": "5 readings were added since"}), [judged("position", "left", "conforms")]
+    )
+    assert found.state == "cannot say"
+    assert "out of date" in found.sentence
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(["position", "drift"]), st.sampled_from(["left", "right", "left and right"])))
+)
+def test_no_judgement_is_lost_in_the_matrix(which: list[tuple[Characteristic, str]]) -> None:
+    judgements = [judged(characteristic, where, "conforms") for characteristic, where in which]
+    matrix = judged_matrix(judgements, ["left", "right"])
+    shown = [one for row in matrix.rows for one in (*row.by_arm.values(), row.together) if one is not None]
+    assert sorted(id(one) for one in shown) == sorted(map(id, judgements))
+    assert len(judgement_table(judgements).rows) == len(judgements)
+
+
+def test_arms_stand_beside_each_other() -> None:
+    matrix = judged_matrix(
+        [
+            judged("position", "left", "conforms"),
+            judged("position", "right", "conforms"),
+            judged("cooperative", "left and right", "conforms"),
+        ],
+        ["left", "right"],
+    )
+    assert matrix.arms == ("left", "right")
+    assert [(row.label, list(row.by_arm)) for row in matrix.rows] == [
+        ("Position error", ["left", "right"]),
+        (CHARACTERISTIC_WORDS["cooperative"], []),
+    ]
+
+
+# -- before and after -------------------------------------------------------------------------------------------------
+
+
+def figure_of(*rows: ComparedErrors) -> BeforeAfterFigure:
+    return BeforeAfterFigure(rows, 0.01, 10.0, "")
+
+
+def test_places_on_a_logarithmic_axis() -> None:
+    figure = figure_of()
+    assert [figure.percent(value) for value in (0.01, 0.1, 10.0)] == ["0.00%", "33.33%", "100.00%"]
+    assert figure.percent(0.0) == "0.00%"
+    assert figure.ticks == pytest.approx((0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0))
+    assert BeforeAfterFigure((), 1e-6, 10.0, "").ticks[:2] == (1e-6, 1e-5), "many decades have no room for more"
+
+
+@given(st.floats(1e-5, 1e3), st.floats(1.1, 1e6))
+def test_ticks_are_on_the_axis(low: float, span: float) -> None:
+    figure = BeforeAfterFigure((), low, low * span, "")
+    assert all(low <= tick <= low * span for tick in figure.ticks)
+    assert list(figure.ticks) == sorted(set(figure.ticks))
+    assert len(figure.ticks) <= 12, "labels of more would overlap on a phone"
+
+
+def test_no_figure_without_errors() -> None:
+    assert before_after_figure(data_of()) is None
+
+
+# -- findings and next steps ------------------------------------------------------------------------------------------
+
+
+def test_effects_are_named_with_their_cause_and_what_to_check() -> None:
+    found = summary(data_of(discover=discovery("left", "right")), (), TODAY)
+    headings = [one.heading for one in found.found]
+    assert any(heading.startswith("Arm left: joint compliance, joints 2-4, 6") for heading in headings)
+    assert "Arm left: unknown effect" in headings
+    assert "Arm right: nothing missing" in headings
+    assert any("The gears of joints 2, 3, 4 and 6 twist." in one.text for one in found.found)
+    steps = {step.text: step.command for step in found.steps}
+    assert steps["Arm left: measure stops that decide what discovery left open:"] == "cellapp discover DIR --propose 30"
+
+
+def test_steps_do_not_show_whose_folder_it_is() -> None:
+    data = data_of(next_step="cellapp discover /cells/run")
+    assert summary(data, (), TODAY).steps[0].command == "cellapp discover DIR"
+
+
+@pytest.mark.parametrize(
+    ("verb", "outdated", "words"),
+    [
+        ("collect", {}, "Measure the planned stops that are left, then calibrate and discover again:"),
+        ("discover", {}, "Go on with:"),
+        ("discover", {"discover": "5 readings were added since"}, "Repeat what is out of date:"),
+    ],
+    ids=["stops were added", "missing", "out of date"],
+)
+def test_the_first_step_is_what_the_run_lacks(verb: str, outdated: dict[str, str], words: str) -> None:
+    data = data_of(next_step=f"cellapp {verb} /cells/run", out_of_date=outdated)
+    first = summary(data, (), TODAY).steps[0]
+    assert (first.text, first.command) == (words, f"cellapp {verb} DIR")
+
+
+def test_what_has_a_tolerance_and_was_not_measured_is_asked_for() -> None:
+    judgements = [
+        judged("cooperative", "left and right", "cannot say", None),
+        judged("drift", "left", "cannot say", None),
+    ]
+    commands = [step.command for step in summary(data_of(), judgements, TODAY).steps]
+    assert commands[:2] == ["cellapp push DIR TARGETS --verify", "cellapp iso9283 PROFILE --run DIR"]
+
+
+@pytest.mark.parametrize(("day", "due"), [(TODAY, False), (date(2028, 1, 1), True)], ids=["before", "after"])
+def test_a_tracker_whose_calibration_is_due_is_named(day: date, due: bool) -> None:
+    tracker = Instrument(model="AT960", calibrated=date(2026, 3, 2), due=date(2027, 3, 2))
+    profile = TWIN.model_copy(update={"traceability": Traceability(tracker=tracker)})
+    steps = [step.text for step in summary(data_of(profile), (), day).steps]
+    assert any("2027-03-02" in step for step in steps) == due
+
+
+# -- sections and tables ----------------------------------------------------------------------------------------------
+
+
+def test_sections_without_a_message_are_left_out_and_the_others_keep_their_order() -> None:
+    messages = dict.fromkeys(reversed(list(SECTIONS)), "Something.") | {"paths": ""}
+    sections = page_sections(messages, {"calibrate": "readings were added"})
+    assert [section.key for section in sections] == [key for key in SECTIONS if key != "paths"]
+    marked = {section.key for section in sections if section.outdated}
+    assert {"accuracy", "residuals", "parameters"} <= marked
+    assert all(section.is_open for section in sections if section.outdated)
+    assert "discovery" not in marked, "what does not hold there is left out"
+
+
+def test_every_section_has_a_template() -> None:
+    import cellapp.commands.view
+
+    folder = Path(cellapp.commands.view.__file__).parent / "sections"
+    assert not [key for key in SECTIONS if not (folder / f"{key}.html").is_file()]
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_saved_numbers_are_exact(value: float) -> None:
+    row = (
+        value,
+        Number(value, 2),
+        Number(value, 2, "mm"),
+        Interval(value, value),
+        int(value) if abs(value) < 1e9 else 0,
+    )
+    columns = (number_column("a", ".3f"), *(Column(name, "number") for name in "bcde"))
+    ((shown, number, with_unit, interval, whole),) = Table("t", columns, (row,)).shown_and_exact()
+    assert float(shown[1] or shown[0]) == value
+    assert float(number[1] or number[0]) == value
+    assert with_unit[1] == "", "a number with its own unit is saved as it is shown"
+    assert [float(limit) for limit in interval[1].split(" to ")] == [value, value]
+    assert whole[1] == ""

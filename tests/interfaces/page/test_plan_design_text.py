@@ -1,0 +1,83 @@
+"""What is printed of a designed plan, after planning and from the run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cellapp.cell.driving.records import PlanResult
+from cellapp.cell.planning.stored_stops import (
+    PLAN_DESIGN_RESULT,
+    read_plan_design,
+    read_planned_stops,
+    write_planned_stops,
+)
+from cellapp.cell.run import RunFile
+from cellapp.commands.pipeline import new_planned_run
+from cellapp.commands.plan.design_view import design_sentences, design_tables, plan_lines, plan_result_tables
+from cellapp.commands.plan.run import plan_result, stored_plan
+from cellapp.commands.run_results import StopsResult
+from cellapp.ground.errors import InputError
+from tests.interfaces.page.plan_cases import TIME, plan_design
+from tests.twin import small_twin
+
+pytestmark = pytest.mark.fast
+
+
+def test_tables_state_candidates_errors_gaps_and_errors_by_stops() -> None:
+    tables = {table.title: table for table in design_tables(plan_design())}
+    assert list(tables) == [
+        "Candidates",
+        "Expected errors against random stops",
+        "Observability",
+        "Largest gap of each joint",
+        "Arm left: errors after the first stops",
+        "Arm right: errors after the first stops",
+    ]
+    candidates = tables["Candidates"]
+    assert candidates.headings == ("configurations", "arm left", "arm right")
+    assert candidates.text_rows()[0] == ("drawn", "600000", "600000")
+    assert candidates.text_rows()[2] == ("excluded by collides", "180000", "180000")
+    assert candidates.text_rows()[-1] == ("candidates", "20000", "20000")
+    assert tables["Observability"].text_rows()[0] == ("left", "designed", "0.4", "0.02", "0.3", "0.006", "0.05")
+    errors = tables["Expected errors against random stops"].text_rows()
+    assert errors[0] == ("left", "designed", "400", "0.700", "0.0070", "0.0210")
+    assert errors[2] == ("left", "equal to random", "", "840 stops", "640 stops", "1280 stops")
+    assert tables["Largest gap of each joint"].text_rows()[0][:2] == ("left", "11.5")
+
+
+def test_sentences_state_balance_travel_and_detours() -> None:
+    words = " ".join(design_sentences(plan_design()))
+    assert "Largest correlation of a planned factor: 0.08 (step of joint 3 of left with dwell)" in words
+    assert "30 min, in random order 50 min: 40 % are saved" in words
+    assert "7 stops are reached by a detour, 10 stops repeat an earlier one, in 8 blocks" in words
+    assert "joint 6 was not asked for phase coverage" in words
+
+
+def test_lines_of_a_random_plan_have_no_design() -> None:
+    result = PlanResult(run="run", stops={"left": 8}, reserves=2, time=TIME, notes=("a note",))
+    assert plan_result_tables(result) == []
+    first, time, note = plan_lines(result)
+    assert (first, note) == ("arm left: 8 stops planned and 2 in reserve", "a note")
+    assert time.startswith("Collecting takes about 1 h 30 min")
+    assert "design" not in json.loads(result.to_json())
+
+
+def test_a_design_is_stored_with_its_plan_and_shown_from_the_run(tmp_path: Path) -> None:
+    with new_planned_run(small_twin(3, plan={"method": "random"}), tmp_path / "run") as run:
+        assert stored_plan(run).design is None
+        write_planned_stops(run, read_planned_stops(run), design=plan_design(8))
+        stops = stored_plan(run)
+        assert stops.design == plan_result(run).design == plan_design(8)
+        assert StopsResult.from_json(stops.to_json(), "stops") == stops
+        write_planned_stops(run, read_planned_stops(run))
+        assert read_plan_design(run) == plan_design(8)
+
+
+def test_a_damaged_design_is_named(tmp_path: Path) -> None:
+    with RunFile.create(tmp_path / "run", small_twin(3)) as run:
+        run.write_result(PLAN_DESIGN_RESULT, '{"schema": "cellapp-plan-design"}')
+        with pytest.raises(InputError, match="plan_design"):
+            read_plan_design(run)

@@ -1,0 +1,112 @@
+"""Tables: numbers in cells, one formatter for all that draw them."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from cellapp.commands.view.table import Cell, Column, Interval, Number, Table, format_cell, number_column
+from cellapp.interfaces.render.terminal import rich_table
+
+pytestmark = pytest.mark.fast
+
+TABLE = Table(
+    "Errors [mm]",
+    (Column("stage"), number_column("mean", ".4f", "mm"), number_column("n", "d"), Column("note")),
+    (("nominal", 0.12345, 17, "[bold]"), ("effects", Interval(0.1, 0.25), None, None)),
+)
+
+
+@pytest.mark.parametrize(
+    ("cell", "number_format", "text"),
+    [
+        (None, ".4f", ""),
+        ("none", ".4f", "none"),
+        (3, "d", "3"),
+        (0.00497, ".2g", "0.005"),
+        (-0.5, "+.5f", "-0.50000"),
+        (Interval(0.1, 0.25), ".4f", "0.1000 to 0.2500"),
+        (Interval(9, 37), "d", "9 to 37"),
+        (Interval(16.6327, 16.7033, 3), ".4f", "16.633 to 16.703"),
+        (Number(27.69, 1, "%"), ".4f", "27.7 %"),
+        (Number(42.91, 1), "", "42.9"),
+    ],
+)
+def test_cells_are_formatted_by_their_column(cell: Cell, number_format: str, text: str) -> None:
+    assert format_cell(cell, number_format) == text
+
+
+def test_headings_have_units_and_rows_are_text() -> None:
+    assert TABLE.headings == ("stage", "mean [mm]", "n", "note")
+    assert TABLE.text_rows() == (("nominal", "0.1235", "17", "[bold]"), ("effects", "0.1000 to 0.2500", "", ""))
+
+
+def test_a_row_needs_a_cell_for_each_column() -> None:
+    with pytest.raises(ValueError, match="1 cells in a row of 2 columns"):
+        Table("t", (Column("a"), Column("b")), (("only",),))
+
+
+def test_a_terminal_shows_brackets_as_text_and_aligns_numbers_right() -> None:
+    output = io.StringIO()
+    Console(file=output, width=80).print(rich_table(TABLE))
+    text = output.getvalue()
+    assert "Errors [mm]" in text
+    assert "[bold]" in text
+    first, second = (line for line in text.splitlines() if line.strip().startswith(("nominal", "effects")))
+    assert first.index("0.1235") + len("0.1235") == second.index("0.2500") + len("0.2500")
+
+
+def drawn(table: Table, width: int) -> str:
+    output = io.StringIO()
+    Console(file=output, width=width).print(rich_table(table, cut=False), crop=False)
+    return output.getvalue()
+
+
+def words_of(table: Table) -> list[str]:
+    return " ".join(
+        [*table.title.split(), *table.headings, *(cell for row in table.text_rows() for cell in row)]
+    ).split()
+
+
+_WORDS = st.text("abcdefghijkl", min_size=1, max_size=14)
+_CELLS = st.one_of(
+    st.lists(_WORDS, min_size=1, max_size=12).map(" ".join), st.floats(-1e4, 1e4), st.just(Interval(0.1, 0.25))
+)
+
+
+@st.composite
+def tables(draw: st.DrawFn) -> Table:
+    texts = draw(st.lists(st.booleans(), min_size=1, max_size=14))
+    columns = tuple(
+        Column(draw(_WORDS)) if is_text else number_column(draw(_WORDS), ".4f", draw(st.sampled_from(["", "mm rms"])))
+        for is_text in texts
+    )
+    rows = draw(st.lists(st.tuples(*[_CELLS] * len(columns)), min_size=1, max_size=4))
+    return Table(draw(_WORDS), columns, tuple(rows))
+
+
+@given(tables(), st.integers(34, 120))
+def test_no_word_is_broken_nothing_is_left_out_and_no_line_is_wider_than_the_terminal(table: Table, width: int) -> None:
+    text = drawn(table, width)
+    assert all(len(line) <= width for line in text.splitlines())
+    assert {*words_of(table)} <= {*text.replace(":", " ").split()} | {":"}
+
+
+def test_a_table_that_does_not_fit_is_printed_in_parts_that_repeat_the_names_of_its_rows() -> None:
+    columns = (Column("arm"), Column("pose"), *(number_column(f"value {k}", ".4f", "mm") for k in range(12)))
+    rows = tuple((arm, pose, *(float(k) for k in range(12))) for arm in ("left", "right") for pose in ("P1", "P2"))
+    lines = drawn(Table("Many", columns, rows), 80).splitlines()
+    assert sum(line.split()[:2] == ["left", "P1"] for line in lines) == 2
+    assert sum(line.split()[:2] == ["right", "P2"] for line in lines) == 2
+    for k in range(12):
+        assert sum(f"{k}.0000" in line.split() for line in lines) == 4
+
+
+def test_a_table_whose_single_cells_do_not_fit_becomes_lines_and_long_words_stay_whole() -> None:
+    digest = "5f" * 45
+    text = drawn(Table("Hashes", (Column("file"), Column("sha256")), (("certificate.html", digest),)), 80)
+    assert text.splitlines() == ["Hashes", "  file: certificate.html", "    sha256:", f"      {digest}", ""]

@@ -1,0 +1,220 @@
+"""Plug-ins that cannot be used: each is told with its distribution and its entry point, and all others work."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from cellapp.cell.exports.formats import format_named
+from cellapp.commands.discover.result import discover_result
+from cellapp.estimation.discovery.outcome import CellDiscovery
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile.arm_types import ARM_TYPES
+from cellapp.robot.effects import EFFECTS
+from cellapp.robot.model import CellModel
+from cellapp.robot.plugins import in_words, installed_plugins
+from drivers.arms.registry import ARMS
+from drivers.arms.settings import ArmSettings
+from drivers.plugins import Registry
+from drivers.settings import OneOf
+from tests.interfaces.plugins.installed import REGISTRIES, add_distribution, add_example, installed, run_commands
+from tests.twin import PROFILES, write_profile
+
+ARM = "cellapp.drivers.arms"
+EFFECT = "cellapp.robot.effects"
+EXPORT = "cellapp.cell.exports"
+TYPE = "cellapp.arm_types"
+SETTINGS = """
+from typing import Literal
+from drivers.arms.settings import ArmSettings
+
+class Half(ArmSettings):
+    kind: Literal["half"] = "half"
+
+class Whole(Half):
+    def open(self, arm): ...
+    def probe(self, arm, patience_s): ...
+
+class Loose(Whole):
+    kind: str = "loose"
+
+class Unresolved(Whole):
+    kind: Literal["unresolved"] = "unresolved"
+    port: "Port"
+"""
+FORMATS = """
+from cellapp.cell.exports.export_format import CellFormat
+NOTE = CellFormat("note", "a note", ".txt", lambda arms, lines: "")
+"""
+EFFECTS_TEXT = """
+from cellapp.robot.effects import Effect, LawForm
+class Bare(Effect):
+    slug = "bare"
+class Mute(Effect):
+    slug, title, meaning, variables = "mute", "mute", None, frozenset()
+    forms = (LawForm("", ""),)
+    def columns(self, context, law, names=None): ...
+class Greedy(Mute):
+    forms = (LawForm("", "words"),)
+    def __init__(self, size): ...
+"""
+CASES = {
+    "import": (ARM, "far", "nowhere:Far", "cannot be imported (ModuleNotFoundError: No module named 'nowhere')"),
+    "raises": (ARM, "far", "raises:Far", "cannot be imported (RuntimeError: no licence xxx"),
+    "exits": (ARM, "far", "exits:Far", "cannot be imported (SystemExit: 3)"),
+    "attribute": (ARM, "far", "settings:Far", "module 'settings' has no attribute 'Far'"),
+    "target": (ARM, "far", "settings Far", "'settings Far' is not of the form MODULE:OBJECT"),
+    "class": (ARM, "far", "formats:NOTE", "expected a class made from drivers.arms.settings.ArmSettings, got CellF"),
+    "abstract": (ARM, "half", "settings:Half", "class Half lacks open, probe"),
+    "kind": (ARM, "far", "settings:Whole", 'class Whole needs the line \'kind: Literal["far"] = "far"\''),
+    "literal": (ARM, "loose", "settings:Loose", 'class Loose needs the line \'kind: Literal["loose"]'),
+    "annotation": (ARM, "unresolved", "settings:Unresolved", "'Port' is not defined"),
+    "built in": (ARM, "ur", "settings:Whole", "'ur' is built in and stays as it is; the plug-in needs another name"),
+    "no effect": (
+        EFFECT,
+        "far",
+        "settings:Whole",
+        "expected a class made from cellapp.robot.effects.Effect, got <class",
+    ),
+    "undeclared": (EFFECT, "bare", "effects:Bare", "class Bare lacks columns, title, meaning, variables, forms"),
+    "no words": (EFFECT, "mute", "effects:Mute", "effect mute: no words for people for law"),
+    "constructor": (EFFECT, "mute", "effects:Greedy", "TypeError: Greedy.__init__() missing 1 required"),
+    "slug": (EFFECT, "far", "effects:Greedy", "class Greedy has the slug 'mute'; the entry point must have the same"),
+    "built-in effect": (EFFECT, "unknown", "effects:Mute", "'unknown' is built in and stays as it is"),
+    "no format": (EXPORT, "far", "settings:Whole", "expected an ExportFormat, a CellFormat or a CommandFormat"),
+    "format": (EXPORT, "far", "formats:NOTE", "the format is called 'note'; the entry point must have the same name"),
+    "file": (TYPE, "far.yaml", "package", "package package holds no file far.yaml; it must be listed as package data"),
+    "path": (TYPE, "arms/far.yaml", "package", "'arms/far.yaml' must be the name of a file"),
+    "package": (TYPE, "far.yaml", "settings:Whole", "expected a package that holds the file far.yaml, got <class"),
+}
+
+
+def bad_distribution(folder: Path, groups: Mapping[str, Mapping[str, str]], name: str = "bad-one") -> Path:
+    """A distribution with entry points to modules of all kinds."""
+    modules = {
+        "settings.py": SETTINGS,
+        "formats.py": FORMATS,
+        "effects.py": EFFECTS_TEXT,
+        "raises.py": f'raise RuntimeError("no\\n  licence {"x" * 300}")',
+        "exits.py": "raise SystemExit(3)",
+    }
+    (folder / "package").mkdir(parents=True)
+    (folder / "package" / "__init__.py").touch()
+    return add_distribution(folder, name, groups, modules)
+
+
+def registry_of(group: str) -> Registry[Any]:
+    return next(registry for registry in REGISTRIES if registry.group == group)
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("case", CASES)
+def test_a_bad_entry_is_refused_in_one_sentence_and_the_rest_works(tmp_path: Path, case: str) -> None:
+    group, name, target, problem = CASES[case]
+    registry = registry_of(group)
+    before = list(registry)
+    with installed(bad_distribution(tmp_path / "bad", {group: {name: target}}), add_example(tmp_path / "good")):
+        (bad,) = (one for one in registry.plugins if one.problem)
+        assert problem in bad.problem
+        where = f"plug-in bad-one 1.0, {registry.what} '{name}' = {target} of [{group}]: "
+        assert bad.refusal.startswith(where)
+        assert bad.refusal.endswith("it is not used: correct it, or remove it with 'pip uninstall bad-one'")
+        assert "\n" not in bad.refusal
+        assert registry.refusal(name) == ("" if name in before else bad.refusal)
+        assert set(registry) - set(before) == {one.name for one in registry.plugins if not one.problem} != set()
+    assert list(registry) == before
+
+
+@pytest.mark.fast
+def test_of_two_plugins_with_one_name_neither_is_used(tmp_path: Path) -> None:
+    second = add_distribution(tmp_path / "second", "second", {EFFECT: {"hose_pull": "second:Hose"}}, version="2.0")
+    with installed(add_example(tmp_path / "first"), second):
+        assert "hose_pull" not in EFFECTS
+        first, last = EFFECTS.plugins
+        assert first.problem == "'hose_pull' is also in second 2.0, so neither is used"
+        assert last.problem == "'hose_pull' is also in cellapp-example 1.0, so neither is used"
+        found = discover_result(CellDiscovery({}, CellModel({}, None, None), None))
+        assert found.notes == tuple(f"not searched for: {one.refusal}" for one in EFFECTS.plugins)
+    assert discover_result(CellDiscovery({}, CellModel({}, None, None), None)).notes is None
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("text", [b"", b"Metadata-Version: 2.1\nName: bad-one\n", b"Name: bad-one\nVersion: \xff\n"])
+def test_a_distribution_without_name_or_version_is_refused(tmp_path: Path, text: bytes) -> None:
+    folder = bad_distribution(tmp_path, {ARM: {"half": "settings:Whole"}})
+    metadata = folder / "bad_one-1.0.dist-info" / "METADATA"
+    metadata.write_bytes(text) if text else metadata.unlink()
+    importlib.import_module("importlib_metadata")  # Dask loads it: its finder takes the place of Python's own
+    with installed(folder):
+        assert ARMS.plugins[0].problem == "its metadata has no name or no version", "nobody could say who took part"
+        assert "half" not in ARMS
+
+
+@pytest.mark.fast
+def test_a_list_of_entry_points_that_cannot_be_read_is_told_for_any_unknown_name(tmp_path: Path) -> None:
+    folder = bad_distribution(tmp_path, {ARM: {"half": "settings:Whole"}})
+    (folder / "bad_one-1.0.dist-info" / "entry_points.txt").write_text(f"[{ARM}]\nhalf\n", "utf-8")
+    with installed(folder):
+        assert ARMS.refusal("half").startswith("plug-in bad-one 1.0: its entry points cannot be read (")
+        assert ARMS.refusal("ur") == ""
+
+
+@pytest.mark.fast
+def test_the_first_of_two_installations_counts(tmp_path: Path) -> None:
+    old = add_distribution(tmp_path / "old", "cellapp_example", {EFFECT: {"old_pull": "old:Pull"}}, version="0.9")
+    with installed(add_example(tmp_path / "new"), old):
+        assert [(one.name, one.version) for one in EFFECTS.plugins] == [("hose_pull", "1.0")]
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_order_is_that_of_distributions_and_names(tmp_path: Path, turned: bool) -> None:
+    text = "from cellapp.cell.exports.export_format import CellFormat as F\n" + "".join(
+        f'{name.upper()} = F("{name}", "", "", lambda arms, lines: "")\n' for name in "pqrs"
+    )
+    one = add_distribution(tmp_path / "1", "Zeta", {EXPORT: {"q": "zeta:Q", "p": "zeta:P"}}, {"zeta.py": text})
+    two = add_distribution(tmp_path / "2", "alpha", {EXPORT: {"s": "alpha:S", "r": "alpha:R"}}, {"alpha.py": text})
+    built_in = list(registry_of(EXPORT))
+    with installed(*((two, one) if turned else (one, two))):
+        assert list(registry_of(EXPORT)) == [*built_in, "r", "s", "p", "q"]
+        assert in_words(installed_plugins()) == {"Zeta 1.0": "export p, export q", "alpha 1.0": "export r, export s"}
+
+
+@pytest.mark.fast
+def test_who_names_a_bad_plugin_is_told_why(tmp_path: Path) -> None:
+    bad = bad_distribution(tmp_path, {ARM: {"far": "raises:Far"}, EXPORT: {"far": "raises:Far"}})
+    with installed(bad):
+        kinds = TypeAdapter[ArmSettings](Annotated[ArmSettings, OneOf(ARMS)])
+        with pytest.raises(ValidationError, match=r"kind: plug-in bad-one 1\.0, kind of arm 'far' = raises:Far"):
+            kinds.validate_python({"kind": "far"})
+        assert kinds.validate_python({"kind": "none"}).kind == "none"
+        with pytest.raises(InputError, match=r"^export: plug-in bad-one 1\.0, export 'far' = raises:Far of"):
+            format_named("far")
+
+
+@pytest.mark.fast
+def test_schemas_have_the_kinds_of_plugins(tmp_path: Path) -> None:
+    with installed(add_example(tmp_path)):
+        schema = TypeAdapter[ArmSettings](Annotated[ArmSettings, OneOf(ARMS)]).json_schema()
+    assert set(schema["discriminator"]["mapping"]) == {"simulated", "ur", "none", "line"}
+    assert "host" in schema["$defs"]["LineSettings"]["properties"]
+
+
+def test_a_profile_that_names_a_bad_plugin_fails_and_others_do_not(tmp_path: Path) -> None:
+    bad = bad_distribution(tmp_path / "bad", {ARM: {"far": "raises:Far"}, TYPE: {"far.yaml": "package"}})
+    kind, type_ = (write_profile(tmp_path / name) for name in ("kind", "type"))
+    kind.write_text(kind.read_text("utf-8").replace("{kind: simulated}", "{kind: far, host: x}", 1), "utf-8")
+    type_.write_text(type_.read_text("utf-8").replace("arms/ur5.yaml", "far.yaml", 1), "utf-8")
+    ended = run_commands([bad], f"doctor {kind}", f"doctor {type_}", f"doctor {PROFILES / 'twin.yaml'}")
+    assert ended.codes == [2, 2, 0]
+    assert "twin.yaml:15: arms.left.driver.kind: plug-in bad-one 1.0, kind of arm 'far' = raises:Far" in ended.err
+    assert "arms.right.type: plug-in bad-one 1.0, arm type 'far.yaml' = package of [cellapp.arm_types]" in ended.err
+    assert all(line.endswith("'pip uninstall bad-one'") for line in ended.err.splitlines() if line), "nothing is cut"
+    assert "Traceback" not in ended.err
+    assert "warning  plug-in: plug-in bad-one 1.0, kind of arm 'far'" in ended.out
+    assert ARM_TYPES.get("far.yaml") is None

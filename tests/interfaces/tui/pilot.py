@@ -1,0 +1,155 @@
+"""What tests of the terminal application share: bounded waits, the text of a screen, jobs that the test controls."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from textual.pilot import Pilot
+
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.progress import Listener, Progress, ReferenceReport, StateChange, StopReport, Suspicion
+from cellapp.ground.results import Result
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.jobs import Ask, Job
+
+PROFILES = Path(__file__).resolve().parents[3] / "profiles"
+WAIT_S = 60.0
+SMALL = (80, 24)
+SIZES = (SMALL, (120, 40), (200, 60))
+"""Terminals: the smallest that is supported, a usual one, a large one."""
+
+
+async def until(pilot: Pilot[None], holds: Callable[[], Any], what: str, wait_s: float = WAIT_S) -> None:
+    """Wait for a condition; fail with what the screen says if it never holds."""
+    app = pilot.app
+    try:
+        async with asyncio.timeout(wait_s):
+            while not holds():
+                await pilot.pause()
+                await asyncio.sleep(0.005)  # the job's thread needs the processor, too
+    except TimeoutError:
+        assert isinstance(app, CellApp)
+        pytest.fail(f"never came: {what}; the message is: {app.message}; the screen:\n{shown_text(app)}")
+
+
+async def opened(pilot: Pilot[None], app: CellApp) -> None:
+    """Wait until the first profile is open."""
+    await until(pilot, lambda: app.workspace.profile is not None, "a profile")
+
+
+async def ended(pilot: Pilot[None], app: CellApp, wait_s: float = WAIT_S) -> None:
+    """Wait until no job runs."""
+    await until(pilot, lambda: not app.jobs.running, "the end of the job", wait_s)
+    await pilot.pause()
+
+
+async def exit_code(pilot: Pilot[None], app: CellApp) -> int | None:
+    """Quit an application without a job."""
+    await pilot.press("ctrl+q")
+    await until(pilot, lambda: app.return_code is not None, "the end of the application")
+    return app.return_code
+
+
+def shown_text(app: CellApp) -> str:
+    """The text of the whole screen, a line for each of its lines."""
+    rows = app.screen._compositor.render_strips()
+    return "\n".join("".join(segment.text for segment in row).rstrip() for row in rows)
+
+
+def log_text(app: CellApp) -> str:
+    """The lines of the log."""
+    return "\n".join(entry.text for entry in app.record.log)
+
+
+@dataclass
+class HeldJob:
+    """A job that emits events, waits for the test, then returns ``result`` or raises ``error``."""
+
+    events: tuple[Progress, ...] = (Progress("plan", 30, 30, "done"), Progress("collect", 7, 30, "stop 8"))
+    error: BaseException | None = None
+    result: Result | None = None
+    reached: threading.Event = field(default_factory=threading.Event)
+    go_on: threading.Event = field(default_factory=threading.Event)
+    thread: threading.Thread | None = None
+    control: JobControl = field(default_factory=JobControl)
+
+    def job(self, name: str = "collect", folder: Path | None = None) -> Job:
+        """As a job of the application."""
+        self.reached.clear()
+        self.go_on.clear()
+        return Job(name, self._work, folder, moves=True)
+
+    def _work(self, listener: Listener, control: JobControl, ask: Ask) -> Result | None:
+        self.thread, self.control = threading.current_thread(), control
+        for event in self.events:
+            listener(event)
+        self.reached.set()
+        assert self.go_on.wait(WAIT_S)
+        control.check()
+        if self.error is not None:
+            raise self.error
+        return self.result
+
+
+DETAILS = (
+    StopReport(4, "left", 0.0512, 0.0123, {}),
+    Suspicion("loose SMR", "the SMR of the left arm wobbles", "left"),
+    ReferenceReport({"arm left": 0.034}, 0.1),
+)
+
+
+@dataclass
+class MovingJob:
+    """A job with arms that note when they brake; it can be paused and emits events as fast as is asked."""
+
+    flood: bool = False
+    asks: bool = False
+    began: threading.Event = field(default_factory=threading.Event)
+    braked: threading.Event = field(default_factory=threading.Event)
+    brakes: list[tuple[str, float]] = field(default_factory=list)
+    control: JobControl = field(default_factory=JobControl)
+    allowed: bool | None = None
+    clock: Callable[[], float] = field(default=lambda: 0.0)
+
+    def job(self, folder: Path | None = None) -> Job:
+        """As a job of the application."""
+        return Job("collect", self._work, folder, moves=True)
+
+    def _work(self, listener: Listener, control: JobControl, ask: Ask) -> Result | None:
+        self.control = control
+        with control.brakes(self._brake):
+            self.began.set()
+            if self.asks:
+                self.allowed = ask("First motion: arm left turns joint 1 by 90 deg.")
+                if not self.allowed:
+                    raise InputError("the first motion was not confirmed; nothing was moved")
+            for detail in DETAILS:
+                listener(Progress("collect", 5, 30, eta_s=240.0, detail=detail))
+            while True:
+                self._hold(listener)
+                for number in range(50 if self.flood else 1):
+                    listener(Progress("collect", 5, 30, f"event {number}", eta_s=240.0))
+                control.wait_while("none", timeout_s=0.005 if self.flood else 0.1)
+
+    def _hold(self, listener: Listener) -> None:
+        self.control.check()
+        request = self.control.request
+        if request in ("pause", "stop"):
+            state = StateChange("paused" if request == "pause" else "stopped", "asked by a person")
+            listener(Progress("collect", 5, 30, detail=state))
+            while self.control.request == request:
+                self.control.check()
+                self.control.wait_while(request, timeout_s=0.1)
+            self.control.check()
+            listener(Progress("collect", 5, 30, detail=StateChange("running", "resumed by a person")))
+
+    def _brake(self, verb: str) -> None:
+        self.brakes.append((verb, self.clock()))
+        self.braked.set()

@@ -1,0 +1,43 @@
+"""The program in a real terminal: a pseudo terminal whose screen is kept by pyte. POSIX only."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pyte
+
+from cellapp.commands.trials.pseudo_terminal import PseudoTerminal
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+class Terminal(PseudoTerminal):
+    """A program in a pseudo terminal. ``text`` is what a person sees, a line for each line of the screen."""
+
+    def __init__(
+        self, command: list[str], folder: Path, columns: int = 120, rows: int = 40, **environment: str
+    ) -> None:
+        self.screen = pyte.Screen(columns, rows)
+        self._stream = pyte.ByteStream(self.screen)
+        super().__init__(command, folder, columns, rows, {"PYTHONPATH": str(ROOT), **environment})
+
+    def take(self, data: bytes) -> None:
+        """Draw."""
+        self._stream.feed(data)
+
+    def shown(self) -> str:
+        """The screen, a line for each of its lines."""
+        return "\n".join(line.rstrip() for line in self.screen.display)
+
+
+@contextlib.contextmanager
+def cellapp(folder: Path, columns: int = 120, rows: int = 40) -> Iterator[Terminal]:
+    """The application in a terminal of a folder."""
+    terminal = Terminal([sys.executable, "-m", "cellapp"], folder, columns, rows)
+    try:
+        yield terminal
+    finally:
+        terminal.close()

@@ -1,0 +1,331 @@
+"""The screen Accept: verdict and marks; every job is started, stopped, refused in its dialog, and shows its result.
+
+The verbs are stood in for where driving is not what is tested: their own tests drive.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import Checkbox, Input, Static, TabbedContent
+
+from cellapp.cell.run import RunFile
+from cellapp.commands.check import run as check_verb
+from cellapp.commands.iso9283 import run as iso_verb
+from cellapp.commands.run_results import ReportResult
+from cellapp.commands.stages import append_stage, basis_on_model, read_results, read_stages
+from cellapp.estimation.iso9283.records import Iso9283Result
+from cellapp.estimation.monitoring.check.records import CheckedArm, CheckResult
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.progress import Listener, Progress, StateChange
+from cellapp.ground.results import CALIBRATE, CHECK, ISO9283, Result, StageName
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.dialogs.certificate import (
+    CertificateRequest,
+    CheckCertificate,
+    NewSignKey,
+    WriteCertificate,
+)
+from cellapp.interfaces.tui.dialogs.check_calibration import FEWEST_STOPS, STOPS, CheckCalibration
+from cellapp.interfaces.tui.dialogs.iso9283_tests import CYCLES, DRIFT_MIN, Iso9283Tests
+from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
+from cellapp.interfaces.tui.dialogs.question import Choice, Reading
+from tests.cell.run.small_runs import collected_run
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, exit_code, log_text, opened, shown_text, until
+
+TWIN = PROFILES / "twin.yaml"
+VALID = CheckResult(
+    verdict="valid",
+    planned=20,
+    sure_after=9,
+    p_value=0.4,
+    arms={"left": CheckedArm(stops=9, expected_mm=0.03, rms_mm=0.03)},
+)
+MOVED = VALID.model_copy(update={"verdict": "tracker moved", "p_value": 1e-9})
+TESTED = Iso9283Result(tests=("pose",), arms={}, missing=("arm left: cycle 3 of pose P2: beam broken",))
+PASSPHRASE = "correct horse battery"
+
+
+@dataclass
+class Driving:
+    """A stand-in of a verb that drives: it reports, can be stopped, and stores its result once it may go on."""
+
+    stage: StageName
+    result: Result
+    note: str
+    asks: bool = False
+    asked: dict[str, Any] = field(default_factory=dict)
+    began: threading.Event = field(default_factory=threading.Event)
+    go_on: threading.Event = field(default_factory=threading.Event)
+    brakes: list[str] = field(default_factory=list)
+
+    def check_run(self, run: RunFile, listener: Listener, control: JobControl, **asked: Any) -> Result:
+        """As ``cellapp.commands.check.run.check_run``."""
+        self.asked = asked
+        return self._drive(run, listener, control)
+
+    def iso9283_run(
+        self, run: RunFile, tests: tuple[str, ...], listener: Listener, control: JobControl, **asked: Any
+    ) -> Result:
+        """As ``cellapp.commands.iso9283.run.iso9283_run``."""
+        self.asked = {"tests": tests, **asked}
+        return self._drive(run, listener, control)
+
+    def _drive(self, run: RunFile, listener: Listener, control: JobControl) -> Result:
+        if self.asks and not self.asked["ask"]("First motion: arm left turns joint 1 by 9 deg."):
+            raise InputError("the first motion was not confirmed; nothing was moved")
+        with control.brakes(self.brakes.append):
+            listener(Progress(self.stage, 3, 20, self.note))
+            self.began.set()
+            while not self.go_on.is_set():
+                control.check()
+                if control.request == "pause":
+                    listener(Progress(self.stage, 3, 20, detail=StateChange("paused", "asked by a person")))
+                control.wait_while(control.request, timeout_s=0.02)
+        stages = read_stages(run)
+        append_stage(run, self.stage, self.result, basis_on_model(run, stages.in_force))  # type: ignore[arg-type]
+        return self.result
+
+
+async def show_accept(pilot: Pilot[None], app: CellApp, run: Path | None) -> None:
+    """Open a run, show the screen, wait for its verdict."""
+    await opened(pilot, app)
+    if run is not None:
+        app.open_run(run, TWIN)
+        await until(pilot, lambda: app.workspace.folder == run, "the run")
+    await pilot.press("7")
+    await until(pilot, lambda: app.day_screen.STEP == "accept", "the screen")
+    await until(pilot, lambda: "reading" not in decision(app), "the verdict")
+
+
+def decision(app: CellApp) -> str:
+    return str(app.day_screen.query_one("#decision", Static).content)
+
+
+def outdated(app: CellApp) -> str:
+    return str(app.day_screen.query_one("#outdated", Static).content)
+
+
+def tab(app: CellApp) -> str:
+    return app.day_screen.query_one("#accept", TabbedContent).active
+
+
+def fill(app: CellApp, **texts: str) -> None:
+    for name, text in texts.items():
+        app.screen.query_one(f"#{name}", Input).value = text
+
+
+async def ask(pilot: Pilot[None], app: CellApp, key: str, dialog: type) -> None:
+    """Press a key and wait for its dialog; all of it fits into the smallest terminal."""
+    await pilot.press(key)
+    await until(pilot, lambda: isinstance(app.screen, dialog), "the dialog")
+    await until(pilot, lambda: any(word in shown_text(app) for word in ("Not now", "Close")), "its answers")
+
+
+async def test_the_verdict_what_comes_next_and_the_report(finished_copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    printed: list[Path | None] = []
+
+    def report_run(run: RunFile, pdf: Path | None = None) -> ReportResult:
+        printed.append(pdf)
+        return ReportResult(run=str(run.folder), page=str(run.folder / "report.html"))
+
+    monkeypatch.setattr("cellapp.commands.pipeline.report_run", report_run)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_accept(pilot, app, finished_copy)
+        assert decision(app).startswith("Cannot say")
+        await until(pilot, lambda: "Errors against their tolerances [mm]" in shown_text(app), "the judgements")
+        assert not app.day_screen.query_one("#outdated").display
+        await pilot.press(*["pagedown"] * 5)
+        await until(pilot, lambda: "cellapp check" in shown_text(app), "what comes next")
+        for name, says in (("check", "k measures"), ("iso9283", "i measures"), ("certificate", "s writes")):
+            await pilot.press("t")
+            await until(pilot, lambda name=name: tab(app) == f"{name}-pane", "the tab")  # type: ignore[misc]
+            await until(pilot, lambda says=says: says in shown_text(app), "what can be done")  # type: ignore[misc]
+        for answer in ("w", "d"):
+            await ask(pilot, app, "o", Choice)
+            await pilot.press(answer)
+            await ended(pilot, app)
+    assert printed == [None, finished_copy / "report.pdf"]
+
+
+async def test_what_is_out_of_date_is_loud_on_every_tab(finished_copy: Path) -> None:
+    with RunFile.open(finished_copy, write=True) as run:
+        stored = read_stages(run).current[CALIBRATE]
+        result = read_results(run).calibrate
+        assert result is not None
+        assert stored.basis is not None
+        append_stage(run, CALIBRATE, result, stored.basis.model_copy(update={"profile": "another"}), stored.model)
+    (finished_copy / "report.html").write_text("<html>")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_accept(pilot, app, finished_copy)
+        assert "OUT OF DATE: report.html" in outdated(app)
+        assert "calibrate" in outdated(app)
+        for _ in range(4):
+            assert "! OUT OF DATE" in shown_text(app)
+            await pilot.press("t")
+        await ask(pilot, app, "i", Iso9283Tests)
+        assert "The model is not up to date" in shown_text(app)
+        assert "Use this model all the same (u)" in shown_text(app)
+
+
+async def test_what_is_missing_is_said_with_a_way_on(tmp_path: Path) -> None:
+    collected_run(tmp_path / "run", "complete", 3)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_accept(pilot, app, None)
+        assert decision(app).startswith("No run is open")
+        for key in ("k", "s", "o"):
+            app.say("")
+            await pilot.press(key)
+            assert app.message.startswith("No run is open")
+        app.open_run(tmp_path / "run", TWIN)
+        await until(pilot, lambda: decision(app).startswith("Not calibrated yet"), "the verdict")
+        for key in ("k", "o"):
+            app.say("")
+            await pilot.press(key)
+            assert app.message.startswith("This run is not calibrated yet")
+        await ask(pilot, app, "i", Iso9283Tests)
+        kinds = [box.id for box in app.screen.query(Checkbox) if box.id in ("nominal", "calibrated")]
+        assert kinds == ["nominal"], "without a calibration only the nominal commands are possible"
+        await pilot.press("n")
+        assert not app.jobs.running
+
+
+async def test_a_check_is_asked_for_driven_stopped_and_judged(
+    finished_copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driving = Driving(CHECK, VALID, "stop 4 of 20: still valid, p = 0.4")
+    monkeypatch.setattr(check_verb, "check_run", driving.check_run)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_accept(pilot, app, finished_copy)
+        await ask(pilot, app, "k", CheckCalibration)
+        assert "the arms are simulated" in shown_text(app)
+        for wrong in ("", "3", "many"):
+            fill(app, stops=wrong)
+            await pilot.press("b")
+            assert f"at least {FEWEST_STOPS}" in shown_text(app)
+        fill(app, stops="12")
+        await pilot.press("b")
+        await until(pilot, lambda: "still valid, p = 0.4" in shown_text(app), "the evidence so far")
+        assert tab(app) == "check-pane"
+        assert "3/20" in shown_text(app)
+        assert driving.asked["stops"] == 12
+        await pilot.press("escape")
+        assert driving.brakes, "the key calls the brakes"
+        assert "STOP" in app.message
+        await pilot.press("x")
+        await ended(pilot, app)
+        assert app.message.startswith("Aborted")
+        await until(pilot, lambda: "was not checked yet" in shown_text(app), "that nothing was stored")
+
+        await ask(pilot, app, "k", CheckCalibration)
+        await pilot.press("b")
+        await until(pilot, lambda: "3/20" in shown_text(app), "the second drive")
+        await pilot.press("p")
+        await until(pilot, lambda: "PAUSED" in shown_text(app), "the pause")
+        await pilot.press("c")
+        driving.go_on.set()
+        await ended(pilot, app)
+        await until(pilot, lambda: "the calibration still holds" in shown_text(app), "the result")
+        assert "check: done; the calibration holds" in log_text(app)
+
+        driving.result, driving.asks = MOVED, True
+        for answer, says in (("", "was not confirmed"), ("twin", "does not hold as it is: tracker moved")):
+            await ask(pilot, app, "k", CheckCalibration)
+            await pilot.press("b")
+            await until(pilot, lambda: isinstance(app.screen, MotionQuestion), "the first motion")
+            assert "joint 1 by 9 deg" in shown_text(app)
+            await pilot.press(*answer, "enter" if answer else "f10")
+            await ended(pilot, app)
+            await until(pilot, lambda says=says: says in log_text(app), "how it ended")  # type: ignore[misc]
+        assert await exit_code(pilot, app) == 1
+
+
+async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
+    finished_copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driving = Driving(ISO9283, TESTED, "arm left, cycle 3 of 4")
+    monkeypatch.setattr(iso_verb, "iso9283_run", driving.iso9283_run)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_accept(pilot, app, finished_copy)
+        await ask(pilot, app, "i", Iso9283Tests)
+        app.screen.query_one("#pose", Checkbox).value = False
+        await pilot.press("b")
+        assert "Mark a test" in shown_text(app)
+        app.screen.query_one("#distance", Checkbox).value = True
+        app.screen.query_one("#nominal", Checkbox).value = False
+        wrong = {"cycles": ("many cycles", ("2.5", "nan")), "speed": ("percent", ("101",))}
+        for name, (says, texts) in {**wrong, "minutes": ("many minutes", ("0",))}.items():
+            right = app.screen.query_one(f"#{name}", Input).value
+            for text in texts:
+                fill(app, **{name: text})
+                await pilot.press("b")
+                assert says in shown_text(app)
+            fill(app, **{name: right})
+        fill(app, cycles="4", speed="50", arm="left")
+        await pilot.press("b")
+        await until(pilot, lambda: "cycle 3 of 4" in shown_text(app), "the progress")
+        assert tab(app) == "iso9283-pane"
+        asked = {name: value for name, value in driving.asked.items() if name != "ask"}
+        assert asked == {
+            "tests": ("distance",), "cycles": 4, "speed_share": 0.5, "arms": ("left",), "commands": ("calibrated",),
+            "drift_minutes": DRIFT_MIN, "out_of_date": False,
+        }  # fmt: skip
+        driving.go_on.set()
+        await ended(pilot, app)
+        await until(pilot, lambda: "cycle 3 of pose P2: beam broken" in shown_text(app), "what is missing")
+        assert "Nothing was tested yet" not in shown_text(app)
+
+
+async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finished_copy: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_accept(pilot, app, finished_copy)
+        await ask(pilot, app, "g", NewSignKey)
+        fill(app, key="mine.pem", passphrase=PASSPHRASE, again="another one")
+        await pilot.press("enter", "m")
+        assert "The passphrases differ" in shown_text(app)
+        fill(app, again=PASSPHRASE)
+        assert PASSPHRASE not in shown_text(app)
+        await pilot.press("enter", "m")
+        await until(pilot, lambda: isinstance(app.screen, Reading), "the key")
+        assert "mine.pub" in shown_text(app)
+        await pilot.press("q")
+        for passphrase, says in (("wrong", "wrong passphrase"), (PASSPHRASE, "was written")):
+            await ask(pilot, app, "s", WriteCertificate)
+            assert app.screen.query_one("#key", Input).value == "mine.pem", "the key that was made"
+            fill(app, number="K-1", passphrase=passphrase)
+            await pilot.press("enter", "w")
+            await ended(pilot, app)
+            await until(pilot, lambda says=says: says in app.message, "how it ended")  # type: ignore[misc]
+        assert tab(app) == "certificate-pane"
+        await until(pilot, lambda: "not given: " in shown_text(app), "what is missing")
+        for content, says in ((b"", "signature valid"), (b" ", "signature wrong")):
+            certificate = finished_copy / "certificate.json"
+            certificate.write_bytes(certificate.read_bytes() + content)
+            await ask(pilot, app, "f", CheckCertificate)
+            fill(app, key="mine.pub")
+            await pilot.press("enter", "c")
+            await ended(pilot, app)
+            await until(pilot, lambda says=says: says in shown_text(app), "the check")  # type: ignore[misc]
+        assert PASSPHRASE not in log_text(app)
+    assert PASSPHRASE not in "".join(path.read_text("utf-8", "replace") for path in finished_copy.iterdir())
+
+
+def test_a_passphrase_is_in_no_text() -> None:
+    assert PASSPHRASE not in repr(CertificateRequest("1", None, None, Path("key"), PASSPHRASE))
+
+
+def test_the_dialogs_propose_what_the_commands_do() -> None:
+    assert (STOPS, FEWEST_STOPS) == (check_verb.STOPS, check_verb.FEWEST_STOPS)
+    assert (CYCLES, DRIFT_MIN) == (iso_verb.CYCLES, iso_verb.DRIFT_MIN)

@@ -1,0 +1,355 @@
+"""The application around its screens: jobs and their ends, keys, dialogs, quitting."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from textual.geometry import Region
+from textual.widgets import Input
+
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.progress import Progress
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, completions
+from cellapp.interfaces.tui.dialogs.palette import Palette
+from cellapp.interfaces.tui.dialogs.question import Choice, Question, Reading
+from cellapp.interfaces.tui.endings import ERROR_LOG
+from cellapp.interfaces.tui.screens import SCREENS
+from cellapp.interfaces.tui.widgets.header import StepTab
+from cellapp.interfaces.tui.widgets.stop import StopButton
+from tests.interfaces.tui.pilot import (
+    PROFILES,
+    SIZES,
+    SMALL,
+    WAIT_S,
+    HeldJob,
+    ended,
+    exit_code,
+    log_text,
+    opened,
+    shown_text,
+    until,
+)
+
+
+async def test_every_screen_is_one_key_away_and_shows_where_one_is() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        for entry in (*SCREENS, SCREENS[0]):
+            await pilot.press(entry.key)
+            await pilot.pause()
+            assert entry.step == app.day_screen.STEP
+            (present,) = app.screen.query(".step.present").results(StepTab)
+            assert present.step == entry.step
+            assert " SIMULATED " in shown_text(app).splitlines()[0]
+
+
+@pytest.mark.fast
+async def test_a_click_on_a_step_and_the_next_step_show_their_screens() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        await pilot.click(list(app.screen.query(StepTab))[4])
+        await until(pilot, lambda: app.day_screen.STEP == "discover", "the screen")
+        await pilot.press("n")
+        await until(pilot, lambda: app.day_screen.STEP == "plan", "the step that comes next without a run")
+
+
+@pytest.mark.parametrize("size", SIZES)
+async def test_stop_is_in_the_same_corner_of_every_screen_and_dialog(size: tuple[int, int]) -> None:
+    app = CellApp(PROFILES)
+    corner = Region(size[0] - 11, 0, 11, 1)
+    async with app.run_test(size=size) as pilot:
+        await opened(pilot, app)
+        for entry in SCREENS:
+            await pilot.press(entry.key)
+            await pilot.pause()
+            assert app.screen.query_one(StopButton).region == corner
+            assert shown_text(app).splitlines()[0].endswith(" STOP  Esc")
+        for key in ("ctrl+p", "question_mark", "f5"):
+            await pilot.press(key)
+            await until(pilot, lambda: isinstance(app.screen, Question | Palette), f"the dialog of {key}")
+            await pilot.pause()
+            assert app.screen.query_one(StopButton).region == corner
+            assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
+            await pilot.press("escape")
+            await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
+
+
+@pytest.mark.fast
+async def test_events_and_the_end_of_a_job_are_shown_on_every_screen() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, lambda: "collect 7/30" in shown_text(app), "the job in the header")
+        await pilot.press("4")
+        await until(pilot, lambda: "collect 7/30" in shown_text(app), "the job in the header of another screen")
+        assert not app.start_job(held.job())
+        assert "still running" in app.message
+        held.go_on.set()
+        await ended(pilot, app)
+        assert app.message == "collect: done."
+        await until(pilot, lambda: "collect: done." in shown_text(app), "the end")
+        assert "collect 7/30 stop 8" in log_text(app)
+        assert await exit_code(pilot, app) == 0
+
+
+async def test_a_stopped_job_says_how_to_go_on_from_the_step_it_was_in() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        for last, way in (
+            (Progress("plan", 3, 30), "nothing is left to resume"),
+            (Progress("plan", 30, 30), "cellapp collect 'my run' --resume"),
+            (Progress("collect", 3, 30), "cellapp collect 'my run' --resume"),
+            (Progress("calibrate", 1, 3), "cellapp calibrate 'my run'"),
+            (Progress("discover", 0, 2), "cellapp discover 'my run'"),
+            (Progress("push", 0, 2), "cellapp push 'my run' TARGETS --verify"),
+        ):
+            held.events = (last,)
+            app.start_job(held.job(folder=Path("my run")))
+            await until(pilot, held.reached.is_set, "the job")
+            await pilot.press("escape")
+            assert app.message == "Stopping at the next step."
+            held.go_on.set()
+            await ended(pilot, app)
+            assert app.message.startswith("Stopped; ")
+            assert way in app.message
+        assert await exit_code(pilot, app) == 4
+
+
+@pytest.mark.fast
+async def test_errors_are_sentences() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        for error, text in (
+            (InputError("a.yaml: seed: expected [int]"), "a.yaml: seed: expected [int]"),
+            (HardwareError("left: no answer"), "left: no answer; then go on here"),
+        ):
+            held.error = error
+            app.start_job(held.job(folder=Path("here")))
+            held.go_on.set()
+            await ended(pilot, app)
+            assert app.message.startswith(text)
+        assert "Traceback" not in log_text(app)
+        assert not Path("here").exists()
+        assert await exit_code(pilot, app) == HardwareError.exit_code
+
+
+@pytest.mark.fast
+async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> None:
+    held = HeldJob(error=ZeroDivisionError("by the test"))
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job(folder=Path("here")))
+        held.go_on.set()
+        await ended(pilot, app)
+        kept = Path("here") / ERROR_LOG
+        assert str(kept) in app.message
+        assert "ZeroDivisionError: by the test" in kept.read_text(encoding="utf-8")
+        Path("file").write_text("not a folder")
+        app.start_job(held.job(folder=Path("file")))
+        held.go_on.set()
+        await ended(pilot, app)
+        assert "by the test" in app.message
+        assert "could not be written" in app.message
+        assert await exit_code(pilot, app) == 3
+
+
+@pytest.mark.fast
+async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_text("schema: cellapp-profile\nversion: 1\nname: bad\nsede: 1\n")
+    app = CellApp(tmp_path)
+    async with app.run_test(size=SMALL) as pilot:
+        await until(pilot, lambda: "sede" in app.message, "the sentence")
+        assert "bad.yaml" in app.message
+        await pilot.press("f5")
+        assert app.message.startswith("No profile is open")
+        assert not app.jobs.running
+        assert not Path("logs").exists()
+
+
+@pytest.mark.fast
+async def test_the_whole_day_asks_before_it_begins() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        await pilot.press("f5")
+        assert isinstance(app.screen, Choice)
+        assert "simulated" in shown_text(app)
+        await pilot.press("n")
+        await pilot.pause()
+        assert not app.jobs.running
+        assert app.day_screen.STEP == "cell"
+
+
+@pytest.mark.fast
+async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job(folder=Path("here")))
+        app.open_profile(PROFILES / "ur10-ur5.yaml")
+        assert "moves arms" in app.message
+        held.go_on.set()
+        await ended(pilot, app)
+        assert app.workspace.kind == "simulated"
+        app.open_profile(PROFILES / "ur10-ur5.yaml")
+        await until(pilot, lambda: " REAL ARMS " in shown_text(app).splitlines()[0], "the other profile")
+
+
+@pytest.mark.fast
+async def test_an_empty_folder_offers_the_twin(tmp_path: Path) -> None:
+    app = CellApp(tmp_path / "profiles")
+    async with app.run_test(size=SMALL) as pilot:
+        await until(pilot, lambda: "Try the simulated twin" in shown_text(app), "the welcome")
+        await pilot.press("enter")
+        await opened(pilot, app)
+        assert app.workspace.profile is not None
+        assert app.workspace.profile.name == "twin"
+        assert (tmp_path / "profiles" / "twin.yaml").is_file()
+        assert "F5" in app.message
+
+
+@pytest.mark.fast
+async def test_quitting_with_a_job_asks_stops_and_waits_for_its_end() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, held.reached.is_set, "the job")
+        await pilot.press("q")
+        assert isinstance(app.screen, Choice)
+        await pilot.press("n")
+        await until(pilot, lambda: not isinstance(app.screen, Choice), "the end of the question")
+        await pilot.press("ctrl+q")
+        await pilot.pause()
+        assert isinstance(app.screen, Choice)
+        assert app.focused is app.screen.query_one("#stay")
+        await pilot.press("y")
+        assert app.jobs.running
+        assert "then quitting" in app.message
+        held.go_on.set()
+        await until(pilot, lambda: app.return_code is not None, "the end of the application")
+    assert app.return_code == 4
+    assert held.thread is not None
+    held.thread.join(WAIT_S)
+    assert not held.thread.is_alive()
+
+
+@pytest.mark.fast
+async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES, patience_s=0.05)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, held.reached.is_set, "the job")
+        await pilot.press("q", "y")
+        await until(pilot, lambda: app.return_code is not None, "the end of the application")
+    assert app.return_code == 3
+    assert held.thread is not None
+    assert held.thread.daemon
+    held.go_on.set()
+    held.thread.join(WAIT_S)
+    assert not held.thread.is_alive()
+
+
+@pytest.mark.fast
+async def test_an_application_that_goes_away_ends_its_job() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, held.reached.is_set, "the job")
+        assert not held.control.cancelled
+    assert held.control.cancelled
+    held.go_on.set()
+    app.wait_for_job()
+    assert held.thread is not None
+    assert not held.thread.is_alive()
+
+
+@pytest.mark.fast
+async def test_the_palette_finds_actions_of_the_application_and_of_the_screen() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        await pilot.press("ctrl+p")
+        await until(pilot, lambda: "Doctor" in shown_text(app), "an action of the screen")
+        await pilot.press(*"day")
+        await until(pilot, lambda: "asks first" in shown_text(app), "the action that was searched")
+        await pilot.press("enter")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "its question")
+
+
+async def test_help_of_every_screen() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        for entry in SCREENS:
+            await pilot.press(entry.key, "question_mark")
+            await until(pilot, lambda: isinstance(app.screen, Reading), f"the help of {entry.step}")
+            await pilot.press("escape")
+            await until(pilot, lambda: app.screen is app.day_screen, "the end of the help")
+
+
+@pytest.mark.fast
+async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path: Path) -> None:
+    for name in ("cell-one.yaml", "cell-two.yaml", "notes.txt", ".hidden.yaml"):
+        (tmp_path / name).write_text("name: x\n")
+    (tmp_path / "cellar").mkdir()
+    chosen: list[Path | None] = []
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        picker = FilePicker("Which profile?", tmp_path, lambda path: path.suffix == ".yaml")
+        app.push_screen(picker, chosen.append)
+        await pilot.pause()
+        await pilot.press(*"cell-", "tab", *"o", "tab")
+        assert picker.query_one("#path", Input).value == str(tmp_path / "cell-one.yaml")
+        await pilot.press("backspace", "enter")
+        await pilot.pause()
+        assert not chosen, "there is no such file"
+        assert "no such file" in shown_text(app)
+        await pilot.press("l", "enter")
+        await until(pilot, lambda: chosen, "the choice")
+    assert chosen == [tmp_path / "cell-one.yaml"]
+
+
+@pytest.mark.fast
+def test_completions_list_folders_and_wanted_files(tmp_path: Path) -> None:
+    for name in ("b.yaml", "b.txt", ".b.yaml"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "bin").mkdir()
+
+    def wanted(path: Path) -> bool:
+        return path.suffix == ".yaml"
+
+    assert completions(f"{tmp_path}/b", wanted) == [f"{tmp_path}/b.yaml", f"{tmp_path}/bin/"]
+    assert completions(f"{tmp_path}/.b", wanted) == [f"{tmp_path}/.b.yaml"]
+    assert completions(f"{tmp_path}/nowhere/x", wanted) == []
+
+
+@pytest.mark.fast
+def test_importing_is_cheap_and_opening_loads_no_numerics() -> None:
+    script = (
+        "import sys, cellapp.interfaces.tui\n"
+        "assert not {'textual', 'torch', 'scipy'} & set(sys.modules)\n"
+        "import cellapp.interfaces.tui.app\n"
+        "assert not {'torch', 'scipy'} & set(sys.modules)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], cwd=PROFILES.parent, timeout=WAIT_S).returncode == 0

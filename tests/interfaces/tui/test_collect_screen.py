@@ -1,0 +1,451 @@
+"""The screen Collect: every kind of event, the states, begin, resume, drift, what a run stores, floods of events."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from textual.pilot import Pilot
+
+from cellapp.cell.run import ReferenceRow
+from cellapp.ground.control import Request
+from cellapp.ground.progress import (
+    AirReport,
+    Detail,
+    JobState,
+    LogReport,
+    MeasurementBegun,
+    MotionBegun,
+    MotionEnded,
+    PointMeasured,
+    PointMissed,
+    Progress,
+    ReferenceReport,
+    StateChange,
+    StopReport,
+    Suspicion,
+)
+from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.screens.collect_state import headline
+from cellapp.interfaces.tui.widgets.log_view import LogView
+from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
+from cellapp.interfaces.tui.workspace import Workspace
+from tests.cell.run.small_runs import add_stop, collected_run, planned_run
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
+
+Q0 = (0.5,) * 6
+Q1 = (-1.0, 0.25, 1.0, 1.5, -0.5, 2.0)
+WARM = (31.2, 31.3, 31.4, 31.5, 31.6, 31.7)
+EVERY_DETAIL: tuple[Detail, ...] = (
+    LogReport("info", "the weather station answers"),
+    MotionBegun(3, {"left": Q0, "right": Q0}, {"left": Q1, "right": Q1}, 4.2),
+    MotionEnded(3, {"left": Q1, "right": Q1}, {"left": WARM}),
+    MeasurementBegun(3, "left"),
+    PointMeasured(3, "left", Q1, (1.234567, -0.5, 0.25), 0.0123, 21.25),
+    AirReport(21.25, 1013.0, 44.0),
+    PointMissed(3, "right", "the beam was broken"),
+    *(StopReport(stop, "left", 0.05 + 0.01 * stop, 0.2 / (stop + 1), {}) for stop in range(4)),
+    Suspicion("loose SMR", "fasten the SMR of the left arm", "left"),
+    ReferenceReport({"arm left": 0.01}, 0.1),
+    ReferenceReport({"arm left": 0.034}, 0.1),
+    MotionBegun(None, {"right": Q1}, {"right": Q0}, 3.0),
+)
+EVERY_KIND = (
+    Progress("plan", 30, 30, "done"),
+    *(Progress("collect", 4, 30, "stop 5", 7200.0, detail) for detail in EVERY_DETAIL),
+)
+
+
+async def show_collect(pilot: Pilot[None], app: CellApp, run: Path | None = None) -> None:
+    """The screen Collect, with a run where one is given."""
+    await opened(pilot, app)
+    if run is not None:
+        app.open_run(run)
+        await until(pilot, lambda: app.workspace.folder == run, "the run")
+    await pilot.press("3")
+    await until(pilot, lambda: app.screen is app.day_screen and app.day_screen.STEP == "collect", "the screen")
+    await pilot.pause()
+
+
+async def begun(
+    pilot: Pilot[None], app: CellApp, held: HeldJob, name: str = "collect", last: str = "LOOSE SMR"
+) -> None:
+    """A job whose events are drawn."""
+    app.start_job(held.job(name))
+    await until(pilot, lambda: last in shown_text(app), "the events on the screen")
+
+
+async def finished(pilot: Pilot[None], app: CellApp, held: HeldJob) -> None:
+    held.go_on.set()
+    await ended(pilot, app)
+
+
+@pytest.fixture(autouse=True)
+def _no_offers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(work, "interrupted_run", lambda logs: None)
+
+
+# -- the states in words -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("state", "request_", "word", "sentence"),
+    [
+        ("running", "none", "RUNNING", "Escape brakes all arms"),
+        ("running", "pause", "PAUSING", "p or c resumes"),
+        ("running", "stop", "STOPPED", "c resumes when the cell is clear; x ends it."),
+        ("running", "abort", "ABORTED", "the job ends"),
+        ("paused", "pause", "PAUSED", "because. The arms rest. p or c resumes"),
+        ("suspended", "none", "SUSPENDED", "because. It resumes by itself"),
+        ("stopped", "stop", "STOPPED", "because. c resumes when the cell is clear; x ends it."),
+        ("aborted", "abort", "ABORTED", "because. The arms brake and the job ends"),
+    ],
+)
+def test_each_state_says_what_can_be_done(state: JobState, request_: Request, word: str, sentence: str) -> None:
+    record = JobRecord()
+    record.begin("collect")
+    record.add(Progress("collect", 1, 9, detail=StateChange(state, "because")))
+    found = headline(Workspace(), record, request_)
+    assert found.word == word
+    assert sentence in found.sentence
+    assert ("because" in found.sentence) == (state != "running")
+
+
+def test_a_stopped_job_says_what_a_person_may_do_though_an_arm_gives_no_data() -> None:
+    record = JobRecord(name="collect", state="stopped", reason="arm right: link lost", lost=("arm right",))
+    found = headline(Workspace(), record, "none")
+    assert (found.word, found.sentence) == (
+        "STOPPED",
+        "arm right: link lost. c resumes when the cell is clear; x ends it.",
+    )
+    assert headline(Workspace(), replace(record, state="running"), "none").word == "NO DATA"
+
+
+@pytest.mark.parametrize("state", ["running", "stopped"])
+def test_a_replay_says_that_nothing_moves_whatever_was_recorded(state: JobState) -> None:
+    record = JobRecord()
+    record.begin("replay x10")
+    record.add(Progress("replay", 1, 9, detail=StateChange(state, "a fault of arm left")))
+    found = headline(Workspace(), record, "none")
+    assert found.word == "REPLAY x10, nothing moves"
+    assert "clear" not in found.sentence
+    assert ("Recorded: STOPPED, a fault of arm left." in found.sentence) == (state == "stopped")
+    assert headline(Workspace(), record, "pause").word.endswith("PAUSED")
+
+
+# -- a job -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
+async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int]) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=size) as pilot:
+        await show_collect(pilot, app)
+        held = HeldJob(EVERY_KIND)
+        await begun(pilot, app, held)
+        text = shown_text(app)
+        for words in (
+            "RUNNING",
+            "left MEASURED stop 4",
+            "right MOVING, 3 s",
+            "err 0.080 mm, std. error 0.0500 mm",
+            "tracker → right",
+            "(1234.567, -500.000, 250.000) ± 0.012 mm",
+            "air 21.2",
+            "4/30 2 h 00 min left, at ",
+            "! LOOSE SMR, arm left: fasten the SMR of the left arm",
+            "the weather station answers",
+        ):
+            assert words in text, words
+        degrees = ("-57.3", "14.3", "114.6") if size != SMALL else ("-57", "14", "115")
+        assert all(number in text for number in (*degrees, "31"))
+        for name in ("#state", "#arms", "TrackerPanel", "ProgressBars", "#suspicions", "LogView"):
+            (widget,) = app.screen.query(name)
+            assert widget.size.height > 0, name
+            assert app.screen.region.contains_region(widget.region), name
+        assert app.screen.query_one(LogView).size.height >= 5
+        await see_plots(pilot, app)
+        await pilot.press("l")
+        assert app.focused is app.screen.query_one(LogView)
+        await finished(pilot, app, held)
+
+
+async def see_plots(pilot: Pilot[None], app: CellApp) -> None:
+    """Each plot comes into view, with its title and its message."""
+    plots = list(app.screen.query(ChartPlot))
+    await until(pilot, lambda: all(plot.chart is not None and not plot.chart.is_empty for plot in plots), "data")
+    seen = ""
+    for _ in plots:
+        await pilot.press("g")
+        await pilot.pause()
+        seen += " ".join(shown_text(app).split())
+    for words in ("Residual of each stop", "Standard error of a prediction", "Drift of the references", "0.034"):
+        assert words in seen, words
+
+
+async def test_a_whole_day_shows_the_parts_to_come_and_its_present_one_where_lines_are_scarce() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(200, 60)) as pilot:
+        await show_collect(pilot, app)
+        held = HeldJob(EVERY_KIND)
+        await begun(pilot, app, held, "run")
+        lines = [line.split() for line in shown_text(app).splitlines()]
+        parts = [line[0] for line in lines if line and line[0] in ("plan", "collect", "calibrate", "discover", "push")]
+        assert parts == ["plan", "collect", "calibrate", "discover", "push"]
+        assert sum(line[1:3] == ["to", "come"] for line in lines) == 3
+        await pilot.resize_terminal(120, 40)
+        await pilot.pause()
+        assert app.screen.query_one(ProgressBars).size.height == 1
+        assert "part 2 of 5" in shown_text(app)
+        await finished(pilot, app, held)
+
+
+async def test_pause_and_stop_change_the_large_word_and_its_sentence() -> None:
+    app = CellApp(PROFILES)
+    job = MovingJob()
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app)
+        app.start_job(job.job())
+        await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
+        await pilot.press("p")
+        await until(pilot, lambda: "PAUSED  asked by a person. The arms rest" in shown_text(app), "the pause")
+        await pilot.press("c")
+        await until(pilot, lambda: "RUNNING" in shown_text(app), "running again")
+        await pilot.press("escape")
+        await until(pilot, lambda: "STOPPED  asked by a person. c resumes when the" in shown_text(app), "the stop")
+        assert app.screen.query_one("#state").has_class("halted")
+        await pilot.press("x")
+        await ended(pilot, app)
+
+
+async def test_a_flood_of_events_keeps_the_keys_answered() -> None:
+    app = CellApp(PROFILES)
+    job = MovingJob(flood=True)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app)
+        app.start_job(job.job())
+        view = app.screen.query_one(LogView)
+        await pilot.press("D")
+        await until(pilot, lambda: view.rows.counts["debug"] > 500, "the flood")
+        for key, shown in (("g", "plots"), ("t", "collected"), ("l", "log")):
+            await pilot.press(key)
+            assert app.screen.has_class(shown)
+            assert app.jobs.running
+        await pilot.press("slash", *"event 7", "enter")
+        assert view.wanted == "event 7"
+        assert not job.brakes
+        await pilot.press("escape")
+        assert [verb for verb, _ in job.brakes] == ["stop"]
+        await pilot.press("x")
+        await ended(pilot, app)
+
+
+async def test_a_replay_is_shown_as_one() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app)
+        held = HeldJob(EVERY_KIND)
+        await begun(pilot, app, held, "replay x10")
+        assert "REPLAY x10, nothing moves" in shown_text(app)
+        assert "RUNNING" not in shown_text(app)
+        await finished(pilot, app, held)
+
+
+# -- a run -------------------------------------------------------------------------------------------------------------
+
+
+async def test_without_a_run_it_says_how_to_come_to_one() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app)
+        assert "NO RUN  No run is open: plan one (key 2), or open one on the screen Runs" in shown_text(app)
+        await pilot.press("b", "e", "a")
+        assert not app.jobs.running
+        assert app.screen is app.day_screen
+        await pilot.press("o")
+        await until(pilot, lambda: "No run is open, so there is no stored log." in shown_text(app), "the sentence")
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[HeldJob, dict[str, Any]]]:
+    """Collections that are asked for: each is held, with what was asked."""
+    calls: list[tuple[HeldJob, dict[str, Any]]] = []
+
+    def collect(folder: Path, **how: bool) -> object:
+        calls.append((HeldJob(()), {"folder": folder, **how}))
+        return calls[-1][0].job(folder=folder)
+
+    monkeypatch.setattr(work, "collect", collect)
+    return calls
+
+
+async def begin_and_end(pilot: Pilot[None], app: CellApp, held: HeldJob) -> None:
+    await until(pilot, held.reached.is_set, "the job")
+    await finished(pilot, app, held)
+
+
+async def test_begin_asks_and_collects_the_planned_run(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
+    run = Path("logs/new")
+    planned_run(run).close()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app, run)
+        assert "READY, 4 stops  b begins." in shown_text(app)
+        await pilot.press("e", "a")  # there is nothing to resume
+        assert app.screen is app.day_screen
+        await pilot.press("b")
+        assert isinstance(app.screen, Choice)
+        assert "Measure 4 stops" in shown_text(app)
+        await pilot.press("n")
+        assert not app.jobs.running
+        await pilot.press("b", "b")
+        await begin_and_end(pilot, app, asked[-1][0])
+        assert asked[-1][1] == {"folder": run, "resume": False, "accept_drift": False}
+
+
+async def test_an_interrupted_run_is_resumed(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
+    run = collected_run(Path("logs/part"), "stopped")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app, run)
+        assert "INTERRUPTED, 2 of 4 stops  e measures the 2 stops that are left." in shown_text(app)
+        await pilot.press("b", "a")
+        assert app.screen is app.day_screen
+        await pilot.press("e", "enter")
+        await begin_and_end(pilot, app, asked[0][0])
+        assert asked[0][1] == {"folder": run, "resume": True, "accept_drift": False}
+
+
+async def test_real_arms_ask_with_their_first_path_instead(
+    asked: list[tuple[HeldJob, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = collected_run(Path("logs/part"), "stopped")
+    monkeypatch.setattr(Workspace, "kind", "real")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app, run)
+        await pilot.press("e")
+        assert not isinstance(app.screen, Choice)
+        await begin_and_end(pilot, app, asked[0][0])
+
+
+async def test_a_complete_run_leads_on(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
+    run = collected_run(Path("logs/full"), "complete", measured=4)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app, run)
+        assert "COMPLETE, 4 stops  n goes to the next step." in shown_text(app)
+        await pilot.press("b", "e", "a")
+        assert not asked
+
+
+async def test_stops_that_were_planned_since_are_offered() -> None:
+    run = collected_run(Path("logs/more"), "complete", measured=3)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app, run)
+        assert "1 MORE STOPS  3 are measured; e measures those that were planned since." in shown_text(app)
+
+
+def drifted_run(folder: Path, drift_m: float) -> Path:
+    """An interrupted run whose reference moved."""
+    with planned_run(folder) as run:
+        session = run.begin_session()
+        add_stop(run, 0)
+        for stops, x in ((0, 0.0), (1, drift_m)):
+            run.add_reference(ReferenceRow("arm left", stops, float(stops), np.array([x, 0.0, 0.0]), session))
+        run.log("warning", "the reference moved")
+        run.end_session(session, "failed", "reference arm left moved")
+    return folder
+
+
+async def test_a_drift_is_shown_and_accepted_only_beyond_its_limit(
+    asked: list[tuple[HeldJob, dict[str, Any]]],
+) -> None:
+    limit_m = planned_limit_m(Path("logs/limit"))
+    near, far = drifted_run(Path("logs/near"), 0.5 * limit_m), drifted_run(Path("logs/far"), 2.0 * limit_m)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app, near)
+        await pilot.press("a")
+        assert app.screen is app.day_screen
+        app.open_run(far)
+        await until(pilot, lambda: "a accepts that and resumes." in " ".join(shown_text(app).split()), "the run")
+        await pilot.press("g", "g", "g")
+        await pilot.pause()
+        assert "beyond the limit" in " ".join(shown_text(app).split())
+        await pilot.press("a")
+        assert isinstance(app.screen, Choice)
+        await pilot.press("b")
+        await begin_and_end(pilot, app, asked[0][0])
+        assert asked[0][1] == {"folder": far, "resume": True, "accept_drift": True}
+
+
+def planned_limit_m(folder: Path) -> float:
+    with planned_run(folder) as run:
+        return run.profile.collection.reference.drift
+
+
+async def test_a_job_that_holds_for_a_drift_is_resumed_by_accepting_it() -> None:
+    app = CellApp(PROFILES)
+    held = HeldJob(
+        (
+            Progress("collect", 4, 30, detail=ReferenceReport({"arm left": 0.3}, 0.1)),
+            Progress("collect", 4, 30, detail=StateChange("stopped", "reference arm left: 0.300 mm from its first")),
+        )
+    )
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app)
+        await begun(pilot, app, held, last="a accepts the")
+        app.jobs.control.hold()
+        await pilot.press("a")
+        assert app.jobs.control.request == "none"
+        await finished(pilot, app, held)
+
+
+async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> None:
+    run = drifted_run(Path("logs/part"), 0.0)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(120, 40)) as pilot:
+        await show_collect(pilot, app, run)
+        await until(pilot, lambda: "Sessions of collecting" in shown_text(app), "the tables")
+        assert "failed" in shown_text(app)
+        await pilot.press("l")
+        await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log")
+        assert "the reference moved" in shown_text(app)
+        await pilot.press("o")
+        await until(pilot, lambda: "Log of this session" in shown_text(app), "the log of this session")
+        await pilot.press("o")
+        await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log again")
+        await pilot.press("t")
+        held = HeldJob(EVERY_KIND)
+        await begun(pilot, app, held)
+        assert "Log of this session" in shown_text(app)
+        await finished(pilot, app, held)
+
+
+async def test_missing_readings_are_listed_with_their_reasons() -> None:
+    run = collected_run(Path("logs/part"), "stopped")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(120, 40)) as pilot:
+        await show_collect(pilot, app, run)
+        await until(pilot, lambda: "Missing readings: 4" in shown_text(app), "the tables")
+        assert "the session ended before" in shown_text(app)
+
+
+async def test_a_log_that_cannot_be_read_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = collected_run(Path("logs/part"), "stopped")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app, run)
+        (run / "run.sqlite").write_bytes(b"no run")
+        await pilot.press("o")
+        await until(pilot, lambda: "run.sqlite" in app.message, "the sentence")
+        assert app.is_running

@@ -1,0 +1,98 @@
+"""A calibration day on the simulated cell, as a new user does it: an empty folder, keys, and what the screen says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+
+from cellapp.cell.run import RunFile
+from cellapp.commands.show.overview import run_overview
+from cellapp.commands.stages import read_results
+from cellapp.interfaces.tui.app import CellApp
+from tests.interfaces.tui.pilot import SMALL, WAIT_S, shown_text, until
+from tests.twin import write_profile
+
+JOB_S = 120.0
+_SIZES = {
+    "stops": 60, "identify": 40, "train": 1, "validate": 19, "pair_identify": 25, "pair_validate": 15, "kind": "none",
+    "null_simulations": 20,
+}  # fmt: skip
+_TARGETS = ("-01,", "-02,")
+
+
+@pytest.fixture(autouse=True)
+def _small_starter(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the first start offers is the twin with fewer stops and targets; no browser is started."""
+    folder = tmp_path_factory.mktemp("starters")
+    twin = write_profile(folder)
+    text = twin.read_text("utf-8")
+    for key, value in _SIZES.items():
+        text, found = re.subn(rf"^(  {key}:) .*$", rf"\1 {value}", text, flags=re.MULTILINE)
+        assert found == 1, key
+    twin.write_text(text, "utf-8")
+    targets = folder / "targets" / "twin.yaml"
+    lines = targets.read_text("utf-8").splitlines()
+    targets.write_text("\n".join(line for line in lines if "{name" not in line or any(t in line for t in _TARGETS)))
+    monkeypatch.setattr("cellapp.cell.profile.starters.starters_folder", lambda: folder)
+    monkeypatch.setattr("cellapp.interfaces.tui.browser._has_display", lambda: False)
+
+
+async def says(pilot: Pilot[None], app: CellApp, *texts: str, wait_s: float = WAIT_S) -> None:
+    """Wait until the screen says all of this, wherever its lines break."""
+    await until(pilot, lambda: all(text in " ".join(shown_text(app).split()) for text in texts), f"{texts}", wait_s)
+
+
+async def test_from_an_empty_folder_to_a_verified_report() -> None:
+    app = CellApp(Path("profiles"))
+    async with app.run_test(size=SMALL) as pilot:
+        await says(pilot, app, "Welcome to cellapp", "Try the simulated twin (t)")
+        await pilot.press("enter")
+        await says(pilot, app, "SIMULATED", "n goes to the next step")
+        await pilot.press("n")
+        await says(pilot, app, "No run is open: plan one with g")
+        await pilot.press("g")
+        await says(pilot, app, "A new run with a plan", "Enter plans")
+        await pilot.press("enter")
+        await says(pilot, app, "60 stops, 0 measured", "Next: Collect (key n)", wait_s=JOB_S)
+        await pilot.press("n")
+        await says(pilot, app, "READY, 60 stops", "b begins")
+        await pilot.press("b")
+        await says(pilot, app, "Begin to collect?", "Begin (b)")
+        await pilot.press("b")
+        await says(pilot, app, "COMPLETE, 60 stops", "n goes to the next step", wait_s=JOB_S)
+        await pilot.press("n")
+        await says(pilot, app, "Not calibrated yet", "b calibrates")
+        await pilot.press("b")
+        await says(pilot, app, "held-out errors [mm]", "Next: Discover (key n)", wait_s=JOB_S)
+        await pilot.press("n")
+        await says(pilot, app, "Nothing was searched yet", "b searches")
+        await pilot.press("b")
+        await says(pilot, app, "error after each step", "Next: Targets (key n)", wait_s=JOB_S)
+        await pilot.press("n")
+        await says(pilot, app, "left-01: not compensated yet", "b Compensate")
+        await pilot.press("b")
+        await says(pilot, app, "left-01: compensated", "Next: Targets (key n)", "v Verify", wait_s=JOB_S)
+        await pilot.press("v")
+        await says(pilot, app, "Push and verify?", "Begin (b)")
+        await pilot.press("b")
+        await says(pilot, app, "Next: Accept (key n)", wait_s=JOB_S)
+        await pilot.press("n")
+        await says(pilot, app, "Errors against their tolerances", "conform")
+        await pilot.press("o")
+        await says(pilot, app, "Page and PDF (d)")
+        await pilot.press("w")
+        await says(pilot, app, "Next: Runs (key n)", wait_s=JOB_S)
+    (folder,) = Path("logs").iterdir()
+    assert (folder / "report.html").is_file()
+    with RunFile.open(folder) as run:
+        overview, results = run_overview(run), read_results(run)
+    assert [(stage.name, stage.out_of_date) for stage in overview.stages] == [
+        (name, None) for name in ("calibrate", "discover", "compensate", "verify")
+    ]
+    assert results.verify is not None
+    assert results.verify.complaints() == []
+    for arm in results.verify.arms.values():
+        assert arm.compensated_mm.mean < 0.1 * arm.nominal_mm.mean

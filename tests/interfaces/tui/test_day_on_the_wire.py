@@ -1,0 +1,163 @@
+"""Faults of an emulated cell while the terminal application collects: shown in words, recovered by keys, nothing lost.
+
+Emulated controllers and the tracker bridge stand behind the same drivers as real ones. What a person does at the
+machine, such as releasing a protective stop at the pendant, the test does at the emulator; the program never does it.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.commands.trials.storm_cell import StormCell, emulated_cell
+from cellapp.interfaces.tui.app import CellApp
+from tests.interfaces.tui.pilot import shown_text, until
+from tests.interfaces.tui.planned_day import planned_day
+from tests.interfaces.tui.terminal import Terminal, cellapp
+
+STOPS = 8
+PACE = 10.0
+"""Seconds of the cell for each real one: enough of a motion is left to strike."""
+UNDISTURBED_PACE = 200.0
+"""Where nothing is struck any more."""
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the profile of the wire and a planned run of it, ``logs/day``."""
+    return planned_day(tmp_path_factory.mktemp("wire"), STOPS, 59)
+
+
+@pytest.fixture(scope="module")
+def cell(planned: Path) -> Iterator[StormCell]:
+    with emulated_cell(load_profile(planned / "profiles" / "twin-rtde.yaml"), PACE) as emulated:
+        yield emulated
+
+
+@pytest.fixture
+def day(planned: Path, cell: StormCell, tmp_path: Path) -> Path:
+    """A copy of profile and run, with the emulated cell in order; its folder."""
+    cell.control("*", "pace", PACE)
+    cell.repair()
+    shutil.copytree(planned, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def words(app: CellApp) -> str:
+    return " ".join(shown_text(app).split()).lower()
+
+
+async def says(pilot: Pilot[None], app: CellApp, *texts: str) -> None:
+    """Wait until the screen says all of this, wherever its lines break."""
+    await until(pilot, lambda: all(text.lower() in words(app) for text in texts), f"{texts}")
+
+
+async def both_move(pilot: Pilot[None], cell: StormCell) -> None:
+    await until(pilot, lambda: all(one["moving"] for one in cell.status().values()), "both arms move")
+
+
+async def at_rest(pilot: Pilot[None], cell: StormCell) -> None:
+    await until(pilot, lambda: not any(one["moving"] for one in cell.status().values()), "the arms rest")
+
+
+async def resume(pilot: Pilot[None], app: CellApp, cell: StormCell) -> None:
+    """Press c until the arms move: a person presses it again where a controller was not ready yet."""
+    for _ in range(10):
+        await pilot.press("c")
+        await until(pilot, lambda: app.record.state != "stopped" or "not moved" in app.record.reason, "an answer to c")
+        await until(pilot, lambda: app.jobs.control.request == "stop" or all(moves(cell)), "a motion or a stop")
+        if all(moves(cell)):
+            return
+    pytest.fail(f"c does not resume: {app.message}")
+
+
+def moves(cell: StormCell) -> list[bool]:
+    """Whether each arm moves."""
+    return [one["moving"] for one in cell.status().values()]
+
+
+async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(day: Path, cell: StormCell) -> None:
+    app = CellApp(Path("profiles"))
+    async with app.run_test(size=(120, 40)) as pilot:
+        await says(pilot, app, "EMULATED")
+        await pilot.press("8")
+        await says(pilot, app, "day", f"0/{STOPS}")
+        await pilot.press("enter")
+        await says(pilot, app, "logs/day is open; next: Collect (key n)")
+        await pilot.press("n")
+        await says(pilot, app, f"READY, {STOPS} stops", "b begins")
+        await pilot.press("b")
+        await says(pilot, app, "Begin to collect?", "the arms are emulated")
+        await pilot.press("b")
+        await both_move(pilot, cell)
+
+        for _ in range(4):  # collecting tries each measurement twice, then waits, and tries twice again
+            cell.tracker_fault("beam")
+        await says(pilot, app, "SUSPENDED", "it resumes by itself")
+        assert "something covers it" in words(app)
+        await says(pilot, app, "RUNNING")
+
+        await both_move(pilot, cell)
+        cell.control("left", "protective", "now")
+        await says(pilot, app, "STOPPED", "protective stop", "c resumes when the cell is clear")
+        await at_rest(pilot, cell)
+        await pilot.press("c")
+        await says(pilot, app, "STOPPED", "protective stop")
+        assert cell.status()["left"]["safety_mode"] == "PROTECTIVE_STOP", "only a person releases it"
+        cell.control("left", "release")
+        assert not any(moves(cell)), "only a person resumes"
+        await resume(pilot, app, cell)
+
+        cell.control("right", "drop", "rtde", "rst")
+        await says(pilot, app, "STOPPED", "right", "c resumes when the cell is clear")
+        await at_rest(pilot, cell)
+        await resume(pilot, app, cell)
+        cell.control("*", "pace", UNDISTURBED_PACE)
+        await says(pilot, app, f"COMPLETE, {STOPS} stops")
+    with RunFile.open(day / "logs" / "day") as run:
+        assert len(run.stops_done()) == STOPS
+        (session,) = run.sessions()
+        assert session.outcome == "complete"
+
+
+def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(day: Path, cell: StormCell) -> None:
+    with cellapp(day) as terminal:
+        shows(terminal, "EMULATED")
+        terminal.send("8")
+        shows(terminal, f"0/{STOPS}")
+        terminal.send("\r")
+        shows(terminal, "next: Collect")
+        terminal.send("n")
+        shows(terminal, f"READY, {STOPS} stops")
+        terminal.send("b")
+        shows(terminal, "Begin to collect?")
+        terminal.send("b")
+        shows(terminal, f"collect 2/{STOPS}")
+        terminal.hang_up()
+        assert terminal.process.wait(60.0) == 4
+    assert cell.wait_at_rest(0.0), "the program waits for the arms"
+    with RunFile.open(day / "logs" / "day") as run:
+        done = len(run.stops_done())
+        assert 2 <= done < STOPS
+    with cellapp(day) as terminal:
+        shows(terminal, "Go on with the last run?", f"{STOPS - done} stops left")
+        terminal.send("o")
+        shows(terminal, f"INTERRUPTED, {done} of {STOPS} stops", "e measures")
+        cell.control("*", "pace", UNDISTURBED_PACE)
+        terminal.send("e")
+        shows(terminal, "Resume?")
+        terminal.send("b")
+        shows(terminal, f"COMPLETE, {STOPS} stops")
+        terminal.send("q")
+        assert terminal.process.wait(60.0) == 0
+
+
+def shows(terminal: Terminal, *texts: str) -> None:
+    """Wait until the terminal shows all of this."""
+    terminal.until(lambda shown: all(text in " ".join(shown.split()) for text in texts), f"{texts}")

@@ -1,0 +1,103 @@
+"""What every screen shows of the open cell, whether the job gives a sign of life or hangs; arms that were not seen."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.unseen_arms import note_halt, unseen_arms
+from cellapp.ground.control import JobControl
+from cellapp.ground.progress import ArmLive, CellLive, Halt, Listener, MeasurementBegun, Progress
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.jobs import Ask, Job
+from tests.cell.run.small_runs import planned_run
+from tests.interfaces.tui.pilot import PROFILES, SIZES, ended, opened, shown_text, until
+
+FRESH = CellLive({"left": ArmLive(0.02, False), "right": ArmLive(0.04, True)}, 0.05, 0.1)
+
+
+class HungJob:
+    """A job that measures and says nothing more; ``live`` is what is known of its cell."""
+
+    def __init__(self) -> None:
+        self.live = FRESH
+        self.over = threading.Event()
+
+    def job(self) -> Job:
+        def work(listener: Listener, control: JobControl, ask: Ask) -> None:
+            with control.watching(lambda: self.live), control.brakes(lambda verb: None):
+                listener(Progress("collect", 3, 30, detail=MeasurementBegun(3, "left")))
+                self.over.wait()
+
+        return Job("collect", work, moves=True)
+
+
+@pytest.mark.parametrize("size", SIZES)
+async def test_a_cell_that_is_dead_is_not_shown_as_running_though_its_job_hangs(size: tuple[int, int]) -> None:
+    app, job = CellApp(PROFILES), HungJob()
+    async with app.run_test(size=size) as pilot:
+        await opened(pilot, app)
+        app.start_job(job.job())
+        await pilot.press("3")
+        await until(pilot, lambda: "right moves 0.0 s" in shown_text(app), "the ages")
+        assert "left rests 0.0 s" in shown_text(app)
+        assert "tracker 0.1 s" in shown_text(app) or "tracker 0.0 s" in shown_text(app)
+        await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
+        job.live = replace(FRESH, arms={"left": ArmLive(2.0, False), "right": ArmLive(None, True)})
+        await until(pilot, lambda: "RUNNING" not in shown_text(app), "what is old is not running")
+        assert "NO DATA from arm left, arm right" in shown_text(app)
+        assert app.screen.query_one("#state").has_class("halted")
+        await pilot.press("1")
+        await until(pilot, lambda: "NO DATA from arm left, arm right" in shown_text(app), "another screen")
+        job.over.set()
+        await ended(pilot, app)
+        await until(pilot, lambda: "NO DATA" not in shown_text(app), "no cell is open any more")
+
+
+async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
+    app, job = CellApp(PROFILES), HungJob()
+    async with app.run_test(size=SIZES[0]) as pilot:
+        await opened(pilot, app)
+        app.start_job(job.job())
+        await pilot.press("3")
+        await until(pilot, lambda: "MEASURING" in shown_text(app), "measuring")
+        cause = ("arm left: link lost",)
+        for state, words in (("asked", "STOP ASKED"), ("braking", "ARMS BRAKE"), ("at rest", "AT REST: all arms")):
+            arms = {name: ArmLive(0.05, False, Halt(state, "why")) for name in ("left", "right")}  # type: ignore[arg-type]
+            job.live = replace(FRESH, arms=arms, causes=cause)
+            await until(pilot, lambda words=words: words in shown_text(app), words)  # type: ignore[misc]
+            assert "arm left: link lost" in shown_text(app)
+            assert "MEASURING" not in shown_text(app)
+            assert "STOPPED" in shown_text(app)
+        unseen = ArmLive(None, True, Halt("not seen at rest", "why"))
+        job.live = replace(FRESH, arms={"left": unseen, "right": unseen}, causes=cause)
+        await until(pilot, lambda: "NOT SEEN AT REST: arms left, right" in shown_text(app), "the doubt")
+        assert any(row.level == "error" and "NOT SEEN AT REST" in row.text for row in app.record.log)
+        job.over.set()
+        await ended(pilot, app)
+
+
+async def test_an_arm_that_was_not_seen_stays_on_every_screen_until_a_person_says_so(tmp_path: Path) -> None:
+    with planned_run(tmp_path / "run") as run:
+        note_halt(run, "left", Halt("not seen at rest", "arm left: link lost"))
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SIZES[1]) as pilot:
+        await opened(pilot, app)
+        app.open_run(tmp_path / "run")
+        await until(pilot, lambda: "NOT SEEN AT REST: arm left" in shown_text(app), "the doubt")
+        for key in "2345678":
+            await pilot.press(key)
+            await until(pilot, lambda: "NOT SEEN AT REST: arm left; treat it as moving" in shown_text(app), f"on {key}")
+        await pilot.press("ctrl+p")
+        await pilot.press(*"arm left is at rest")
+        await until(pilot, lambda: "it no longer counts as moving" in shown_text(app), "the command")
+        await pilot.press("enter")
+        await until(pilot, lambda: "Is arm left at rest?" in shown_text(app), "the question")
+        await pilot.press("s")
+        await until(pilot, lambda: "NOT SEEN AT REST" not in shown_text(app), "it is settled")
+    with RunFile.open(tmp_path / "run") as run:
+        assert unseen_arms(run) == {}

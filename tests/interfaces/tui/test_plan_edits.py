@@ -1,0 +1,150 @@
+"""Editing a plan by keys: stops are frozen, added, designed again; the plan goes out as a table and comes back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from textual.pilot import Pilot
+from textual.widgets import Input, Static, TabbedContent
+
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.run import RunFile
+from cellapp.commands.pipeline import new_planned_run
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.dialogs.count import CountQuestion
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
+from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.widgets.charts_view import ChartsView
+from cellapp.interfaces.tui.widgets.plan_tables import PairsTable, StopsTable
+from tests.interfaces.tui.pilot import SMALL, ended, until
+from tests.twin import small_twin, write_profile
+
+RUN = Path("run")
+
+
+def stored(folder: Path = RUN) -> PlannedStops:
+    with RunFile.open(folder) as run:
+        return read_planned_stops(run)
+
+
+async def shown(pilot: Pilot[None], app: CellApp, tab: str = "stops") -> None:
+    """Open the run and show one of the tabs."""
+    write_profile(Path("profiles"))
+    new_planned_run(small_twin(8, plan={"method": "random"}), RUN).close()
+    app.open_profile(Path("profiles/twin.yaml"))
+    app.open_run(RUN, Path("profiles/twin.yaml"))
+    await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+    await pilot.press("2")
+    await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
+    app.day_screen.query_one("#plan-tabs", TabbedContent).active = f"tab-{tab}"
+    await pilot.pause()
+
+
+def table(app: CellApp) -> StopsTable:
+    return app.day_screen.query_one(StopsTable)
+
+
+async def fill(pilot: Pilot[None], app: CellApp, dialog: type, field: str, text: str) -> None:
+    """Answer a dialog by typing into its field."""
+    await until(pilot, lambda: isinstance(app.screen, dialog), dialog.__name__)
+    app.screen.query_one(field, Input).value = text
+    await pilot.press("enter")
+
+
+async def test_marked_stops_are_frozen_and_others_are_added() -> None:
+    app = CellApp(Path("profiles"))
+    async with app.run_test(size=SMALL) as pilot:
+        await shown(pilot, app)
+        await until(pilot, lambda: table(app).row_count == 8, "the stops")
+        table(app).focus()
+        await pilot.press("down", "space", "space", "z")
+        await ended(pilot, app)
+        before = stored()
+        assert np.flatnonzero(before.frozen).tolist() == [1, 2]
+        await until(pilot, lambda: str(table(app).get_row_at(1)[2]) == "yes", "what is frozen, in the list")
+        await pilot.press("a")
+        await fill(pilot, app, CountQuestion, "#count", "many")
+        assert "whole number from 1" in str(app.screen.query_one("#why", Static).render())
+        await fill(pilot, app, CountQuestion, "#count", "2")
+        await ended(pilot, app)
+        await until(pilot, lambda: table(app).row_count == 10, "the added stops")
+        assert np.array_equal(stored().q["left"][:8], before.q["left"])
+
+
+async def test_a_plan_is_designed_and_designed_again_around_what_is_frozen() -> None:
+    path = write_profile(Path("profiles"))
+    text = path.read_text("utf-8").replace(
+        "  stops: 30", "  stops: 10\n  method: designed\n  candidates: 150\n  repeats: 2"
+    )
+    path.write_text(text, "utf-8")
+    app = CellApp(Path("profiles"))
+    async with app.run_test(size=SMALL) as pilot:
+        app.open_profile(path)
+        await until(pilot, lambda: app.workspace.profile_path == path, "the profile")
+        await pilot.press("2", "g")
+        await fill(pilot, app, NewRunQuestion, "#folder", str(RUN))
+        await ended(pilot, app)
+        await until(pilot, lambda: app.workspace.design is not None, "what is known of the design")
+        view = app.day_screen.query_one(ChartsView)
+        app.day_screen.query_one("#plan-tabs", TabbedContent).active = "tab-design"
+        await until(pilot, lambda: len(view.query(ChartPlot)) == 6, "its charts")
+        app.day_screen.query_one("#plan-tabs", TabbedContent).active = "tab-stops"
+        await until(pilot, lambda: table(app).row_count == 10, "the stops")
+        table(app).focus()
+        await pilot.press("down", "space", "z")
+        await ended(pilot, app)
+        before = stored()
+        await pilot.press("r")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        await pilot.press("d")
+        await ended(pilot, app)
+        after = stored()
+        assert np.array_equal(after.q["left"][after.frozen], before.q["left"][[1]])
+        assert not np.array_equal(np.sort(after.q["left"], axis=0), np.sort(before.q["left"], axis=0))
+
+
+async def test_a_table_is_written_checked_by_line_and_becomes_a_run() -> None:
+    app = CellApp(Path("profiles"))
+    async with app.run_test(size=SMALL) as pilot:
+        await shown(pilot, app)
+        await pilot.press("w")
+        await fill(pilot, app, SaveAs, "#path", "plan.csv")
+        await ended(pilot, app)
+        lines = Path("plan.csv").read_text("utf-8").splitlines()
+        broken = lines[3].split(",")
+        place = lines[0].split(",").index("q2")
+        broken[place] = "0.6"  # bent down
+        Path("broken.csv").write_text("\n".join([*lines[:3], ",".join(broken), *lines[4:], ""]), "utf-8")
+        await pilot.press("i")
+        await fill(pilot, app, FilePicker, "#path", "broken.csv")
+        await ended(pilot, app)
+        refusals = app.day_screen.query_one("#refusals", PairsTable)
+        await until(pilot, lambda: "broken.csv: Not safe" in refusals.selected_text, "the verdict")
+        assert str(refusals.get_row_at(1)[1]).startswith("broken.csv:")
+        await pilot.press("i")
+        await fill(pilot, app, FilePicker, "#path", "plan.csv")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "what to do with it")
+        await pilot.press("n")
+        await fill(pilot, app, NewRunQuestion, "#folder", "again")
+        await ended(pilot, app)
+        await until(pilot, lambda: app.workspace.folder == Path("again"), "the new run")
+        assert np.array_equal(stored(Path("again")).q["right"], stored().q["right"])
+
+
+async def test_without_a_plan_the_keys_say_what_to_do() -> None:
+    write_profile(Path("profiles"))
+    RunFile.create(RUN, small_twin()).close()
+    app = CellApp(Path("profiles"))
+    async with app.run_test(size=SMALL) as pilot:
+        app.open_run(RUN, Path("profiles/twin.yaml"))
+        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+        await pilot.press("2")
+        await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
+        for key in ("a", "r", "w"):
+            await pilot.press(key)
+            assert "has no plan" in app.message

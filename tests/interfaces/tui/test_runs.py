@@ -1,0 +1,310 @@
+"""The screen Runs: listed in a thread, sorted, filtered, opened, compared, resumed, replayed; broken ones are rows."""
+
+from __future__ import annotations
+
+import threading
+import webbrowser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import DataTable, Input, Static
+
+from cellapp.cell.run import RunFile
+from cellapp.commands.run_results import ReportResult
+from cellapp.commands.runs import history
+from cellapp.commands.runs.result import RunsResult
+from cellapp.interfaces.tui import browser
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.dialogs.comparison import Comparison
+from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
+from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.jobs import Job
+from tests.cell.run.small_runs import collected_run, set_began
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, MovingJob, ended, opened, shown_text, until
+
+LOGS = Path("logs")
+
+
+@pytest.fixture
+def logs() -> Path:
+    """Three runs and a broken one."""
+    runs = (("first", "complete", 4), ("second", "stopped", 2), ("third", "complete", 3))
+    for minute, (name, outcome, measured) in enumerate(runs):
+        collected_run(LOGS / name, outcome, measured)  # type: ignore[arg-type]
+        set_began(LOGS / name, minute)
+    (LOGS / "broken").mkdir()
+    (LOGS / "broken" / "run.sqlite").write_text("no run")
+    return LOGS
+
+
+def names(app: CellApp) -> list[str]:
+    table = app.screen.query_one("#runs", DataTable)
+    return [Path(str(row.key.value)).name for row in table.ordered_rows]
+
+
+def about(app: CellApp) -> str:
+    return str(app.screen.query_one("#about", Static).content)
+
+
+async def show_runs(pilot: Pilot[None], app: CellApp, count: int = 4) -> None:
+    """Show the screen and wait for the list."""
+    await opened(pilot, app)
+    if isinstance(app.screen, Choice):  # the offer to resume
+        await pilot.press("escape")
+    await pilot.press("8")
+    await until(pilot, lambda: app.day_screen.STEP == "runs" and len(names(app)) == count, "the list")
+    await until(pilot, lambda: app.screen is app.day_screen, "the end of any offer")
+
+
+async def go_to(pilot: Pilot[None], app: CellApp, name: str) -> None:
+    table = app.screen.query_one("#runs", DataTable)
+    table.move_cursor(row=names(app).index(name))
+    await pilot.pause()
+
+
+def app_without_offer(monkeypatch: pytest.MonkeyPatch) -> CellApp:
+    """An application that does not offer the interrupted run at its start."""
+    monkeypatch.setattr("cellapp.interfaces.tui.work.interrupted_run", lambda logs: None)
+    return CellApp(PROFILES)
+
+
+@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
+async def test_the_newest_run_is_on_top_and_a_broken_one_says_why(
+    logs: Path, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
+) -> None:
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=size) as pilot:
+        await show_runs(pilot, app)
+        assert sorted(names(app)) == ["broken", "first", "second", "third"]
+        listed = [name for name in names(app) if name != "broken"]
+        assert listed == ["third", "second", "first"]
+        await until(pilot, lambda: "2/4 stopped" in shown_text(app), "columns as wide as their texts")
+        assert "unreadable" in shown_text(app)
+        await go_to(pilot, app, "broken")
+        assert "is not a run file" in about(app)
+        await pilot.press("enter")
+        assert "is not a run file" in app.message
+        assert app.workspace.folder is None
+        await go_to(pilot, app, "second")
+        assert "interrupted, 2 stops left: cellapp collect" in about(app)
+
+
+async def test_an_empty_folder_says_what_makes_a_run() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app, 0)
+        await until(pilot, lambda: "no runs below logs" in about(app), "the sentence")
+        for key in ("enter", "space", "o", "e", "y", "c"):
+            await pilot.press(key)
+        assert not app.jobs.running
+
+
+async def test_typing_filters_and_headings_sort(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=(120, 40)) as pilot:
+        await show_runs(pilot, app)
+        await pilot.press("slash", *"STOPPED")
+        await until(pilot, lambda: names(app) == ["second"], "the filtered list")
+        await pilot.press(*" zzz")
+        await until(pilot, lambda: names(app) == [], "nothing")
+        assert "passes the filter" in about(app)
+        await pilot.press("escape")
+        await until(pilot, lambda: len(names(app)) == 4, "all runs again")
+        assert isinstance(app.focused, DataTable)
+        await go_to(pilot, app, "third")
+        for _ in range(7):
+            await pilot.press("s")
+        assert "Sorted by run" in app.message
+        assert names(app) == ["broken", "first", "second", "third"]
+        assert "third" in str(app.screen.query_one("#runs", DataTable).ordered_rows[3].key.value)
+        assert app.screen.query_one("#runs", DataTable).cursor_row == 3, "the cursor stays on its run"
+        table = app.screen.query_one("#runs", DataTable)
+        heading = table.ordered_columns[1]
+        table.post_message(DataTable.HeaderSelected(table, heading.key, 1, heading.label))
+        await until(pilot, lambda: names(app) == ["third", "second", "first", "broken"], "the other order")
+
+
+async def test_enter_opens_a_run(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        await go_to(pilot, app, "first")
+        await pilot.press("enter")
+        await until(pilot, lambda: app.workspace.folder == LOGS / "first", "the run")
+        assert "first" in shown_text(app).splitlines()[0]
+
+
+async def test_two_marked_runs_are_compared_over_the_screen(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        await pilot.press("c")
+        for name in ("broken", "second", "third"):
+            await go_to(pilot, app, name)
+            await pilot.press("space")
+        await until(pilot, lambda: shown_text(app).count("●") == 2, "the marks")
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(app.screen, Comparison), "the comparison")
+        await until(pilot, lambda: f"a: {LOGS / 'second'}" in shown_text(app), "its sentences")
+        assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
+        assert f"b: {LOGS / 'third'}" in shown_text(app)
+        await pilot.press("escape")
+        await until(pilot, lambda: app.screen is app.day_screen, "the list")
+        (LOGS / "third" / "run.sqlite").write_text("spoiled meanwhile")
+        await pilot.press("c")
+        await until(pilot, lambda: "is not a run file" in app.message, "the sentence")
+        await pilot.press("space")
+        await until(pilot, lambda: shown_text(app).count("●") == 1, "one mark is gone")
+
+
+async def test_three_marked_runs_and_the_list_are_shown_as_a_fleet(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        for name in ("first", "second", "third"):
+            await go_to(pilot, app, name)
+            await pilot.press("space")
+        await until(pilot, lambda: shown_text(app).count("●") == 3, "the marks")
+        assert "3 runs are marked" in app.message
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history of the marked runs")
+        await until(pilot, lambda: "not compared" in shown_text(app), "a word about runs without a calibration")
+        await pilot.press("t")
+        await until(pilot, lambda: "too few runs at different times" in shown_text(app), "the trends")
+        await pilot.press("o", "enter")
+        await until(pilot, (LOGS / "fleet.html").is_file, "the page")
+        await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history again")
+        await pilot.press("escape", "slash", *"second", "enter", "f")
+        await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history of the listed run")
+
+
+async def test_the_key_of_a_paused_job_remains_its_own(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    moving = MovingJob()
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        await pilot.press("space", "down", "space")
+        app.start_job(moving.job())
+        await until(pilot, moving.began.is_set, "the job")
+        requests = []
+        for key in ("escape", "c"):
+            await pilot.press(key)
+            requests.append(moving.control.request)
+        assert requests == ["stop", "none"]
+        assert app.screen is app.day_screen
+        await pilot.press("escape", "x")
+        await ended(pilot, app)
+
+
+async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
+    logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        await go_to(pilot, app, "first")
+        await pilot.press("e")
+        assert "was not interrupted" in app.message
+        await go_to(pilot, app, "second")
+        await pilot.press("e")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the offer")
+        await pilot.press("o")
+        await until(pilot, lambda: app.workspace.folder == LOGS / "second", "the run")
+        assert app.day_screen.STEP == "collect"
+        assert not app.jobs.running
+
+
+async def test_a_run_is_replayed_at_a_speed(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[tuple[Path, float]] = []
+    monkeypatch.setattr("cellapp.interfaces.tui.work.replay", lambda folder, speed: started.append((folder, speed)))
+    app = app_without_offer(monkeypatch)
+    monkeypatch.setattr(app, "start_job", lambda job: False)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        await go_to(pilot, app, "first")
+        await pilot.press("y")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        await pilot.press("3")
+        await until(pilot, lambda: started == [(LOGS / "first", 100.0)], "the replay")
+
+
+async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (LOGS / "first" / "report.html").resolve()
+    app = app_without_offer(monkeypatch)
+    threads: list[threading.Thread] = []
+
+    class Window:
+        def open(self, url: str) -> bool:
+            threads.append(threading.current_thread())
+            return url == page.as_uri()
+
+    def get() -> Any:
+        return window
+
+    window: Any = Window()
+    monkeypatch.setattr(webbrowser, "get", get)
+    monkeypatch.setattr(browser, "_has_display", lambda: True)
+    async with app.run_test(size=(120, 40)) as pilot:
+        await show_runs(pilot, app)
+        await go_to(pilot, app, "first")
+        await pilot.press("o")
+        assert "is not calibrated; there is nothing to report yet" in app.message
+        page.write_text("<html>")
+        await pilot.press("o")
+        await until(pilot, lambda: app.message == f"The report opens in a browser: {page}", "the browser")
+        assert threads != [threading.main_thread()]
+        window = webbrowser.GenericBrowser("lynx")
+        await pilot.press("o")
+        await until(pilot, lambda: "No browser with a window" in app.message, "the path")
+        monkeypatch.setattr(webbrowser, "get", lambda: pytest.fail("no browser is looked for without a display"))
+        monkeypatch.setattr(browser, "_has_display", lambda: False)
+        app.say("")
+        await pilot.press("o")
+        await until(pilot, lambda: str(page) in app.message, "the path")
+
+
+async def test_a_report_that_is_missing_is_written_then_opened(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with RunFile.open(LOGS / "first", write=True) as run:
+        run.append_stage("calibrate", None, "{}", None)
+    page = LOGS / "first" / "report.html"
+
+    def report(folder: Path) -> Job:
+        return Job("report", lambda *_: ReportResult(run=str(folder), page=str(page)), folder)
+
+    said: list[Path] = []
+
+    def open_page(path: Path) -> str:
+        said.append(path)
+        return "opened"
+
+    monkeypatch.setattr("cellapp.interfaces.tui.work.report", report)
+    monkeypatch.setattr("cellapp.interfaces.tui.screens.runs.open_page", open_page)
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        await go_to(pilot, app, "first")
+        await pilot.press("o")
+        await until(pilot, lambda: said == [page], "the page")
+
+
+async def test_the_screen_answers_while_the_folder_is_read(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on = threading.Event()
+    read = history.list_runs
+
+    def slow(folder: Path | None = None) -> RunsResult:
+        assert go_on.wait(60.0)
+        return read(folder)
+
+    monkeypatch.setattr(history, "list_runs", slow)
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        await pilot.press("8")
+        await until(pilot, lambda: app.day_screen.STEP == "runs", "the screen")
+        assert "reading the folder" in about(app)
+        await pilot.press("slash", *"first")
+        assert app.screen.query_one("#filter", Input).value == "first"
+        go_on.set()
+        await until(pilot, lambda: names(app) == ["first"], "the list, filtered")

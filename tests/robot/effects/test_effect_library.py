@@ -1,0 +1,370 @@
+"""Properties of every effect and law: names, shapes, units, the same columns and values on any data."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.robot.effects import EFFECTS, Channel, EffectTerm, Law, MeasurementConditions, displacement
+from cellapp.robot.effects.data_driven import channels, data_driven_form, variables
+from tests.robot.effects.cell import NOTHING, by_name, chain, context_of, rows_of, under
+from tests.robot.effects.data_driven_laws import curve_laws, pair_laws
+
+pytestmark = pytest.mark.fast
+
+CONTEXT = context_of()
+CONDITIONS: Any = CONTEXT.conditions
+
+
+def ends(laws):
+    """First and last law of each form: those between differ only in a constant."""
+    by_law: dict[str, list[Law]] = {}
+    for law in laws:
+        by_law.setdefault(law.name, []).append(law)
+    return [law for same_name in by_law.values() for law in same_name[:: max(len(same_name) - 1, 1)]]
+
+
+NAMED = [(slug, law) for slug, effect in EFFECTS.items() for law in ends(effect.laws(CONTEXT))]
+PERIODIC = EFFECTS["transmission_error"]
+CURVE = PERIODIC.law("curve", {"cycles": 12.0, "length2": 0.3, "amplitude2": 1e-4, "length3": 0.5, "amplitude3": 2e-4})
+GEAR = PERIODIC.law("gear", {"ratio": 50.0}, 209)
+NAMED += [("transmission_error", CURVE), ("transmission_error", GEAR)]
+WHOLE = [law for law in curve_laws(CONTEXT) if "period_s" not in law.constants]
+OSCILLATIONS = [law for law in curve_laws(CONTEXT) if "period_s" in law.constants]
+CHANNELS = {channel.name: channel for channel in channels(6)}
+VARIABLES = {variable.name: variable for variable in variables(CONTEXT)}
+
+
+def data_driven_laws():
+    """Every channel with one variable, every variable with one channel, a few periods, pairs of every kind."""
+    ways, names = list(CHANNELS), list(VARIABLES)
+    meeting = {f"{ways[k % len(ways)]}|{names[k % len(names)]}" for k in range(max(len(ways), len(names)))}
+    sampled = [law for law in WHOLE if law.name in meeting]
+    sampled += OSCILLATIONS[::173]
+    several = [VARIABLES[name] for name in ("q2", "other q3", "time", "torque2", "payload", "azimuth")]
+    sampled += pair_laws(CONTEXT, CHANNELS["tool y"], several)[::2]
+    sampled += pair_laws(CONTEXT, CHANNELS["base shift"], [VARIABLES[name] for name in ("q1", "q5", "elevation")])
+    return [("unknown", law) for law in sampled]
+
+
+ALL = NAMED + data_driven_laws()
+
+
+def label(value):
+    return value if isinstance(value, str) else f"{value.name}-{len(value.constants)}"
+
+
+def values_of(column):
+    return column.offset if column.joint is not None else column.shift_M
+
+
+def same(one, other):
+    """Whether two columns are equal except for their values."""
+    ones, others = vars(one), vars(other)
+    return all(ones[key] == others[key] for key in ones if key not in ("offset", "shift_M"))
+
+
+def close(columns, others, rows=slice(None), other_rows=slice(None), atol=1e-14):
+    """Compare all values at once: one comparison per column is slow with thousands of columns."""
+    for is_joint in (True, False):
+        ours = [values_of(c)[rows] for c in columns if (c.joint is not None) == is_joint]
+        theirs = [values_of(c)[other_rows] for c in others if (c.joint is not None) == is_joint]
+        np.testing.assert_allclose(np.array(ours), np.array(theirs), rtol=1e-12, atol=atol)
+
+
+def test_the_vocabulary_is_complete_and_in_order():
+    assert list(EFFECTS) == [
+        "joint_compliance",
+        "payload_compliance",
+        "encoder_eccentricity",
+        "transmission_error",
+        "backlash",
+        "friction_windup",
+        "unsettled_measurement",
+        "joint_axis_wobble",
+        "joint_axis_runout",
+        "thermal_growth",
+        "joint_drift",
+        "base_drift",
+        "base_step",
+        "target_slip",
+        "pedestal_compliance",
+        "pedestal_coupling",
+        "link_bending",
+        "tracker_scale",
+        "tracker_distance_offset",
+        "tracker_angle_error",
+        "target_incidence",
+        "unknown",
+    ]
+    for slug, effect in EFFECTS.items():
+        assert effect.slug == slug
+        assert effect.title
+        assert set(effect.look_alikes) <= set(EFFECTS) - {slug}
+        assert slug == "unknown" or effect.variables
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_columns_are_well_formed(slug, law):
+    columns = EFFECTS[slug].columns(CONTEXT, law)
+    assert columns
+    by_name(columns)
+    for column in columns:
+        assert column.block
+        assert column.where.split()[0] in ("joint", "link", "all", "base", "tool", "tracker")
+        assert (column.index is None) == (column.where in ("all links", "all joints", "base", "tool", "tracker"))
+        assert (column.channel is Channel.JOINT) == (column.joint is not None) == (column.offset is not None)
+        assert (column.channel is Channel.JOINT) == (column.shift_M is None)
+        assert column.lower < column.upper
+        assert column.lower <= 0.0 <= column.upper
+        values = values_of(column)
+        assert np.isfinite(values).all()
+        if column.joint is None:
+            assert column.offset is None
+            assert values.shape == (len(CONTEXT), 3)
+            of_loads = ("rad/Nm", "m/Nm", "1/(N m^2)", "1/N", "rad/N", "m/N")
+            assert column.unit in ("m", "rad", "m/m", "1/K", "m/K", *of_loads)
+        else:
+            assert column.shift_M is None
+            assert values.shape == (len(CONTEXT),)
+            assert column.where == f"joint {column.joint + 1}"
+            assert column.unit in ("rad", "rad/Nm", "rad/N", "rad/rad", "rad/K")
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_not_all_blocks_refine(slug, law):
+    """At least one block is the effect by itself."""
+    columns = EFFECTS[slug].columns(CONTEXT, law)
+    refining = {column.block for column in columns if column.refines}
+    main = {column.block for column in columns if not column.refines}
+    assert main
+    assert not main & refining, "a block refines as a whole"
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_a_subset_of_the_stops_has_the_same_values(slug, law):
+    """A law carries all constants that it took from its run: a subset of the stops gives the same values."""
+    columns = EFFECTS[slug].columns(CONTEXT, law)
+    rows = np.array([3, 17, 5])
+    parts = EFFECTS[slug].columns(rows_of(CONTEXT, rows), law)
+    assert all(same(column, part) for column, part in zip(columns, parts, strict=True))
+    close(parts, columns, other_rows=rows)
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_the_same_columns_where_nothing_is_known(slug, law):
+    columns = EFFECTS[slug].columns(CONTEXT, law)
+    for other in (under(CONTEXT, NOTHING), replace(under(CONTEXT, NOTHING), smr_normal=None)):
+        unknown = EFFECTS[slug].columns(other, law)
+        for column, part in zip(columns, unknown, strict=True):
+            assert same(column, part)
+            assert np.isfinite(values_of(part)).all()
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
+    conditions = CONDITIONS
+    holed: dict[str, Any] = {}
+    for name, values in vars(conditions).items():
+        if name != "record":  # of the whole run, not per stop
+            holed[name] = np.array(values, dtype=np.float64)
+            holed[name][4] = 0.0 if name == "approach" else np.nan
+    some = EFFECTS[slug].columns(under(CONTEXT, replace(conditions, **holed)), law)
+    full = EFFECTS[slug].columns(CONTEXT, law)
+    none = EFFECTS[slug].columns(under(CONTEXT, NOTHING), law)
+    rest = np.arange(len(CONTEXT)) != 4
+    assert len(some) == len(full) == len(none)
+    close(some, none, rows=4, other_rows=4)
+    close(some, full, rows=rest, other_rows=rest)
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_requested_columns_are_present_and_equal(slug, law):
+    columns = by_name(EFFECTS[slug].columns(CONTEXT, law))
+    wanted = {min(columns), max(columns)}
+    some = by_name(EFFECTS[slug].columns(CONTEXT, law, wanted))
+    assert wanted <= set(some) <= set(columns)
+    for name, column in some.items():
+        assert same(column, columns[name])
+        np.testing.assert_allclose(values_of(column), values_of(columns[name]), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
+def test_a_law_survives_json(slug, law):
+    assert all(type(value) is float for value in law.constants.values())
+    again = EFFECTS[slug].law(law.name, json.loads(json.dumps(dict(law.constants))), law.tried)
+    assert again == law
+    assert law.tried >= 1
+
+
+def test_no_two_effects_share_a_parameter_name():
+    """They are identified together, by name."""
+    owner: dict[str, str] = {}
+    for slug, law in NAMED:
+        for column in EFFECTS[slug].columns(CONTEXT, law):
+            assert owner.setdefault(column.name, slug) == slug, column.name
+
+
+def test_data_driven_terms_have_names_of_their_own():
+    """Only the directions of a vector are those of its channels, and a time has many periods."""
+    named = {law.name: list(by_name(EFFECTS["unknown"].columns(CONTEXT, law))) for law in WHOLE}
+    vectors = ("base shift", "tool")
+    single = {law.name for law in WHOLE if data_driven_form(law).channel.name not in vectors}
+    names = [name for law, found in named.items() if law in single for name in found]
+    assert len(names) == len(set(names))
+    for channel in vectors:
+        for variable in VARIABLES:
+            parts = [name for axis in "xyz" for name in named[f"{channel} {axis}|{variable}"]]
+            assert named[f"{channel}|{variable}"] == parts
+    oscillating = {column.name for law in OSCILLATIONS for column in EFFECTS["unknown"].columns(CONTEXT, law)}
+    assert not oscillating & set(names)
+
+
+@pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])
+def test_a_law_of_another_version_is_refused(slug):
+    with pytest.raises(ValueError, match=f"effect {slug} has no law 'of tomorrow'"):
+        EFFECTS[slug].law("of tomorrow", EFFECTS[slug].laws(CONTEXT)[0].constants)
+
+
+def test_units_are_per_unit_of_what_varies():
+    """Checked by hand: 1e-5 rad/Nm times the torque; 20e-6 1/K of 0.612 m is 12 um per kelvin."""
+    torque = CONTEXT.torques[:, 1]
+    term = term_of("joint_compliance", EFFECTS["joint_compliance"].law("linear"), {"compliance2": 1e-5})
+    np.testing.assert_allclose(displacement([term], EFFECTS, CONTEXT).joints[:, 1], 1e-5 * torque)
+    law = next(law for law in EFFECTS["thermal_growth"].laws(CONTEXT) if law.name == "air_links")
+    warm = replace(CONTEXT.conditions, air_c=np.full(len(CONTEXT), law.constants["mean_c"] + 1.0))
+    term = term_of("thermal_growth", law, {"growth2": 20e-6})
+    moved = displacement([term], EFFECTS, under(CONTEXT, warm)).shift_M
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 20e-6 * 0.612, rtol=1e-3)
+
+
+def test_displacements_of_terms_add_up():
+    """Joint offsets enter the chain exactly, the rest is added to the SMR."""
+    bend = term_of("link_bending", EFFECTS["link_bending"].law("bending"), {"flexibility2": 1e-5})
+    play = term_of("backlash", EFFECTS["backlash"].law("constant"), {"half_play1": 1e-4, "half_play3": 2e-4})
+    ripple = term_of("transmission_error", EFFECTS["transmission_error"].law("lines"), {"sin100q3": 3e-5})
+    moved = displacement([bend, play, ripple], EFFECTS, CONTEXT)
+    s, q = CONTEXT.approach, CONTEXT.q
+    expected = np.zeros(q.shape)
+    expected[:, 0], expected[:, 2] = -1e-4 * s[:, 0], -2e-4 * s[:, 2] + 3e-5 * np.sin(100.0 * q[:, 2])
+    np.testing.assert_allclose(moved.joints, expected, atol=1e-15)
+    bent = by_name(EFFECTS["link_bending"].columns(CONTEXT, EFFECTS["link_bending"].law("bending")))["flexibility2"]
+    np.testing.assert_allclose(moved.shift_M, 1e-5 * values_of(bent))
+
+
+def test_the_independent_chain_agrees_with_the_arm():
+    for row in range(3):
+        walked = chain(CONTEXT, row)
+        np.testing.assert_allclose(walked.smr, CONTEXT.p_M[row], atol=1e-12)
+        for i, pose in enumerate(walked.frames):
+            np.testing.assert_allclose(pose[:3, :3], CONTEXT.frames[0][i, row], atol=1e-12)
+
+
+# -- missing data ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("slug", "conditions", "words"),
+    [
+        ("payload_compliance", NOTHING, "no payloads"),
+        ("payload_compliance", MeasurementConditions(payload_kg=np.full(40, 2.0)), "payload does not vary"),
+        ("backlash", NOTHING, "no approach signs"),
+        ("backlash", MeasurementConditions(approach=np.zeros((40, 6), dtype=np.int8)), "no approach signs"),
+        ("backlash", MeasurementConditions(approach=np.ones((40, 6))), "every joint was approached from one side only"),
+        ("friction_windup", NOTHING, "no approach signs"),
+        (
+            "friction_windup",
+            MeasurementConditions(approach=-np.ones((40, 6))),
+            "every joint was approached from one side only",
+        ),
+        ("unsettled_measurement", NOTHING, "no last steps"),
+        ("thermal_growth", NOTHING, "no temperatures and no times"),
+        ("thermal_growth", MeasurementConditions(air_c=np.full(40, 20.0)), "no temperatures and no times"),
+        ("joint_drift", MeasurementConditions(air_c=np.linspace(20, 22, 40)), "no times and no joint temperatures"),
+        ("base_drift", NOTHING, "no times"),
+        ("base_drift", MeasurementConditions(time_s=np.full(40, np.nan)), "no times"),
+        ("base_step", MeasurementConditions(time_s=np.zeros(40)), "no times"),
+        ("target_slip", NOTHING, "no times"),
+        ("pedestal_coupling", NOTHING, "no readings of the other arm"),
+        ("pedestal_coupling", MeasurementConditions(other_moment_M=np.ones((40, 3))), "the other arm did not move"),
+    ],
+)
+def test_missing_data_are_reported(slug, conditions, words):
+    assert EFFECTS[slug].missing_data(under(CONTEXT, conditions)) == words
+    assert EFFECTS[slug].missing_data(CONTEXT) == ""
+
+
+def test_missing_properties_of_an_arm_are_reported():
+    weightless = replace(
+        CONTEXT,
+        bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=0.0),
+        conditions=NOTHING,
+    )
+    assert EFFECTS["joint_compliance"].missing_data(weightless) == "gravity turns no joint (no masses)"
+    assert EFFECTS["link_bending"].missing_data(weightless) == "no masses"
+    assert EFFECTS["pedestal_compliance"].missing_data(weightless) == "no masses"
+    blind = replace(CONTEXT, smr_normal=None)
+    assert EFFECTS["target_incidence"].missing_data(blind) == "the SMR viewing direction is not known"
+    always = ("encoder_eccentricity", "transmission_error", "joint_axis_wobble", "tracker_scale", "tracker_angle_error")
+    for slug in (*always, "tracker_distance_offset"):
+        assert EFFECTS[slug].missing_data(under(CONTEXT, NOTHING)) == ""
+
+
+def test_few_readings_have_no_onset():
+    few = rows_of(CONTEXT, np.arange(15))
+    assert EFFECTS["base_step"].missing_data(few) == "fewer than 16 readings"
+    assert EFFECTS["base_step"].laws(few) == []
+    assert EFFECTS["base_step"].missing_data(rows_of(CONTEXT, np.arange(16))) == ""
+
+
+def test_laws_follow_what_is_known():
+    def names(slug, conditions):
+        return list(dict.fromkeys(law.name for law in EFFECTS[slug].laws(under(CONTEXT, conditions))))
+
+    conditions = CONDITIONS
+    unrecorded = replace(conditions, record=None)
+    assert names("joint_compliance", NOTHING) == ["linear", "two_slope"]
+    assert names("transmission_error", NOTHING) == ["two", "lines"]
+    assert names("backlash", MeasurementConditions(approach=conditions.approach)) == ["constant"]
+    assert names("backlash", conditions) == ["constant", "saturating"]
+    assert names("unsettled_measurement", MeasurementConditions(step=conditions.step)) == ["step"]
+    assert names("unsettled_measurement", conditions) == ["step", "creep"]
+    assert names("thermal_growth", MeasurementConditions(air_c=conditions.air_c)) == ["air", "air_links"]
+    assert names("thermal_growth", MeasurementConditions(time_s=conditions.time_s)) == ["warm_up", "warm_up_links"]
+    assert names("thermal_growth", conditions) == [
+        *("air", "air_links", "joints", "joints_links", "conduction", "conduction_links", "warm_up", "warm_up_links")
+    ]
+    assert names("thermal_growth", unrecorded) == [
+        *("air", "air_links", "joints", "joints_links", "warm_up", "warm_up_links")
+    ]
+    assert names("joint_drift", conditions) == ["linear", "warm_up", "joint_temperature"]
+    assert names("joint_drift", MeasurementConditions(joints_c=conditions.joints_c)) == ["joint_temperature"]
+    assert names("base_drift", conditions) == ["linear", "warm_up", "quadratic"]
+    assert names("unknown", conditions) == []
+
+
+def term_of(slug, law, values):
+    return EffectTerm(
+        slug=slug,
+        names=tuple(values),
+        values=np.array(list(values.values())),
+        standard_errors=np.zeros(len(values)),
+        units=("",) * len(values),
+        law=law,
+    )
+
+
+FREE_MASSES = EFFECTS["joint_compliance"].law("smooth", {"amplitude": 1e-4})
+
+
+@pytest.mark.parametrize(("slug", "law"), [*NAMED, ("joint_compliance", FREE_MASSES)], ids=label)
+def test_a_term_can_be_evaluated_at_any_single_posture(slug: str, law: Law) -> None:
+    """Columns that vanish at a posture, such as a torque of an upright arm, are columns of the term all the same."""
+    names = frozenset(by_name(EFFECTS[slug].columns(CONTEXT, law)))
+    for q in (CONTEXT.q[:1], np.zeros((1, 6)), np.array([[0.0, -np.pi / 2.0, 0.0, -np.pi / 2.0, 0.0, 0.0]])):
+        alone = replace(rows_of(CONTEXT, np.array([0])), q=q)
+        assert names <= set(by_name(EFFECTS[slug].columns(alone, law, names)))

@@ -1,0 +1,373 @@
+"""Data-driven terms: channels, variables, functions, and defaults where a variable is unknown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.robot.effects import EFFECTS, Channel, EffectColumn, MeasurementConditions
+from cellapp.robot.effects.data_driven import (
+    DataDrivenForm,
+    Quantity,
+    channels,
+    data_driven_form,
+    form_named,
+    variables,
+)
+from cellapp.robot.effects.data_functions import PAIR_ORDER
+from cellapp.robot.effects.unknown import own_angles, pair_families
+from cellapp.robot.kinematics.transforms import rotation_z
+from tests.robot.effects.cell import EYE, NOTHING, by_name, chain, context_of, offsets, shifts, slope, under
+from tests.robot.effects.data_driven_laws import curve_laws, pair_laws
+
+pytestmark = pytest.mark.fast
+
+CONTEXT = context_of(40)
+CONDITIONS: Any = CONTEXT.conditions
+UNKNOWN = EFFECTS["unknown"]
+EVERY = (
+    *(f"q{j}" for j in range(1, 7)),
+    *(f"other q{j}" for j in range(1, 7)),
+    "time",
+    *(f"torque{j}" for j in range(1, 7)),
+    *(f"step{j}" for j in range(1, 7)),
+    *("dwell", "payload", "temperature", "range", "azimuth", "elevation", "incidence"),
+)
+
+
+VECTORS = ("base shift", "tool")
+CHANNELS = tuple(channel.name for channel in channels(6))
+
+
+def names_of(variables):
+    return tuple(one.name for one in variables)
+
+
+def pairs_of(channel, names):
+    """Pairs of one channel among variables, by their names."""
+    (one,) = (one for one in channels(6) if one.name == channel)
+    return pair_laws(CONTEXT, one, [known for known in variables(CONTEXT) if known.name in names])
+
+
+def pairs_among(*names):
+    return [known for known in variables(CONTEXT) if known.name in names]
+
+
+def law_of(channel, variable, context=CONTEXT):
+    *_, law = [
+        law for law in curve_laws(context) if law.name == f"{channel}|{variable}" and "period_s" not in law.constants
+    ]
+    return law
+
+
+def columns(law, context=CONTEXT):
+    return by_name(UNKNOWN.columns(context, law))
+
+
+def test_the_dictionary_is_every_channel_times_every_variable():
+    assert (
+        *(f"joint {j}" for j in range(1, 7)),
+        *("base shift", "tool"),
+        *("base shift x", "base shift y", "base shift z", "base turn x", "base turn y"),
+        *("tool x", "tool y", "tool z", "tracker radial", "tracker azimuth", "tracker elevation"),
+    ) == CHANNELS
+    assert names_of(variables(CONTEXT)) == EVERY
+    every = [law for law in curve_laws(CONTEXT) if "period_s" not in law.constants]
+    forms = [data_driven_form(law) for law in every]
+    straight = {
+        id(law)
+        for law, form in zip(every, forms, strict=True)
+        if law.constants["order"] == 1.0 and form.drivers[0].quantity is not Quantity.PAYLOAD
+    }
+    lines = [form for law, form in zip(every, forms, strict=True) if id(law) in straight]
+    assert {form.channel for form in lines} == set(channels(6))
+    assert not any(form.drivers[0].is_joint_angle or form.drivers[0].quantity is Quantity.TIME for form in lines)
+    rest = [form for law, form in zip(every, forms, strict=True) if id(law) not in straight]
+    assert [(form.channel.name, form.drivers[0].name) for form in rest] == [(c, v) for c in CHANNELS for v in EVERY]
+    assert [form.name for form in rest] == [f"{c}|{v}" for c in CHANNELS for v in EVERY]
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_a_form_is_read_back_from_its_name(channel):
+    """The name is what JSON holds; channel and variables come back typed."""
+    for name in EVERY:
+        form = form_named(f"{channel}|{name}")
+        assert isinstance(form, DataDrivenForm)
+        assert (form.channel.name, names_of(form.drivers)) == (channel, (name,))
+        assert form.words == f"{channel} as a function of {name}"
+    pair = form_named(f"{channel}|q2|time")
+    assert pair is not None
+    assert names_of(pair.drivers) == ("q2", "time")
+    assert (pair.channel.channel is Channel.JOINT) == (pair.channel.joint is not None)
+
+
+def test_shifts_in_any_direction_are_about_the_same_motion():
+    subjects = {one.name: one.subject.name for one in channels(6)}
+    assert {name for name, subject in subjects.items() if subject == "base shift"} == {
+        "base shift",
+        "base shift x",
+        "base shift y",
+        "base shift z",
+    }
+    assert subjects["tool y"] == subjects["tool"] == "tool"
+    assert subjects["base turn x"] == "base turn x"
+    assert subjects["tracker radial"] == "tracker radial"
+
+
+def test_a_variable_that_is_unknown_or_constant_is_not_tried():
+    bare = replace(under(CONTEXT, NOTHING), smr_normal=None)
+    torques = tuple(f"torque{j}" for j in range(1, 7))
+    assert names_of(variables(bare)) == (*EVERY[:6], *torques, "range", "azimuth", "elevation")
+    q = CONTEXT.q.copy()
+    q[:, 3] = 0.5
+    assert "q4" not in names_of(variables(replace(CONTEXT, q=q)))
+    known = MeasurementConditions(payload_kg=np.full(40, 1.0))
+    assert "payload" not in names_of(variables(under(CONTEXT, known)))
+
+
+def moved_of(channel, context, row):
+    """SMR position of one stop as a function of the channel's amplitude."""
+    kind, *rest = channel.split()
+    axis = EYE["xyz".index(rest[-1])] if rest[-1] in ("x", "y", "z") else None
+    if kind == "joint":
+        return lambda h: chain(context, row, joints=h * np.eye(6)[int(rest[0]) - 1]).smr
+    if kind == "base" and rest[0] == "shift":
+        return lambda h: chain(context, row, shift={0: h * axis}).smr
+    if kind == "base":
+        return lambda h: chain(context, row, twist={0: h * axis}).smr
+    if kind == "tool":
+        return lambda h: chain(context, row, tool=h * axis).smr
+    p = context.p_M[row]
+    rho = np.linalg.norm(p)
+    if rest == ["radial"]:
+        return lambda h: p * (1.0 + h / rho)
+    if rest == ["azimuth"]:
+        return lambda h: rotation_z(h) @ p
+    az, el = np.arctan2(p[1], p[0]), np.arcsin(p[2] / rho)
+    return lambda h: rho * np.array([np.cos(el + h) * np.cos(az), np.cos(el + h) * np.sin(az), np.sin(el + h)])
+
+
+@pytest.mark.parametrize("channel", [channel for channel in CHANNELS if channel not in VECTORS])
+def test_a_channel_moves_the_smr_as_declared(channel):
+    law = law_of(channel, "q5")
+    found = columns(law)
+    prefix = channel.replace(" ", "_")
+    assert list(found) == [f"{prefix}.{wave}{m}_q5" for m in range(1, 5) for wave in ("cos", "sin")]
+    column = found[f"{prefix}.sin3_q5"]
+    assert {one.block for one in found.values()} == {channel}
+    assert column.unit == ("m" if channel.split()[0] == "tool" or "shift" in channel or "radial" in channel else "rad")
+    wave = np.sin(3.0 * CONTEXT.q[:, 4])
+    if channel.startswith("joint"):
+        assert column.joint == int(channel[-1]) - 1
+        np.testing.assert_allclose(offsets(column), wave)
+        return
+    for row in range(5):
+        expected = wave[row] * slope(moved_of(channel, CONTEXT, row))
+        np.testing.assert_allclose(shifts(column)[row], expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("channel", VECTORS)
+def test_a_vector_is_its_three_directions_in_one_block(channel):
+    found = columns(law_of(channel, "q5"))
+    parts: dict[str, EffectColumn] = {}
+    for axis in "xyz":
+        parts |= columns(law_of(f"{channel} {axis}", "q5"))
+    assert list(found) == list(parts)
+    assert len(found) == 3 * 8
+    for name, column in found.items():
+        assert (column.block, column.unit, column.where) == (channel, "m", channel.split()[0])
+        np.testing.assert_array_equal(shifts(column), shifts(parts[name]))
+
+
+def test_an_oscillation_has_one_of_the_periods_that_the_run_resolves():
+    time = CONDITIONS.time_s
+    run_s = time[-1] - time[0]
+    laws = [law for law in curve_laws(CONTEXT) if law.name == "tool|time" and "period_s" in law.constants]
+    periods = np.array([law.constants["period_s"] for law in laws])
+    assert len(periods) == 48
+    np.testing.assert_allclose(periods[[0, -1]], [2.0 * run_s, 12.0 * run_s / 40.0])
+    np.testing.assert_allclose(np.diff(np.log(periods)), np.log(0.15) / 47.0)
+    law = UNKNOWN.law("joint 3|time", laws[20].constants)
+    found = columns(law)
+    assert list(found) == ["joint_3.cos_time", "joint_3.sin_time"]
+    phase = 2.0 * np.pi * (time - time[0]) / periods[20]
+    np.testing.assert_allclose(offsets(found["joint_3.cos_time"]), np.cos(phase), atol=1e-12)
+    np.testing.assert_allclose(offsets(found["joint_3.sin_time"]), np.sin(phase), atol=1e-12)
+    later = columns(law, under(CONTEXT, MeasurementConditions(time_s=time + 1e6)))
+    for name, column in columns(law, under(CONTEXT, NOTHING)).items():
+        np.testing.assert_allclose(offsets(column), offsets(found[name])[-1], err_msg="now is the end of the run")
+        np.testing.assert_allclose(offsets(later[name]), offsets(column), err_msg="constant beyond the run")
+
+
+def test_time_is_linear_and_half_cycles_over_the_run():
+    law = law_of("base shift x", "time")
+    time = CONDITIONS.time_s
+    assert law.constants == {"order": 20.0, "low": time[0], "high": time[-1], "typical": time[-1]}
+    found = columns(law_of("joint 1", "time"))
+    assert len(found) == 21
+    x = (time - time[0]) / (time[-1] - time[0])
+    np.testing.assert_allclose(offsets(found["joint_1.linear_time"]), 2.0 * x - 1.0)
+    for k in range(1, 21):
+        np.testing.assert_allclose(offsets(found[f"joint_1.cos{k}_time"]), np.cos(np.pi * k * x), atol=1e-12)
+
+
+@pytest.mark.parametrize("variable", ["torque2", "step3", "dwell", "temperature", "range", "elevation", "incidence"])
+def test_other_variables_are_polynomials_on_their_range(variable):
+    """Orthogonal on -1 to 1: they span all polynomials to the fourth order, except the constant."""
+    values = {
+        "torque2": CONTEXT.torques[:, 1],
+        "step3": CONDITIONS.step[:, 2],
+        "dwell": CONDITIONS.dwell_s,
+        "temperature": CONDITIONS.air_c,
+        "range": np.linalg.norm(CONTEXT.p_M, axis=1),
+        "elevation": np.arcsin(CONTEXT.p_M[:, 2] / np.linalg.norm(CONTEXT.p_M, axis=1)),
+        "incidence": np.arccos(
+            np.einsum(
+                "na,na->n",
+                CONTEXT.frames[0][-1] @ CONTEXT.smr_normal,
+                -CONTEXT.p_M / np.linalg.norm(CONTEXT.p_M, axis=1)[:, None],
+            )
+        ),
+    }[variable]
+    law = law_of("joint 2", variable)
+    assert law.constants["low"] == pytest.approx(values.min())
+    assert law.constants["high"] == pytest.approx(values.max())
+    x = 2.0 * (values - values.min()) / (values.max() - values.min()) - 1.0
+    found = columns(law)
+    expected = [x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2, (35 * x**4 - 30 * x**2 + 3) / 8]
+    for m, polynomial in enumerate(expected, 1):
+        np.testing.assert_allclose(offsets(found[f"joint_2.p{m}_{variable}"]), polynomial, atol=1e-9)
+
+
+def test_a_payload_of_two_values_is_a_straight_line():
+    found = columns(law_of("tool x", "payload"))
+    assert list(found) == ["tool_x.p1_payload"]
+    assert law_of("tool x", "payload").constants["typical"] == CONTEXT.bodies.payload_mass
+
+
+def test_beyond_its_range_a_variable_is_held_at_its_limit():
+    law = law_of("joint 2", "temperature")
+    hot = under(CONTEXT, MeasurementConditions(air_c=np.full(40, 80.0)))
+    for column in columns(law, hot).values():
+        np.testing.assert_allclose(offsets(column), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("variable", "known"),
+    [
+        ("time", MeasurementConditions(time_s=np.full(40, CONDITIONS.time_s[-1]))),
+        ("step3", MeasurementConditions(step=np.zeros((40, 6)))),
+        ("dwell", MeasurementConditions(dwell_s=np.full(40, np.median(CONDITIONS.dwell_s)))),
+        ("payload", MeasurementConditions(payload_kg=np.full(40, CONTEXT.bodies.payload_mass))),
+        ("temperature", MeasurementConditions(air_c=np.full(40, CONDITIONS.air_c.mean()))),
+    ],
+)
+def test_an_unknown_variable_has_its_default(variable, known):
+    law = law_of("joint 2", variable)
+    unknown, usual = columns(law, under(CONTEXT, NOTHING)), columns(law, under(CONTEXT, known))
+    for name, column in unknown.items():
+        np.testing.assert_allclose(offsets(column), offsets(usual[name]), atol=1e-12)
+
+
+def test_an_unknown_angle_of_the_other_arm_is_left_out():
+    law = law_of("joint 2", "other q3")
+    found = columns(law)
+    np.testing.assert_allclose(offsets(found["joint_2.cos2_other_q3"]), np.cos(2.0 * CONDITIONS.other_q[:, 2]))
+    for column in columns(law, under(CONTEXT, NOTHING)).values():
+        assert not offsets(column).any()
+
+
+def test_azimuth_has_no_jump_where_the_tracker_counts_from_half_a_turn():
+    """The same cell seen by a tracker that is turned about its own axis gives the same columns."""
+    law = law_of("joint 2", "azimuth")
+    turned = np.eye(4)
+    middle = np.arctan2(CONTEXT.p_M[:, 1].mean(), CONTEXT.p_M[:, 0].mean())
+    turned[:3, :3] = rotation_z(np.pi - middle)
+    geometry = CONTEXT.geometry.with_T_M_B(turned @ CONTEXT.geometry.T_M_B())
+    across = replace(CONTEXT, geometry=geometry)
+    azimuth = np.arctan2(across.p_M[:, 1], across.p_M[:, 0])
+    assert np.ptp(azimuth) > 6.0, "the readings lie on both sides of the jump"
+    other = columns(law_of("joint 2", "azimuth", across), across)
+    for name, column in columns(law).items():
+        np.testing.assert_allclose(offsets(other[name]), offsets(column), atol=1e-6)
+
+
+def test_two_angles_make_all_waves_up_to_the_third_order():
+    (law,) = pairs_of("joint 4", {"q1", "q5"})
+    assert law.name == "joint 4|q1|q5"
+    found = columns(law)
+    v, w = CONTEXT.q[:, 0], CONTEXT.q[:, 4]
+    np.testing.assert_allclose(offsets(found["joint_4.sin(2*q1-q5)"]), np.sin(2.0 * v - w))
+    np.testing.assert_allclose(offsets(found["joint_4.cos(q1+q5)"]), np.cos(v + w))
+    np.testing.assert_allclose(offsets(found["joint_4.cos(3*q5)"]), np.cos(3.0 * w))
+    assert len(found) == 24
+    many = columns(law, context_of(200, seed=5))
+    design = np.column_stack([np.ones(200), *(offsets(column) for column in many.values())])
+    assert np.linalg.matrix_rank(design) == 25, "all of them differ"
+
+
+def test_two_other_variables_make_products_up_to_the_third_order():
+    (law,) = pairs_of("joint 4", {"torque2", "temperature"})
+    assert law.name == "joint 4|torque2|temperature"
+    first, second = law_of("joint 4", "torque2"), law_of("joint 4", "temperature")
+    a, b = columns(first), columns(second)
+    found = columns(law)
+    assert len(found) == 3 + 3 + 3
+    np.testing.assert_allclose(
+        offsets(found["joint_4.p1_torque2*p2_temperature"]),
+        offsets(a["joint_4.p1_torque2"]) * offsets(b["joint_4.p2_temperature"]),
+    )
+    (mixed,) = pairs_of("joint 4", {"q2", "temperature"})
+    found = columns(mixed)
+    np.testing.assert_allclose(
+        offsets(found["joint_4.sin2_q2*p1_temperature"]),
+        np.sin(2.0 * CONTEXT.q[:, 1]) * offsets(b["joint_4.p1_temperature"]),
+    )
+
+
+def test_pairs_are_of_all_variables_or_of_those_asked_for_in_any_channel():
+    of_all = pair_laws(CONTEXT, channels(6)[-4])
+    assert {data_driven_form(law).channel.name for law in of_all} == {"tool z"}
+    assert len(of_all) == len(EVERY) * (len(EVERY) - 1) / 2
+    of_angles = pair_families(CONTEXT, own_angles(CONTEXT), (PAIR_ORDER,))
+    assert len(of_angles) == 15
+    drivers = [driver for family in of_angles for driver in family.drivers]
+    assert {driver.quantity for driver in drivers} == {Quantity.JOINT_ANGLE}
+    forms = [data_driven_form(family.law(channel)) for family in of_angles for channel in channels(6)]
+    assert {form.channel for form in forms} == set(channels(6))
+    assert {form.drivers for form in forms} == {family.drivers for family in of_angles}
+
+
+def test_pairs_of_a_lower_order_have_some_of_the_functions():
+    lower, higher = (family.law(channels(6)[3]) for family in pair_families(CONTEXT, pairs_among("q2", "time")))
+    assert (lower.constants["order"], higher.constants["order"]) == (2.0, 3.0)
+    assert lower.name == higher.name == "joint 4|q2|time"
+    few, many = columns(lower), columns(higher)
+    assert len(few) < len(many)
+    for name, column in few.items():
+        np.testing.assert_array_equal(offsets(column), offsets(many[name]))
+    two, three = (family.law(channels(6)[0]) for family in pair_families(CONTEXT, pairs_among("q1", "q2")))
+    assert (len(columns(two)), len(columns(three))) == (12, 24)
+
+
+def test_a_curve_of_one_variable_can_be_found_again():
+    """A sag of |sin q5| and an oscillation of 47 minutes are fitted to 15 % of their size."""
+    context = context_of(300, seed=8)
+    time_s: Any = context.conditions.time_s
+    for channel, variable, truth in (
+        ("joint 1", "q5", np.abs(np.sin(context.q[:, 4]))),
+        ("joint 1", "time", np.sin(2.0 * np.pi * time_s / (47.0 * 60.0) / 2.0)),
+    ):
+        found = columns(law_of(channel, variable, context), context)
+        design = np.column_stack([np.ones(300), *(offsets(column) for column in found.values())])
+        left = truth - design @ np.linalg.lstsq(design, truth, rcond=None)[0]
+        assert np.std(left) < 0.15 * np.std(truth)
+
+
+@pytest.mark.parametrize("name", ["joint 9|q1", "nonsense|q1", "joint 1", "joint 1|q1|q2|q3", "base turn z|q1"])
+def test_a_name_that_is_no_term_is_refused(name):
+    with pytest.raises(ValueError, match="effect unknown has no law"):
+        UNKNOWN.columns(CONTEXT, UNKNOWN.law(name, {"order": 4.0}))

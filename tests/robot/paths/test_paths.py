@@ -1,0 +1,368 @@
+"""Paths by the mathematics alone: geometry, files, joint paths within tolerance, timing within limits."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import refuse_stop
+from cellapp.cell.targets.path_file import PathSpec, load_paths
+from cellapp.cell.targets.plan_path import PathPlan, plan_path
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.kinematics.chain import flange_poses, parameter_names, smr_positions
+from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
+from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
+from cellapp.robot.paths.cartesian import CartesianPath, cartesian_path
+from cellapp.robot.paths.lag import lag, rehearsed
+from cellapp.robot.paths.pieces import Arc
+from cellapp.robot.paths.timing import Rates
+from drivers.plant.servo import ServoMotion
+from tests.twin import PROFILES, small_twin
+
+PERIOD_S = 0.008
+TWIN = PROFILES / "paths" / "twin.yaml"
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    return small_twin()
+
+
+@pytest.fixture(scope="module")
+def model(profile: Profile) -> CellModel:
+    return calibrated(profile)
+
+
+def calibrated(profile: Profile) -> CellModel:
+    """A calibrated cell: every arm's geometry is some 0.3 mm off the published one; all have backlash."""
+    rng = np.random.default_rng(5)
+    arms = {}
+    for name, arm in profile.arms.items():
+        assert arm.base is not None
+        assert profile.tracker.pose is not None
+        T_M_B = np.linalg.inv(pose_matrix(profile.tracker.pose)) @ pose_matrix(arm.base)
+        nominal = nominal_arm(arm).with_T_M_B(T_M_B)
+        names = parameter_names(nominal.joints)
+        sizes = np.array([3e-4 if "a" in parameter or "d" in parameter else 1e-3 for parameter in names])
+        real = nominal.with_vector(nominal.vector() + 0.3 * sizes * rng.standard_normal(len(names)))
+        plays = tuple(f"half_play{j + 1}" for j in range(nominal.joints))
+        term = EffectTerm(
+            "backlash",
+            plays,
+            np.full(len(plays), 1e-4),
+            np.zeros(len(plays)),
+            ("rad",) * len(plays),
+            EFFECTS["backlash"].law(),
+        )
+        arms[name] = ArmModel(real, nominal, bodies_of(arm), up_in_tracker(profile), (term,))
+    return CellModel(arms)
+
+
+def spec(**changes: Any) -> PathSpec:
+    """A short line of the left arm, in front of the tracker."""
+    content: dict[str, Any] = {
+        "name": "line",
+        "arm": "left",
+        "tolerance": "0.05 mm",
+        "speed": "100 mm/s",
+        "poses": [
+            {"position": [-0.15, -0.75, 0.55], "rpy": ["90 deg", 0, 0]},
+            {"position": [0.05, -0.75, 0.55]},
+        ],
+    }
+    return PathSpec.model_validate({**content, **changes})
+
+
+def square(**changes: Any) -> CartesianPath:
+    corners = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.2, 0.1, 0.0], [0.0, 0.1, 0.0]])
+    rotations = np.stack([rotation_zyx(0.1 * k, 0.05 * k, 0.0) for k in range(4)])
+    given: dict[str, Any] = {"vias": [None] * 3, "blends": [0.0, 0.03, 0.0, 0.0], "speeds": np.full(3, 0.1)}
+    return cartesian_path(corners, rotations, **(given | changes))
+
+
+# -- geometry ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fast
+@settings(max_examples=30)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9))
+def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
+    start, via, end = np.array(numbers).reshape(3, 3)
+    height = np.linalg.norm(np.cross(via - start, end - start))
+    if height < 0.05:
+        return
+    arc = Arc.through(start, via, end)
+    ends = arc.positions(np.array([0.0, arc.length]))
+    np.testing.assert_allclose(ends, np.stack([start, end]), atol=float(1e-9 / height))
+    points = arc.positions(np.linspace(0.0, arc.length, 2001))
+    assert np.linalg.norm(points - via, axis=1).min() < arc.length / 1999.0
+
+
+@pytest.mark.fast
+def test_a_path_is_run_through_by_its_arc_length() -> None:
+    path = square()
+    s = np.linspace(0.0, path.length, 20_001)
+    steps = np.linalg.norm(np.diff(path.positions(s), axis=0), axis=1)
+    corner = np.abs(s[:-1] - path.stops[1]) < 1e-4  # cut off by a chord
+    np.testing.assert_allclose(steps[~corner], path.length / 20_000, rtol=1e-3)
+    assert path.length < 0.5  # the rounded corner is shorter
+    np.testing.assert_allclose(path.stops[1:-1], path.begins[3:4])  # the second corner is not rounded
+
+
+@pytest.mark.fast
+def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
+    path = square()
+    s = np.linspace(0.0, path.length, 5001)
+    _, turned = path.poses(s)
+    np.testing.assert_allclose(turned @ turned.transpose(0, 2, 1), np.tile(np.eye(3), (len(s), 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(turned[[0, -1]], path.rotations[[0, -1]], atol=1e-12)
+    assert np.abs(np.diff(turned, axis=0)).max() < 2.0 * 0.5 / 5000
+
+
+@pytest.mark.fast
+def test_distances_are_geometric() -> None:
+    path = square()
+    s = np.linspace(0.01, path.length - 0.01, 50)
+    beside = path.positions(s) + np.array([0.0, 0.0, 1e-3])
+    np.testing.assert_allclose(path.distances(beside), 1e-3, atol=1e-7)
+    np.testing.assert_allclose(path.distances(path.positions(s)), 0.0, atol=1e-6)
+
+
+# -- joint paths ------------------------------------------------------------------------------------------------------
+
+
+def planned(profile: Profile, model: CellModel, wanted: PathSpec) -> PathPlan:
+    plan = plan_path(profile, model, wanted, PERIOD_S)
+    assert plan.refusal == ""
+    return plan
+
+
+def assert_followed(profile: Profile, model: CellModel, plan: PathPlan) -> None:
+    """The model's SMR keeps the tolerance at every sample and between them; no joint exceeds its rates or limits."""
+    trajectory, path, wanted = plan.trajectory, plan.path, plan.spec
+    assert trajectory is not None
+    assert path is not None
+    assert plan.joints is not None
+    arm, kind = model.arms[wanted.arm], profile.arms[wanted.arm]
+    speed, acceleration = trajectory.largest_rates()
+    most = np.array([[joint.speed, joint.acceleration] for joint in kind.type.joints]) * kind.speed_scale
+    assert (speed <= most[:, 0] * (1.0 + 1e-9)).all()
+    assert (acceleration <= most[:, 1] * (1.0 + 1e-9)).all()
+    # away from where joints turn round, the side of approach is the sign of the motion
+    steps = np.diff(trajectory.q, axis=0)
+    away = np.ones(len(steps), dtype=bool)
+    for one in plan.joints.reversals:
+        away &= np.abs(trajectory.s[:-1] - one.at_m) > one.window_m + 2e-3
+    signs = np.where(np.abs(steps) > 1e-9, np.sign(steps), 0.0)
+    away &= (np.abs(steps) > 2e-6).all(axis=1)
+    for share in (0.0, 0.5):
+        q = trajectory.q[:-1] + share * steps
+        smr = arm.predict(q[away], conditions=MeasurementConditions(approach=signs[away]))
+        assert path.distances(smr).max(initial=0.0) < wanted.tolerance
+    cell, others = cell_bodies(profile, model), home_positions(profile)
+    for row in np.linspace(0, len(trajectory.q) - 1, 5).astype(int):
+        assert refuse_stop(cell, {**others, wanted.arm: trajectory.q[row]}) == ""
+
+
+@pytest.mark.fast
+def test_the_example_paths_are_planned_for_both_arms(profile: Profile, model: CellModel) -> None:
+    for wanted in load_paths(TWIN, profile):
+        plan = planned(profile, model, wanted)
+        assert_followed(profile, model, plan)
+        assert plan.joints is not None
+        assert plan.trajectory is not None
+        assert plan.joints.deviation_m < 0.1 * wanted.tolerance
+        assert plan.nominal is not None
+        np.testing.assert_array_equal(np.diff(plan.trajectory.s) >= 0.0, True)
+
+
+coordinates = st.floats(-0.12, 0.12)
+
+
+@settings(max_examples=8)
+@given(
+    corner=st.tuples(coordinates, coordinates, coordinates),
+    turn=st.floats(-0.3, 0.3),
+    speed=st.floats(0.02, 0.4),
+    blend=st.sampled_from([0.0, 5.0]),
+)
+def test_random_small_paths_keep_tolerance_and_limits(
+    profile: Profile, model: CellModel, corner: tuple[float, float, float], turn: float, speed: float, blend: float
+) -> None:
+    base = np.array([0.0, -0.7, 0.6])
+    middle = base + np.array(corner) + np.array([0.02, 0.0, 0.02])
+    poses = [
+        {"position": base.tolist(), "rpy": ["90 deg", 0, 0]},
+        {"position": middle.tolist(), "rpy": [np.pi / 2.0 + turn, 0, turn], "blend": f"{blend} mm"},
+        {"position": (base + np.array([0.0, 0.05, -0.08])).tolist()},
+    ]
+    try:
+        wanted = spec(poses=poses, speed=speed)
+    except ValueError:  # a blend longer than half of a piece
+        return
+    plan = plan_path(profile, model, wanted, PERIOD_S)
+    if plan.refusal:
+        assert plan.refusal.startswith("at ") or "home" in plan.refusal
+        return
+    assert_followed(profile, model, plan)
+
+
+@pytest.mark.fast
+def test_a_joint_that_turns_round_crosses_its_play(profile: Profile, model: CellModel) -> None:
+    there_and_back = spec(
+        poses=[
+            {"position": [-0.1, -0.75, 0.55], "rpy": ["90 deg", 0, 0]},
+            {"position": [0.1, -0.75, 0.55]},
+            {"position": [-0.1, -0.75, 0.55]},
+        ]
+    )
+    plan = planned(profile, model, there_and_back)
+    assert plan.joints is not None
+    at_stop = [one for one in plan.joints.reversals if one.at_m == pytest.approx(0.2)]
+    assert at_stop
+    assert all(one.jump_rad == pytest.approx(2e-4, rel=0.01) and one.window_m == 0.0 for one in at_stop)
+    lonely = replace(model, arms={name: replace(arm, effects=()) for name, arm in model.arms.items()})
+    assert planned(profile, lonely, there_and_back).joints is not None
+    without = planned(profile, lonely, there_and_back).joints
+    assert without is not None
+    assert without.reversals == ()
+
+
+@pytest.mark.fast
+def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model: CellModel) -> None:
+    trajectory = planned(profile, model, spec()).trajectory
+    assert trajectory is not None
+    speed = np.diff(trajectory.s) / PERIOD_S
+    assert speed.max() == pytest.approx(0.1, rel=PERIOD_S / 2.0)  # the end falls on a sample
+    assert trajectory.at_speed > 0.8
+    assert trajectory.slowed == ""
+    fast = planned(profile, model, spec(speed="2500 mm/s", acceleration=9.0)).trajectory
+    assert fast is not None
+    assert np.diff(fast.s).max() / PERIOD_S < 2.5
+
+
+@pytest.mark.fast
+def test_a_rehearsal_takes_out_what_the_lag_cuts(profile: Profile, model: CellModel) -> None:
+    sent = planned(profile, model, load_paths(TWIN, profile, "left")[0]).trajectory
+    assert sent is not None
+    motion, q = None, []
+    for row in sent.q:  # as a controller follows, one position in each cycle
+        now = 0.0 if motion is None else motion.start_s + PERIOD_S
+        here = (sent.q[0], np.zeros(6)) if motion is None else at_time(motion, now)
+        q.append(here[0])
+        motion = ServoMotion.towards(row, now, here[0], here[1], 66.7)
+    followed = np.array(q)
+    plain = lag(model.arms["left"], sent, sent.time_s, followed)
+    assert plain is not None
+    assert plain.delay_s == pytest.approx(2.0 / 66.7, abs=0.5 * PERIOD_S)
+    assert plain.cut_m > 2e-5
+    limits = Rates(np.full(6, 2.0), np.full(6, 4.0), 1.0)
+    corrected = rehearsed(sent, sent.time_s, followed, limits)
+    assert corrected is not None
+    np.testing.assert_array_equal(corrected.q[[0, -1]], sent.q[[0, -1]])
+    assert np.abs(corrected.q - sent.q).max() < 1e-3
+    assert rehearsed(sent, sent.time_s, followed, replace(limits, speed=np.full(6, 1e-3))) is None
+    assert rehearsed(sent, sent.time_s[:3], followed[:3], limits) is None
+
+
+def at_time(motion: ServoMotion, time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    now = np.array([time_s])
+    return motion.position(now)[0], motion.velocity(now)[0]
+
+
+@pytest.mark.fast
+def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
+    shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
+    content = yaml.safe_load((tmp_path / "twin.yaml").read_text("utf-8"))
+    arm = content["arms"]["left"]
+    arm.update(type="arms/seven-joint.yaml", home=[0.0, 0.3, 0.0, -1.2, 0.0, 0.6, 0.0])
+    content["arms"], content["plant"]["effects"] = {"left": arm}, {}
+    for section in ("pair", "targets"):
+        content.pop(section, None)
+    (tmp_path / "seven.yaml").write_text(yaml.safe_dump(content), "utf-8")
+    alone = load_profile(tmp_path / "seven.yaml")
+    model = calibrated(alone)
+    geometry = model.arms["left"].geometry.with_T_M_B(np.eye(4))
+    home = np.array([arm["home"]])
+    smr, flange = smr_positions(geometry, home)[0], flange_poses(geometry, home)[0][0]
+    yaw, pitch, roll = zyx_angles(flange)
+    poses = [
+        {"position": smr.tolist(), "rpy": [roll, pitch, yaw]},
+        {"position": np.add(smr, (0.05, 0.1, -0.05)).tolist(), "blend": "10 mm"},
+        {"position": np.add(smr, (-0.05, 0.1, 0.0)).tolist()},
+    ]
+    assert_followed(alone, model, planned(alone, model, spec(poses=poses)))
+
+
+# -- refusals ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fast
+def test_what_cannot_be_followed_is_refused_with_its_place(profile: Profile, model: CellModel) -> None:
+    start = {"position": [-0.15, -0.75, 0.55], "rpy": ["90 deg", 0, 0]}
+    cases = {
+        "its beginning, at 0 mm, is out of reach": [{**start, "position": [5.0, 0, 0]}, start],
+        "out of reach": [start, {"position": [-0.15, -3.0, 0.55]}],
+        "floor": [start, {"position": [-0.15, -0.75, -0.15]}],
+    }
+    for words, poses in cases.items():
+        plan = plan_path(profile, model, spec(poses=poses), PERIOD_S)
+        assert words in plan.refusal
+        assert plan.trajectory is None
+        assert " mm" in plan.refusal
+
+
+ROTATION = 'rpy: ["90 deg", 0, 0]}\n      - {position: [0.15'
+BAD: dict[str, tuple[str, str, str]] = {
+    "frame": ("arm: left\n", "arm: left\n    frame: nowhere\n", ":6: path 'left-frame': no frame 'nowhere'"),
+    "arm": ("arm: left\n", "arm: middle\n", "no arm 'middle'; arms are left, right"),
+    "speed zero": ("speed: 100 mm/s\n", "speed: 0\n", ":9: paths.0.speed: expected a speed above 0"),
+    "speed in mm": ("speed: 100 mm/s\n", "speed: 100\n", "write '100 mm/s' for mm/s"),
+    "speed unit": ("speed: 100 mm/s\n", "speed: 100 mm\n", "'mm' is not a unit of speed"),
+    "tolerance": ("tolerance: 0.1 mm\n", "tolerance: 0\n", "tolerance"),
+    "no way": ("[0.15, -0.75, 0.55]", "[-0.15, -0.75, 0.55]", ":12: .*pose 2: the way to it is 0.000 mm long"),
+    "arc on a line": ("via: [-0.13, -0.70, 0.52]", "via: [-0.10, -0.70, 0.55]", ":16: .*lie on one line"),
+    "rotation": (ROTATION, ROTATION.replace(", 0, 0]", ", 0]"), "rpy"),
+    "turns": ('["95 deg", 0, 0]', "[95, 0, 0]", "write '95 deg' for degrees"),
+    "no rotation": (
+        ', rpy: ["90 deg", 0, 0]}\n      - {position: [0.15',
+        "}\n      - {position: [0.15",
+        "'rpy' is needed",
+    ),
+    "blend": ("blend: 20 mm", "blend: 200 mm", "more than half of"),
+    "twice": ("right-arc", "left-frame", "listed twice"),
+    "key": ("tolerance: 0.1 mm\n", "tolerance: 0.1 mm\n    colour: red\n", "colour"),
+}
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("name", BAD, ids=BAD)
+def test_a_bad_file_is_named_by_line(name: str, tmp_path: Path, profile: Profile) -> None:
+    good, bad, words = BAD[name]
+    text = TWIN.read_text("utf-8")
+    assert good in text
+    path = tmp_path / "paths.yaml"
+    path.write_text(text.replace(good, bad, 1), "utf-8")
+    with pytest.raises(InputError, match=words) as caught:
+        load_paths(path, profile)
+    assert str(caught.value).startswith(f"{path}:")
+
+
+@pytest.mark.fast
+def test_one_arm_of_a_file(profile: Profile) -> None:
+    assert [one.name for one in load_paths(TWIN, profile, "right")] == ["right-arc"]
+    with pytest.raises(InputError, match="no arm 'up'"):
+        load_paths(TWIN, profile, "up")
