@@ -1,1 +1,1 @@
-"""calibrate."""
+"""The verb ``calibrate``."""

@@ -1,1 +1,1 @@
-"""certificate."""
+"""The verb ``certificate``."""

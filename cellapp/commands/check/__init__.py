@@ -1,1 +1,1 @@
-"""check."""
+"""The verb ``check``."""

@@ -1,1 +1,1 @@
-"""collect."""
+"""The verb ``collect``."""

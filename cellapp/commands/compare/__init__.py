@@ -1,1 +1,1 @@
-"""compare."""
+"""The verb ``compare``."""

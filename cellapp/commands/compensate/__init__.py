@@ -1,1 +1,1 @@
-"""compensate."""
+"""The verb ``compensate``."""

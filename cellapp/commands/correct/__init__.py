@@ -1,1 +1,1 @@
-"""correct."""
+"""The verb ``correct``."""

@@ -1,1 +1,1 @@
-"""discover."""
+"""The verb ``discover``."""

@@ -1,1 +1,1 @@
-"""docs."""
+"""The verb ``docs``."""

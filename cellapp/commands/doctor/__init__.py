@@ -1,1 +1,1 @@
-"""doctor."""
+"""The verb ``doctor``."""

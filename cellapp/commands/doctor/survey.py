@@ -1,4 +1,4 @@
-"""Where a base stands in the cell, from points that the tracker measured: by ``estimation.calibration.base_from_points``."""
+"""Where a base stands in the cell, from points that the tracker measured."""
 
 from __future__ import annotations
 

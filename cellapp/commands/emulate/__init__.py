@@ -1,1 +1,1 @@
-"""emulate."""
+"""The verb ``emulate``."""

@@ -1,1 +1,1 @@
-"""export."""
+"""The verb ``export``."""

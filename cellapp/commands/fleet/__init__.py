@@ -1,1 +1,1 @@
-"""fleet."""
+"""The verb ``fleet``."""

@@ -1,1 +1,1 @@
-"""follow."""
+"""The verb ``follow``."""

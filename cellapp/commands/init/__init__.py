@@ -1,1 +1,1 @@
-"""init."""
+"""The verb ``init``."""

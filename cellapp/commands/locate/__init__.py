@@ -1,1 +1,1 @@
-"""locate."""
+"""The verb ``locate``."""

@@ -1,1 +1,1 @@
-"""plan."""
+"""The verb ``plan``."""

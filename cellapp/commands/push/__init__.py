@@ -1,1 +1,1 @@
-"""push."""
+"""The verb ``push``."""

@@ -1,1 +1,1 @@
-"""recalibrate."""
+"""The verb ``recalibrate``."""

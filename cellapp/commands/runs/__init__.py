@@ -1,1 +1,1 @@
-"""runs."""
+"""The verb ``runs``."""

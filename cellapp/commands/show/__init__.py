@@ -1,1 +1,1 @@
-"""show."""
+"""The verb ``show``."""

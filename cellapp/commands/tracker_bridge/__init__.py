@@ -1,1 +1,1 @@
-"""tracker bridge."""
+"""The verb ``tracker-bridge``."""

@@ -1,1 +1,1 @@
-"""view."""
+"""What views share: tables and charts as data, words for values."""

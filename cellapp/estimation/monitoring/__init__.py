@@ -1,1 +1,1 @@
-"""monitoring."""
+"""Mathematics of change: whether a calibration still holds, and trends over many runs."""

@@ -5,7 +5,7 @@
     run = open_run("logs/my-run")
     p_M = run.predict("left", q)
 
-``dataframes`` beside this has the run's tables as pandas data frames; ``cellapp docs python`` is the chapter about both.
+``dataframes`` beside this has the run's tables as pandas data frames; ``cellapp docs python`` is about both.
 """
 
 from __future__ import annotations

@@ -59,8 +59,8 @@ class Unknown(Effect):
     run's median dwell, its mean temperature, the nominal payload), ``center`` of an azimuth; with a ``2`` appended for
     the second variable.
 
-    Of the position: the smooth field over the workspace of ``robot.effects.field``, a shift along x, y and z of the base
-    with one amplitude and one length scale.
+    Of the position: the smooth field over the workspace of ``robot.effects.field``, a shift along x, y and z of
+    the base with one amplitude and one length scale.
 
     A law of an effect of the library whose values are physically impossible is such a term as well.
 

@@ -230,9 +230,9 @@ def test_sections_without_a_message_are_left_out_and_the_others_keep_their_order
 
 
 def test_every_section_has_a_template() -> None:
-    import cellapp.commands.view
+    import cellapp.interfaces.page
 
-    folder = Path(cellapp.commands.view.__file__).parent / "sections"
+    folder = Path(cellapp.interfaces.page.__file__).parent / "sections"
     assert not [key for key in SECTIONS if not (folder / f"{key}.html").is_file()]
 
 

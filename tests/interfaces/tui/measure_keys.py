@@ -1,8 +1,8 @@
 """Measure the first paint and the time from a key to its answer in a real terminal.
 
-``python -m tests.interfaces.tui.measure_keys``, with two cores and nothing else running. The keys are letters that are typed
-into the search field of the screen Collect while an emulated cell collects over real sockets, and while discovery searches
-300 readings of a real UR10.
+``python -m tests.interfaces.tui.measure_keys``, with two cores and nothing else running. The keys are letters that are
+typed into the search field of the screen Collect while an emulated cell collects over real sockets, and while discovery
+searches 300 readings of a real UR10.
 """
 
 from __future__ import annotations

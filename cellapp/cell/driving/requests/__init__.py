@@ -1,1 +1,1 @@
-"""requests."""
+"""Requests to a running job from other processes, and watching it."""

@@ -1,7 +1,7 @@
 """Requests of a person to the job that runs in a run's folder, from another process on the same computer: its side.
 
-The job listens on a loopback port; ``ground.asking`` says where that is published. ``watching`` beside this serves those
-who also watch what it does.
+The job listens on a loopback port; ``ground.asking`` says where that is published. ``watching`` beside this serves
+those who also watch what it does.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Hypotheses for further stops to decide between: one effect or another, or an effect or none.
 
-Each is compared by T-optimality (see ``estimation.design.discrimination``): the effect with its fitted values is the true
-model, the rival model is geometry, the other accepted effects and, where there is one, the other effect by any of its laws.
+Each is compared by T-optimality (see ``estimation.design.discrimination``): the effect with its fitted values is
+the true model, the rival model is geometry, the other accepted effects and, where there is one, the other effect by any
+of its laws.
 """
 
 from __future__ import annotations
