@@ -15,6 +15,9 @@ from cellapp.ground.errors import InputError
 
 _MOST_LEVELS = 50
 """A list of targets has about seven."""
+_NESTED = "nested too deeply; a target list has a few levels"
+_TOO_DEEP = "maximum nesting depth"
+"""Said by PyYAML from 6.0.4, which counts levels itself; earlier ones recurse until the process ends."""
 
 
 class _Loader(yaml.CSafeLoader):
@@ -46,6 +49,8 @@ def read_yaml(path: Path) -> TargetSource:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = "" if mark is None else f":{mark.line + 1}"
+        if _TOO_DEEP in (error.problem or ""):
+            raise InputError(f"{path}{line}: {_NESTED}") from None
         raise InputError(f"{path}{line}: not YAML: {error.problem or error.context}; correct the line") from None
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not YAML: {getattr(error, 'reason', error)}; remove that character") from None
@@ -75,7 +80,7 @@ def _check_levels(path: Path, text: str) -> None:
             level -= 1
         if level > _MOST_LEVELS:
             line = "" if event.start_mark is None else f":{event.start_mark.line + 1}"
-            raise InputError(f"{path}{line}: nested too deeply; a target list has a few levels")
+            raise InputError(f"{path}{line}: {_NESTED}")
 
 
 def _places(path: Path, root: yaml.Node | None) -> Callable[[KeyPath], str]:
