@@ -13,7 +13,9 @@ from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
 from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.locate.result import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
+from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.stored_model import arms_stage, model_of
@@ -31,6 +33,24 @@ from cellapp.robot.model.nominal import pose_matrix
 from cellapp.robot.model.relocation import relocated
 
 POINTS = 4
+
+
+def run(request: LocateRequest, work: Work) -> LocateResult:
+    """Measure where the tracker stands now."""
+    rough, simulated = (
+        None if text is None else typed_pose(text, request.option_of(name))
+        for name, text in (("tracker_pose", request.tracker_pose), ("simulated_pose", request.simulated_pose))
+    )
+    with RunFile.open(request.folder, write=True) as opened:
+        return locate_run(
+            opened,
+            request.points,
+            work.listener,
+            work.control,
+            tracker_pose=rough,
+            simulated_pose=simulated,
+            ask=work.ask(opened.profile.name),
+        )
 
 
 def locate_run(

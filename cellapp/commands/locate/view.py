@@ -5,7 +5,13 @@ from __future__ import annotations
 import math
 
 from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+
+
+def view(result: LocateResult, request: Request | None = None) -> View:
+    """Every point, where the tracker stands, and why it could not be located."""
+    return View((*location_tables(result), *location_sentences(result)), result.complaints())
 
 
 def location_tables(result: LocateResult) -> list[Table]:

@@ -10,12 +10,14 @@ from typing import Annotated
 import typer
 
 from cellapp import __version__
+from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.interfaces.cli.at_rest import at_rest
 from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
 from cellapp.interfaces.cli.check import check
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.correct import correct
+from cellapp.interfaces.cli.derived import command_of
 from cellapp.interfaces.cli.docs import docs
 from cellapp.interfaces.cli.export import export
 from cellapp.interfaces.cli.fleet import fleet, recalibrate
@@ -264,45 +266,7 @@ def discover(
         job.result(result)
 
 
-@app.command()
-def locate(
-    folder: RunFolder,
-    points: Annotated[int, typer.Option("--points", metavar="N", min=3, help="Points of all arms together.")] = 4,
-    tracker_pose: Annotated[
-        str | None,
-        typer.Option(
-            "--tracker-pose",
-            metavar="X,Y,Z,R,P,Y",
-            help="Where the tracker stands now in the cell, to about 50 mm and 1 deg: m, and roll, pitch, yaw in deg.",
-        ),
-    ] = None,
-    simulated_pose: Annotated[
-        str | None,
-        typer.Option(
-            "--simulated-pose", metavar="X,Y,Z,R,P,Y", help="Simulated cells only: put the tracker there first."
-        ),
-    ] = None,
-    allow_motion: AllowMotion = False,
-    json_file: JsonOption = None,
-) -> None:
-    """After the tracker was moved: measure a few points, so that the calibration holds from where it stands now."""
-    from cellapp.commands.locate.run import locate_run, typed_pose
-    from cellapp.commands.locate.view import location_sentences, location_tables
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = locate_run(
-            opened,
-            points,
-            job.listen,
-            job.control,
-            tracker_pose=None if tracker_pose is None else typed_pose(tracker_pose, "--tracker-pose"),
-            simulated_pose=None if simulated_pose is None else typed_pose(simulated_pose, "--simulated-pose"),
-            ask=asking(job, opened.profile.name, allowed=allow_motion),
-        )
-        job.show(location_tables(result))
-        job.say(*location_sentences(result))
-        job.result(result)
-        require_none(result.complaints(), "location")
+app.command(LOCATE.name)(command_of(LOCATE))
 
 
 @app.command()

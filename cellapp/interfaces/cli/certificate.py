@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cellapp.commands.record import Writes
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.command_outputs import Written
 from cellapp.interfaces.cli.job import Job, open_run, require_none
 from cellapp.interfaces.cli.options import JsonOption, RunFolder
 
@@ -27,7 +27,7 @@ def certificate(
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="FOLDER", help="Folder of the files; DIR if not given."),
-        Written.FOLDER,
+        Writes.FOLDER,
     ] = None,
     number: Annotated[
         str | None, typer.Option("--number", metavar="N", help="Number of the certificate; else a new one.")

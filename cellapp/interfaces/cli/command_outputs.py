@@ -9,28 +9,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import typer
 
+from cellapp.commands.record import Writes
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.interfaces.cli.requests import REMEDY
 
 _FORCE = "force"
 CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
-
-
-class Written(Enum):
-    """How an option writes; stands in its annotation."""
-
-    FILE = "the file itself; looked at before the command begins"
-    FILES = "a file, or several that are named after it; looked at when they are written"
-    FOLDER = "files in a folder; looked at when they are written"
-    STORE = "a store of results, to which is added; never replaced"
-    OWN_FOLDER = "a folder that is new, or is continued; never replaced"
 
 
 @dataclass(frozen=True)
@@ -59,7 +49,7 @@ class CommandOutputs:
             named[place] = option
 
 
-_ADDED_TO = (Written.STORE, Written.OWN_FOLDER)
+_ADDED_TO = (Writes.STORE, Writes.OWN_FOLDER)
 _NOTHING_CALLED = CommandOutputs()
 _current: ContextVar[CommandOutputs] = ContextVar("command_outputs", default=_NOTHING_CALLED)
 
@@ -106,22 +96,22 @@ def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def written_by(function: Callable[..., Any]) -> dict[str, Written]:
+def written_by(function: Callable[..., Any]) -> dict[str, Writes]:
     """The options of a command that write, and how."""
     parameters = inspect.signature(function, eval_str=True).parameters.values()
     return {_option(one): how for one in parameters if (how := _how(one.annotation)) is not None}
 
 
 def _outputs_of(
-    written: dict[str, Written], options: dict[str, str], values: dict[str, Any], *, force: bool
+    written: dict[str, Writes], options: dict[str, str], values: dict[str, Any], *, force: bool
 ) -> CommandOutputs:
-    named: dict[Written, dict[str, Path]] = {how: {} for how in Written}
+    named: dict[Writes, dict[str, Path]] = {how: {} for how in Writes}
     for name, how in written.items():
         if values[name] is not None and str(values[name]) != "-":
             named[how][options[name]] = Path(values[name])
     inputs = [path for name, value in values.items() if name not in written for path in _paths(value)]
     return CommandOutputs(
-        Outputs(force, tuple(inputs), REMEDY), named[Written.FILE], named[Written.FILES], named[Written.STORE]
+        Outputs(force, tuple(inputs), REMEDY), named[Writes.FILE], named[Writes.FILES], named[Writes.STORE]
     )
 
 
@@ -145,10 +135,10 @@ def _called(outputs: CommandOutputs) -> Iterator[None]:
         _current.reset(token)
 
 
-def _how(annotation: object) -> Written | None:
+def _how(annotation: object) -> Writes | None:
     if get_origin(annotation) is not Annotated:
         return None
-    return next((one for one in get_args(annotation)[1:] if isinstance(one, Written)), None)
+    return next((one for one in get_args(annotation)[1:] if isinstance(one, Writes)), None)
 
 
 def _option(parameter: inspect.Parameter) -> str:

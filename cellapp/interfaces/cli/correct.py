@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from cellapp.commands.record import Writes
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.command_outputs import Written
 from cellapp.interfaces.cli.job import Job, open_run
 from cellapp.interfaces.cli.options import JsonOption, RunFolder
 
@@ -17,7 +17,7 @@ def correct(
     folder: RunFolder,
     program: Annotated[Path, typer.Argument(metavar="PROGRAM", help="Program of a UR controller: .script or .urp.")],
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="The corrected copy, of the same kind."), Written.FILES
+        Path, typer.Option("--out", metavar="FILE", help="The corrected copy, of the same kind."), Writes.FILES
     ],
     arm: Annotated[
         str | None, typer.Option("--arm", metavar="NAME", help="Whose program it is; needed with several arms.")

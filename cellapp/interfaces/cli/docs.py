@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from cellapp.commands.record import Writes
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.command_outputs import Written
 from cellapp.interfaces.cli.job import Job
 from cellapp.interfaces.cli.options import JsonOption
 
@@ -30,7 +30,7 @@ def docs(
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="With figures, screens or pages: folder of the files."),
-        Written.FOLDER,
+        Writes.FOLDER,
     ] = None,
     run: Annotated[
         Path | None, typer.Option("--run", metavar="DIR", help="With screens or pages: a run that they show.")

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from cellapp.commands.record import Writes
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.command_outputs import Written
 from cellapp.interfaces.cli.job import Job, open_run
 from cellapp.interfaces.cli.options import JsonOption, RunFolder
 
@@ -19,10 +19,10 @@ _FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe, parameters,
 def export(
     folder: RunFolder,
     csv: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="Where to write the readings."), Written.FILE
+        Path | None, typer.Option("--csv", metavar="FILE", help="Where to write the readings."), Writes.FILE
     ] = None,
     plan: Annotated[
-        Path | None, typer.Option("--plan", metavar="FILE", help="Where to write the plan."), Written.FILE
+        Path | None, typer.Option("--plan", metavar="FILE", help="Where to write the plan."), Writes.FILE
     ] = None,
     form: Annotated[
         str | None, typer.Option("--as", metavar="FORMAT", help="Write calibrated arms or commands as " + _FORMATS)
@@ -30,7 +30,7 @@ def export(
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="FILE", help="With --as: the file; several arms get one each, FILE-ARM."),
-        Written.FILES,
+        Writes.FILES,
     ] = None,
     arm: Annotated[str | None, typer.Option("--arm", metavar="NAME", help="With --as: this arm only.")] = None,
     stage: Annotated[
@@ -42,7 +42,7 @@ def export(
     geometry: Annotated[
         Path | None,
         typer.Option("--geometry", metavar="FILE", help="The arms as one JSON file, for programs that read it."),
-        Written.FILE,
+        Writes.FILE,
     ] = None,
     json_file: JsonOption = None,
 ) -> None:

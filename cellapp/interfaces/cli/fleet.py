@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from cellapp.commands.record import Writes
 from cellapp.ground.errors import CheckFailed
-from cellapp.interfaces.cli.command_outputs import Written
 from cellapp.interfaces.cli.job import Job
 from cellapp.interfaces.cli.options import Jobs, JsonOption, Scheduler, resources_of
 
@@ -23,7 +23,7 @@ def fleet(
     page: Annotated[
         Path | None,
         typer.Option("--page", metavar="FILE", help="Write one self-contained HTML page to FILE."),
-        Written.FILE,
+        Writes.FILE,
     ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit code 1 if any arm is beyond its tolerance or has changed.")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cellapp.interfaces.cli.command_outputs import Written
+from cellapp.commands.record import Writes
 from cellapp.interfaces.cli.job import Job, open_run, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption, OutOfDate, RunFolder
@@ -27,7 +27,7 @@ def follow(
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="CSV", help="Write the joint positions over time as CSV."),
-        Written.FILE,
+        Writes.FILE,
     ] = None,
     out_of_date: OutOfDate = False,
     allow_motion: AllowMotion = False,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cellapp.interfaces.cli.command_outputs import Written
+from cellapp.commands.record import Writes
 
 if TYPE_CHECKING:
     from cellapp.ground.scale.executor import Resources
@@ -23,7 +23,7 @@ PriorOption = Annotated[
 JsonOption = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output."),
-    Written.FILE,
+    Writes.FILE,
 ]
 AllowMotion = Annotated[
     bool,
@@ -54,7 +54,7 @@ Scheduler = Annotated[
 Store = Annotated[
     Path | None,
     typer.Option("--store", metavar="FILE", help="Keep results in FILE as they come; what it holds is not repeated."),
-    Written.STORE,
+    Writes.STORE,
 ]
 SimulatedCell = Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")]
 DEFAULT_CELL = Path("profiles/twin.yaml")
@@ -66,7 +66,7 @@ SeriesProfiles = Annotated[Path, typer.Option("--profiles", metavar="DIR", help=
 MarkdownFile = Annotated[
     Path | None,
     typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE."),
-    Written.FILE,
+    Writes.FILE,
 ]
 
 

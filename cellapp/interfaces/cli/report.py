@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from cellapp.commands.record import Writes
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
-from cellapp.interfaces.cli.command_outputs import Written
 from cellapp.interfaces.cli.job import Job, open_run
 from cellapp.interfaces.cli.options import JsonOption, RunFolder, Strict
 
@@ -22,7 +22,7 @@ def report(
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="FILE", help="With --pdf: the PDF, instead of report.pdf in DIR."),
-        Written.FILE,
+        Writes.FILE,
     ] = None,
     strict: Strict = False,
     json_file: JsonOption = None,

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
+from cellapp.commands.record import Writes
 from cellapp.ground.errors import CheckFailed
 from cellapp.interfaces.cli.check_trial import check
-from cellapp.interfaces.cli.command_outputs import Commands, Written
+from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.cost import cost
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.options import Jobs, JsonOption, MarkdownFile, ProfilePath, Scheduler, Store, resources_of
@@ -182,7 +183,7 @@ def storm(
     keep: Annotated[
         Path | None,
         typer.Option("--keep", metavar="DIR", help="New folder that keeps the runs and what was printed."),
-        Written.OWN_FOLDER,
+        Writes.OWN_FOLDER,
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
@@ -244,7 +245,7 @@ def campaigns(
 @trials_app.command("seal")
 def seal(
     profile: ProfilePath,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder of the trials."), Written.OWN_FOLDER],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder of the trials."), Writes.OWN_FOLDER],
     n: Annotated[int, typer.Option("--n", min=1, help="Runs.")] = 200,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Draws everything; left out, a secret one is drawn.")
@@ -317,7 +318,7 @@ def blind_matrix(
     out: Annotated[
         Path,
         typer.Option("--out", metavar="DIR", help="Folder with a folder of trials for each cell."),
-        Written.OWN_FOLDER,
+        Writes.OWN_FOLDER,
     ],
     n: Annotated[int, typer.Option("--n", min=1, help="Runs of each cell.")] = 40,
     only: Annotated[

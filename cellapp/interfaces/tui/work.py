@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cellapp.commands.record import Request, Verb, Work
 from cellapp.ground.control import JobControl
-from cellapp.ground.outputs import RENEWED
+from cellapp.ground.outputs import NEW_ONLY, RENEWED
 from cellapp.ground.progress import Listener
 from cellapp.interfaces.tui.jobs import Ask, Job
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from cellapp.interfaces.tui.dialogs.correct_program import CorrectRequest
     from cellapp.interfaces.tui.dialogs.export_arms import ExportRequest
     from cellapp.interfaces.tui.dialogs.follow_path import FollowRequest
-    from cellapp.interfaces.tui.dialogs.locate_tracker import LocateRequest
     from cellapp.interfaces.tui.dialogs.own_readings import OwnReadingsRequest
 
 
@@ -30,6 +30,15 @@ PDF_FILE = "report.pdf"
 """As the command names it."""
 VERIFY = "verify"
 """Name of a push that measures: only its result says whether a verification held."""
+
+
+def verb_job(verb: Verb, request: Request) -> Job:
+    """The job of a verb."""
+
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+        return verb.run(request, Work(listener, control, lambda profile_name: ask, NEW_ONLY))
+
+    return Job(verb.name, work, getattr(request, "folder", None), moves=verb.moves_arms and request.moves())
 
 
 def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job:
@@ -260,21 +269,6 @@ def push(
         )
 
     return on_run(VERIFY if verify else "push", folder, work, moves=True)
-
-
-def locate(folder: Path, request: LocateRequest) -> Job:
-    """Measure where the tracker stands after it was moved."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.locate.run import locate_run, typed_pose
-
-        rough, simulated = (
-            None if text is None else typed_pose(text, "locate")
-            for text in (request.tracker_pose, request.simulated_pose)
-        )
-        return locate_run(run, request.points, listener, control, tracker_pose=rough, simulated_pose=simulated, ask=ask)
-
-    return on_run("locate", folder, work, moves=True)
 
 
 def follow(folder: Path, request: FollowRequest) -> Job:

@@ -17,13 +17,14 @@ import typer
 
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile
+from cellapp.commands.record import Writes
 from cellapp.estimation.readings import Reading
 from cellapp.ground import outputs
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs
 from cellapp.interfaces import cli
 from cellapp.interfaces.cli.app import app
-from cellapp.interfaces.cli.command_outputs import Written, written_by
+from cellapp.interfaces.cli.command_outputs import written_by
 from tests.cell.run.two_arm_cell import two_arms
 
 ROOT = Path(__file__).parents[3]
@@ -69,7 +70,7 @@ def commands(group: typer.Typer = app, words: tuple[str, ...] = ()) -> Iterator[
 
 
 ALL = tuple(commands())
-FILES = [(one, option) for one in ALL for option, how in written_by(one.function).items() if how is Written.FILE]
+FILES = [(one, option) for one in ALL for option, how in written_by(one.function).items() if how is Writes.FILE]
 IDS = [" ".join((*one.words, option)) for one, option in FILES]
 
 
@@ -141,7 +142,7 @@ def test_every_option_that_names_a_place_says_whether_it_writes() -> None:
             is_place = "Path" in str(kind) or info.metavar in PLACES
             if isinstance(info, typer.models.OptionInfo) and is_place and info.default not in {*written, *READ}:
                 open_ones.append((command.words, info.default))
-    assert open_ones == [], "say in the annotation how it writes (Written), or name it above if it is read"
+    assert open_ones == [], "say in the annotation how it writes (Writes), or name it above if it is read"
 
 
 def test_every_command_has_its_outputs() -> None:

@@ -8,11 +8,13 @@ from pathlib import Path
 
 from cellapp.cell.targets.targets import Target
 from cellapp.commands.compensate.target_list import stale_model
+from cellapp.commands.locate.request import VERB as LOCATE
+from cellapp.commands.record import Request
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.correct_program import CorrectProgram, CorrectRequest
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.locate_tracker import LocateRequest, LocateTracker
 from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.dialogs.verify_targets import VerifyTargets
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -62,12 +64,15 @@ def ask_locate(screen: DayScreen) -> None:
         return
     folder, results, _ = calibrated
 
-    def begin(request: LocateRequest | None) -> None:
+    def begin(request: Request | None) -> None:
         if request is not None:
-            screen.start(work.locate(folder, request))
+            screen.start(work.verb_job(LOCATE, request))
 
     workspace = screen.workspace
-    dialog = LocateTracker(arms_words(workspace), simulated=workspace.kind == "simulated", stale=stale_model(results))
+    text = f"{LOCATE.summary} {arms_words(workspace)}."
+    if stale := stale_model(results):
+        text += f"\nThe model is not up to date: {stale}."
+    dialog = VerbQuestion(LOCATE, text, BEGIN, {"folder": folder}, simulated=workspace.kind == "simulated")
     screen.app.push_screen(dialog, begin)
 
 

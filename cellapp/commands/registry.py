@@ -1,0 +1,8 @@
+"""All verbs, in the order of the work."""
+
+from __future__ import annotations
+
+from cellapp.commands.locate.request import VERB as LOCATE
+from cellapp.commands.record import Verb
+
+VERBS: tuple[Verb, ...] = (LOCATE,)

@@ -1,0 +1,143 @@
+"""A dialog made from the record of a verb: a field for each field of its request that has a label."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
+
+from textual.app import ComposeResult
+from textual.containers import ItemGrid
+from textual.widget import Widget
+from textual.widgets import Checkbox, Input, Static
+
+from cellapp.commands.record import Asked, Request, Verb
+from cellapp.ground.errors import InputError
+from cellapp.interfaces.tui.dialogs.file_picker import PathField
+from cellapp.interfaces.tui.dialogs.question import Answer, AnswerQuestion
+from cellapp.interfaces.tui.widgets.labelled import Labelled, text_field
+
+_COLUMN = 30
+"""Width of a check box with its words."""
+
+
+class VerbQuestion(AnswerQuestion[Request]):
+    """Ask for the request of a verb. Returns the request; None where the dialog is closed or answered with no.
+
+    Parameters
+    ----------
+    verb : Verb
+    text : str
+        What a person must know to answer.
+    answers : sequence of Answer
+        "no" closes; any other begins. The first one has the focus.
+    given : mapping
+        Values of fields that are not asked for, as the folder of the run.
+    proposed : mapping
+        Values that fields begin with, where that is not their default.
+    choices : mapping
+        Field -> texts that the right arrow completes; of a field with several values, those that are possible.
+    simulated : bool
+        Whether the cell is simulated; fields for simulated cells are left out else.
+    """
+
+    DEFAULT_CSS = """
+    VerbQuestion ItemGrid { height: auto; grid-rows: 1; }
+    """
+
+    def __init__(
+        self,
+        verb: Verb,
+        text: str,
+        answers: Sequence[Answer],
+        given: Mapping[str, Any],
+        *,
+        proposed: Mapping[str, Any] | None = None,
+        choices: Mapping[str, Sequence[str]] | None = None,
+        simulated: bool = False,
+    ) -> None:
+        super().__init__(verb.question, text, answers)
+        self.verb, self._given = verb, dict(given)
+        self._proposed, self._choices = dict(proposed or {}), dict(choices or {})
+        self._fields = {
+            name: words
+            for name, words in verb.request.asked()
+            if words.label and name not in given and (simulated or not words.simulated)
+        }
+
+    def fields(self) -> ComposeResult:
+        """A widget for each field; its id is the field's name with hyphens."""
+        for name, words in self._fields.items():
+            yield from self._widgets(name, words)
+
+    def action_answer(self, value: str) -> None:
+        """Close with the request; where the fields make none, say why."""
+        if value == "no":
+            self.dismiss(None)
+            return
+        values = {name: self._value(name) for name in self._fields}
+        given = {name: value for name, value in values.items() if value is not None}
+        try:
+            self.dismiss(self.verb.asked({**self._given, **given}, named=self._called))
+        except InputError as error:
+            self.explain(str(error))
+
+    def _called(self, field: str) -> str:
+        return self._fields[field].label if field in self._fields else field
+
+    def _widgets(self, name: str, words: Asked) -> Iterator[Widget]:
+        kind, default = self._kind(name), self._proposed.get(name, self._default(name))
+        label, key = f"{words.label} [{words.unit}]" if words.unit else words.label, _id(name)
+        if kind is bool:
+            yield Checkbox(label, bool(default), id=key, compact=True)
+        elif get_origin(kind) is tuple:
+            yield Static(f"{label}:", markup=False)
+            boxes = (
+                Checkbox(words.words.get(one, one), one in (default or ()), id=f"{key}-{one}", compact=True)
+                for one in self._possible(name)
+            )
+            yield ItemGrid(*boxes, min_column_width=_COLUMN)
+        elif kind is Path:
+            text = "" if default is None else str(default)
+            yield Labelled(label, PathField(text, lambda path: _fits(path, words), id=key, hint=words.hint))
+        else:
+            text = "" if default is None else f"{default:g}" if isinstance(default, float) else str(default)
+            choices = self._choices.get(name, get_args(kind))
+            yield text_field(label, key, text, words.hint, choices=[str(one) for one in choices])
+
+    def _value(self, name: str) -> Any:
+        """What a field holds; None where it is empty."""
+        kind = self._kind(name)
+        if kind is bool:
+            return self.query_one(f"#{_id(name)}", Checkbox).value
+        if get_origin(kind) is tuple:
+            boxes = {one: self.query_one(f"#{_id(name)}-{one}", Checkbox) for one in self._possible(name)}
+            return tuple(one for one, box in boxes.items() if box.value)
+        text = self.query_one(f"#{_id(name)}", Input).value.strip()
+        if not text:
+            return None
+        return Path(text).expanduser() if kind is Path else text
+
+    def _possible(self, name: str) -> Sequence[str]:
+        """The values of which a field takes several."""
+        return self._choices.get(name) or get_args(get_args(self._kind(name))[0])
+
+    def _kind(self, name: str) -> Any:
+        """Type of a field's value where there is one."""
+        annotation = self.verb.request.model_fields[name].annotation
+        if get_origin(annotation) in (Union, UnionType):
+            return next(one for one in get_args(annotation) if one is not type(None))
+        return annotation
+
+    def _default(self, name: str) -> Any:
+        field = self.verb.request.model_fields[name]
+        return None if field.is_required() else field.default
+
+
+def _id(name: str) -> str:
+    return name.replace("_", "-")
+
+
+def _fits(path: Path, words: Asked) -> bool:
+    return not words.suffixes or path.suffix in words.suffixes
