@@ -16,17 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
 from cellapp.robot.kinematics.closed_form import closed_form_solutions
 from cellapp.robot.kinematics.inverse import solve_pose
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors, transform
 from cellapp.robot.model import ArmModel
 
-READING_EFFECTS = frozenset(
-    {"tracker_scale", "tracker_angle_error", "tracker_distance_offset", "target_incidence", "target_slip"}
-)
-"""Effects of the measurement: they move the reading or the reflector, not the flange."""
 _STARTS = 48
 """Random starts of the inverse for each pose of a chain without a closed form: six joints have at most 16 solutions."""
 _ROUNDS = 12
@@ -62,7 +58,7 @@ def flange_of(chain: Geometry, q: Array) -> Array:
 
 def moved_by(arm: ArmModel) -> ArmModel:
     """The model without what moves only the reading of the tracker."""
-    effects = tuple(term for term in arm.effects if term.slug not in READING_EFFECTS)
+    effects = tuple(term for term in arm.effects if not EFFECTS[term.slug].of_reading)
     return replace(arm, effects=effects, posterior=None)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cellapp.cell.programs.correction import READING_EFFECTS, moved_by, true_flange
+from cellapp.cell.programs.correction import moved_by, true_flange
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
 from cellapp.cell.programs.solving import Workplace
 from cellapp.cell.programs.targets import ReadProgram
@@ -52,7 +52,7 @@ def assumptions(
 
 def model_notes(arm: ArmModel) -> list[str]:
     """What of the model is not in a corrected program."""
-    left = [term.slug for term in arm.effects if term.slug in READING_EFFECTS]
+    left = [term.slug for term in arm.effects if EFFECTS[term.slug].of_reading]
     return [f"not corrected, as it moves only the reading: {', '.join(left)}"] if left else []
 
 

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law
 from cellapp.robot.effects.contradiction import ContradictionForm
 from cellapp.robot.effects.modulation import Modulation
+from cellapp.robot.effects.periodic import TransmissionError
 from cellapp.robot.kinematics.transforms import Array
 
 UNKNOWN = "unknown"
 """Slug of data-driven terms."""
-TRANSMISSION_ERROR = "transmission_error"
+TRANSMISSION_ERROR = TransmissionError.slug
 """Slug of the effect whose lines a free curve of the joint angle can replace."""
 _LEAST_PRIOR = 1e-9
 """Least standard deviation of a coefficient [rad, m]: 1 nm at a metre, which keeps the normal matrix invertible."""

@@ -13,7 +13,7 @@ from cellapp.robot.effects.effect import Effect, ImpossibleValues
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, with_prior
+from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior
 from cellapp.robot.kinematics.transforms import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -31,6 +31,11 @@ SATURATING = LawForm("saturating", "taken up only by large steps", (WIDTH, TYPIC
 SMALL = LawForm("smooth", "taken up only by large steps, small by prior", (WIDTH, TYPICAL_STEP, AMPLITUDE))
 LOAD = LawForm("load", "in proportion to the load")
 BOTH = LawForm("both", "dry friction, and in proportion to the load")
+
+
+_USUAL_WIDTH = 0.03
+"""Step [rad] beyond which lost motion is taken as complete, where no law says otherwise: below the steps of nearly all
+runs, so that stops after larger steps than the run had are not given more of it than was measured."""
 
 
 class Backlash(Effect):
@@ -53,6 +58,7 @@ class Backlash(Effect):
     """
 
     slug = "backlash"
+    wears = True
     title = "backlash or hysteresis of joints"
     arm_bound = True
     meaning = Meaning(
@@ -96,6 +102,14 @@ class Backlash(Effect):
     def missing_data(self, context: EffectContext) -> str:
         """Needs approaches from both sides."""
         return missing_for_lost_motion(context)
+
+    def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
+        """Lost motion that is complete after a small step."""
+        steps = np.full(context.joints, 10.0 * _USUAL_WIDTH)  # where no step is known, one that takes up all play
+        if context.conditions.step is not None:
+            steps = np.median(np.abs(context.step), axis=0)
+        typical = {TYPICAL_STEP.key(j): size for j, size in enumerate(steps.tolist())}
+        return [SmoothLaw("smooth", 5e-5, {WIDTH.name: _USUAL_WIDTH, **typical})]
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Constant; saturating where steps are known."""

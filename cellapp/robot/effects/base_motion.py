@@ -14,7 +14,7 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, with_prior
+from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
@@ -94,6 +94,14 @@ class BaseDrift(Effect):
     def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
         return "" if times_known(context) else "no times"
+
+    def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
+        """Over the time of the run, or over its order where no times are known."""
+        if times_known(context) and FIRST.name in run_span(context):
+            return [SmoothLaw("smooth", 2e-5, run_span(context))]
+        if found := order_span(context):
+            return [SmoothLaw("smooth_in_order", 2e-5, found)]
+        return []
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Linear; warming up; quadratic."""

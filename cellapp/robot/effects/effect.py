@@ -17,6 +17,7 @@ from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.smooth import SmoothLaw
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,13 @@ class Effect(ABC):
     arm_bound: ClassVar[bool] = False
     """Whether it belongs to the arm itself: its parameters then stay when the arm gets another base or tool."""
 
+    of_reading: ClassVar[bool] = False
+    """Whether it moves the reading or the reflector instead of the flange."""
+    wears: ClassVar[bool] = False
+    """Whether it comes with wear: a check looks for it at every joint, although the calibration did not find it."""
+    shifts_zero: ClassVar[bool] = False
+    """Whether it shifts the zero positions of joints."""
+
     impossible: ClassVar[ImpossibleValues] = ImpossibleValues()
     """Words for values outside the bounds of its columns."""
 
@@ -76,6 +84,10 @@ class Effect(ABC):
 
     def refinements(self, context: EffectContext, law: Law, names: Collection[str]) -> list[Law]:
         """Further laws to try where ``law`` with the columns ``names`` was found."""
+        return []
+
+    def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
+        """The smooth laws that the structured process adds for what its other laws leave over."""
         return []
 
     @abstractmethod

@@ -10,11 +10,17 @@ from cellapp.robot.effects.column import EffectColumn
 from cellapp.robot.effects.context import EffectContext
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect
-from cellapp.robot.effects.joint_axis_wobble import BEARING_CYCLES, error_motions, smooth_motions
+from cellapp.robot.effects.joint_axis_wobble import (
+    BEARING_CYCLES,
+    MOTION_CYCLES,
+    MOTION_LENGTHS,
+    error_motions,
+    smooth_motions,
+)
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH
+from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, SmoothLaw
 
 _MOST_SHIFT = 5e-4
 """Bound of each amplitude [m]: ten times the run-out of a cross-roller bearing of this size."""
@@ -57,6 +63,10 @@ class JointAxisRunout(Effect):
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (RUNOUT, SMOOTH)
     free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
+
+    def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
+        """Against the axis' own angle: one amplitude and one length scale for all joints."""
+        return [SmoothLaw("smooth", 1e-5, {CYCLES.name: float(MOTION_CYCLES)}, MOTION_LENGTHS)]
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Any cycles, radial or axial."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 
@@ -14,7 +15,7 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances
+from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
 from cellapp.robot.kinematics.transforms import Array
 
 BEARING_CYCLES = range(1, 7)
@@ -26,6 +27,12 @@ _AXES = (("x", np.array([1.0, 0.0, 0.0])), ("y", np.array([0.0, 1.0, 0.0])))
 TWICE = LawForm("", "two cycles a turn")
 HARMONICS = LawForm("harmonics", "with the cycles a turn that each joint needs")
 SMOOTH = LawForm("smooth", "a free smooth tilt", (AMPLITUDE, LENGTH, CYCLES))
+
+
+MOTION_CYCLES = 10
+"""Highest cycle count of the other error motions of an axis, which bearings and raceways make."""
+MOTION_LENGTHS = LengthRange(math.radians(40.0), math.radians(20.0), math.radians(120.0))
+"""Errors of a bearing's raceways have a few cycles a turn."""
 
 
 class JointAxisWobble(Effect):
@@ -70,6 +77,10 @@ class JointAxisWobble(Effect):
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (TWICE, HARMONICS, SMOOTH)
     free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
+
+    def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
+        """Against the axis' own angle: one amplitude and one length scale for all joints."""
+        return [SmoothLaw("smooth", 3e-5, {CYCLES.name: float(MOTION_CYCLES)}, MOTION_LENGTHS)]
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Two cycles; any cycles."""

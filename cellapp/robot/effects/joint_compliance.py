@@ -13,7 +13,7 @@ from cellapp.robot.effects.effect import Effect, ImpossibleValues
 from cellapp.robot.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, with_prior
+from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior
 from cellapp.robot.kinematics.transforms import Array
 
 KNEES = (0.2, 0.35, 0.5, 0.65)
@@ -59,6 +59,7 @@ class JointCompliance(Effect):
     """
 
     slug = "joint_compliance"
+    wears = True
     title = "joint compliance under gravity"
     arm_bound = True
     meaning = Meaning(
@@ -106,6 +107,10 @@ class JointCompliance(Effect):
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
         return "" if np.abs(context.torques).max(initial=0.0) > _ROUNDING else "gravity turns no joint (no masses)"
+
+    def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
+        """The torque of gravity as it is, at any amplitude."""
+        return [SmoothLaw("smooth", 1e-5)]
 
     def laws(self, context: EffectContext) -> list[Law]:
         """One stiffness; two with each knee."""

@@ -15,7 +15,7 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import AMPLITUDE_NAME, FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, circle_variances, with_prior
+from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, SmoothLaw, circle_variances, with_prior
 from cellapp.robot.kinematics.transforms import Array
 
 LINES_MAX = 210
@@ -50,6 +50,7 @@ class EncoderEccentricity(Effect):
     """
 
     slug = "encoder_eccentricity"
+    wears = True
     title = "encoder eccentricity (one cycle a turn)"
     arm_bound = True
     meaning = Meaning(
@@ -71,6 +72,10 @@ class EncoderEccentricity(Effect):
     look_alikes = ("joint_compliance", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
     forms = (ONE, ONE_SMOOTH)
+
+    def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
+        """One cycle a turn, at any amplitude."""
+        return [SmoothLaw("smooth", 5e-5)]
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Free amplitudes."""

@@ -11,7 +11,8 @@ the spectrum of a Matern-5/2 covariance of length scale l (Rasmussen, Williams, 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -28,6 +29,29 @@ CYCLES = Constant("cycles", "", FIXED)
 """Highest cycle count of a function of a joint angle."""
 _SPECTRUM_CYCLES = 4000
 """Cycle counts over which the spectrum is normalised. At a length scale of 1.5 degrees less than 1e-8 is beyond."""
+
+
+@dataclass(frozen=True)
+class LengthRange:
+    """First guess and bounds of a length scale [rad], of a field over the workspace [m]."""
+
+    start: float
+    least: float
+    most: float
+
+
+@dataclass(frozen=True)
+class SmoothLaw:
+    """A smooth law with one amplitude.
+
+    ``form`` is the name of its form, ``start`` a first guess of its amplitude; ``lengths`` are given where one length
+    scale is found as well.
+    """
+
+    form: str
+    start: float
+    constants: Mapping[str, float] = field(default_factory=dict)
+    lengths: LengthRange | None = None
 
 
 @lru_cache(maxsize=256)

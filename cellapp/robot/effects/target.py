@@ -32,6 +32,7 @@ class TargetSlip(Effect):
     """
 
     slug = "target_slip"
+    of_reading = True
     title = "slip of the target in the flange"
     meaning = Meaning(
         cause="The SMR or its mount slipped in the flange at one moment of the run.",
@@ -87,6 +88,7 @@ class TargetIncidence(Effect):
     """
 
     slug = "target_incidence"
+    of_reading = True
     title = "target's error with the angle of incidence"
     meaning = Meaning(
         cause=(

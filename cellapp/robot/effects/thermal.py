@@ -241,6 +241,7 @@ class JointDrift(Effect):
     """
 
     slug = "joint_drift"
+    shifts_zero = True
     title = "drift of joint zeros"
     meaning = Meaning(
         cause="The zero of {place} drifts, mostly as its housing or encoder warms up.",

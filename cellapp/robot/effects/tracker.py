@@ -48,6 +48,7 @@ class TrackerScale(Effect):
     """
 
     slug = "tracker_scale"
+    of_reading = True
     title = "scale of the tracker"
     meaning = Meaning(
         cause=(
@@ -96,6 +97,7 @@ class TrackerDistanceOffset(Effect):
     """
 
     slug = "tracker_distance_offset"
+    of_reading = True
     title = "zero of the tracker's distance"
     meaning = Meaning(
         cause=(
@@ -139,6 +141,7 @@ class TrackerAngleError(Effect):
     """
 
     slug = "tracker_angle_error"
+    of_reading = True
     title = "errors of the tracker's angles"
     meaning = Meaning(
         cause=(

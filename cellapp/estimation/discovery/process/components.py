@@ -19,40 +19,21 @@ from numpy.typing import NDArray
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.terms import UNKNOWN
-from cellapp.robot.effects import EFFECTS, EffectColumn, EffectContext, Law, LawForm
-from cellapp.robot.effects.backlash import TYPICAL_STEP, WIDTH
-from cellapp.robot.effects.base_motion import order_span
+from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
 from cellapp.robot.effects.data_driven import FIELD, position_in_base
 from cellapp.robot.effects.field import FIELD_LENGTH, box_of, field_frequencies, field_variances
-from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH
-from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, circle_variances
-from cellapp.robot.effects.time_functions import FIRST, run_span, times_known
+from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, TransmissionError
+from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
 from cellapp.robot.kinematics.transforms import Array
 
 CURVE_CYCLES = 80
 """Highest cycle count of a joint's curve: at the shortest length scale, 3 degrees, 1 % of its variance is beyond."""
-MOTION_CYCLES = 10
-"""Highest cycle count of the other error motions of an axis, which bearings and raceways make."""
-_USUAL_WIDTH = 0.03
-"""Step [rad] beyond which lost motion is taken as complete, where no law says otherwise: below the steps of nearly all
-runs, so that stops after larger steps than the run had are not given more of it than was measured."""
 _LEAST_LEVER = 0.05
 """Joints whose rms lever is below this share of the longest get no curve: their errors do not show at the SMR."""
 
 
-@dataclass(frozen=True)
-class LengthRange:
-    """First guess and bounds of a length scale [rad], of a field over the workspace [m]."""
-
-    start: float
-    least: float
-    most: float
-
-
 CURVE_LENGTHS = LengthRange(math.radians(5.0), math.radians(3.0), math.radians(40.0))
 """A gear's errors have periods from a few degrees to a turn; below 3 degrees lines of the spectrum describe them."""
-MOTION_LENGTHS = LengthRange(math.radians(40.0), math.radians(20.0), math.radians(120.0))
-"""Errors of a bearing's raceways have a few cycles a turn."""
 FIELD_LENGTHS = LengthRange(0.5, 0.2, 3.0)
 """Layers of air and bent stands act over a good part of the workspace; shorter fields need more readings than there
 are."""
@@ -159,70 +140,35 @@ def _same_joint(length_key: str, amplitude_keys: Sequence[str]) -> bool:
 
 def components(data: ArmData, fit: JointFit) -> list[Component]:
     """All components that the data allow, beside a fit."""
-    found = [_curves(data, fit)]
-    for slug, name, constants, start in _plain_laws(data):
-        found.append(_plain(data, fit, slug, name, constants, start))
-    for slug, start in (("joint_axis_wobble", 3e-5), ("joint_axis_runout", 1e-5)):
-        found.append(_error_motions(data, fit, slug, start))
-    found.append(_field(data, fit))
+    smooth = (_plain(data, fit, effect, law) for effect in EFFECTS.values() for law in effect.smooth_laws(data.context))
+    found = [_curves(data, fit), *smooth, _field(data, fit)]
     return [one for one in found if one is not None]
 
 
-def _plain_laws(data: ArmData) -> list[tuple[str, str, dict[str, float], float]]:
-    """Smooth laws without a length scale: effect, name of the form, constants, first guess of the amplitude."""
-    context = data.context
-    laws: list[tuple[str, str, dict[str, float], float]] = [
-        ("encoder_eccentricity", "smooth", {}, 5e-5),
-        ("joint_compliance", "smooth", {}, 1e-5),
-    ]
-    typical = {TYPICAL_STEP.key(j): size for j, size in enumerate(_typical_steps(context).tolist())}
-    laws.append(("backlash", "smooth", {WIDTH.name: _USUAL_WIDTH, **typical}, 5e-5))
-    if times_known(context) and FIRST.name in run_span(context):
-        laws.append(("base_drift", "smooth", run_span(context), 2e-5))
-    elif order_span(context):
-        laws.append(("base_drift", "smooth_in_order", order_span(context), 2e-5))
-    return laws
+def _plain(data: ArmData, fit: JointFit, effect: Effect, law: SmoothLaw) -> Component | None:
+    """A component with one amplitude, and one length scale for all its columns where the law has one.
 
-
-def _typical_steps(context: EffectContext) -> Array:
-    """Median step of each joint (N,) [rad]; where no step is known, one that takes up all play."""
-    if context.conditions.step is None:
-        return np.full(context.joints, 10.0 * _USUAL_WIDTH)
-    return np.asarray(np.median(np.abs(context.step), axis=0))
-
-
-def _plain(
-    data: ArmData, fit: JointFit, slug: str, name: str, constants: dict[str, float], start: float
-) -> Component | None:
-    """A component with one amplitude; its columns' priors at unit amplitude are the relative ones."""
-    form = next((one for one in EFFECTS[slug].forms if one.name == name), None) if slug in EFFECTS else None
-    if form is None:
-        return None
-    columns = tuple(data.columns(slug, form.law({**constants, AMPLITUDE.name: 1.0})))
+    The columns' priors at unit amplitude are the relative ones.
+    """
+    form = effect.form(law.form)
+    starts = {AMPLITUDE.name: 1.0} if law.lengths is None else {AMPLITUDE.name: 1.0, LENGTH.name: law.lengths.start}
+    columns = tuple(data.columns(effect.slug, form.law({**law.constants, **starts})))
     rows = fit.displacements(columns) if columns else np.zeros((0, 3 * len(data)))
     if not rows.any():
         return None
     return Component(
-        slug=slug,
+        slug=effect.slug,
         columns=columns,
         rows=rows,
         form=form,
-        constants=constants,
+        constants=law.constants,
         groups=np.zeros(len(columns), dtype=np.intp),
         amplitude_keys=(AMPLITUDE.name,),
-        start=start,
+        start=law.start,
         weights=np.array([column.prior_sd**2 for column in columns]),
+        lengths=law.lengths,
+        length_keys=() if law.lengths is None else (LENGTH.name,),
     )
-
-
-def _error_motions(data: ArmData, fit: JointFit, slug: str, start: float) -> Component | None:
-    """Error motions of the axes against their own angles: one amplitude and one length scale for all joints."""
-    constants = {CYCLES.name: float(MOTION_CYCLES), LENGTH.name: MOTION_LENGTHS.start}
-    found = _plain(data, fit, slug, "smooth", constants, start)
-    if found is None:
-        return None
-    fixed = {CYCLES.name: constants[CYCLES.name]}
-    return replace(found, constants=fixed, lengths=MOTION_LENGTHS, length_keys=(LENGTH.name,))
 
 
 def _curves(data: ArmData, fit: JointFit) -> Component | None:
@@ -234,10 +180,10 @@ def _curves(data: ArmData, fit: JointFit) -> Component | None:
     constants: dict[str, float] = {CYCLES.name: float(CURVE_CYCLES)}
     keys = {joint: (CURVE_AMPLITUDE.key(joint), CURVE_LENGTH.key(joint)) for joint in joints}
     full = {**constants} | {key: 1.0 for pair in keys.values() for key in pair}
-    columns = tuple(data.columns("transmission_error", CURVE.law(full)))
+    columns = tuple(data.columns(TransmissionError.slug, CURVE.law(full)))
     place = {joint: k for k, joint in enumerate(joints)}
     return Component(
-        slug="transmission_error",
+        slug=TransmissionError.slug,
         columns=columns,
         rows=fit.displacements(columns),
         form=CURVE,

@@ -24,8 +24,6 @@ from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.relocation import relocated
 
-WATCHED = ("joint_compliance", "backlash", "encoder_eccentricity")
-"""Effects that appear in arms that had none: gears and bearings wear, and encoders slip, joint by joint."""
 _FEWEST_HELD_OUT = 20
 """Readings that were not learned from, from which their scatter is judged."""
 
@@ -78,9 +76,8 @@ def watched_terms(model: ArmModel, measured: Measured) -> tuple[EffectTerm, ...]
     context = model.context(measured.readings.q, conditions=measured.conditions)
     present = {(term.slug, name) for term in model.effects if not is_smooth(term) for name in term.names}
     found = []
-    for slug in WATCHED:
-        effect = EFFECTS[slug]
-        if effect.missing_data(context):
+    for slug, effect in EFFECTS.items():
+        if not effect.wears or effect.missing_data(context):
             continue
         law = effect.laws(context)[0]
         names = frozenset(one.name for one in effect.columns(context, law) if not one.refines)

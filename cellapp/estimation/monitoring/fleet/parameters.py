@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, stdtr
 
 from cellapp.estimation.monitoring.fleet.record import ArmRecord, GeometryRecord
+from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import BASE_NAMES, TOOL_NAMES
 
 Array = NDArray[np.float64]
@@ -34,8 +35,6 @@ EXPANSION = 23e-6
 usual materials of arms."""
 HOUSING_M = 0.1
 """Least length that grows with a length of the chain [m]: the housing of a joint, where the chain's own is nearly 0."""
-ZERO_DRIFT = "joint_drift"
-"""Slug of the effect by which the zeros of joints drift within a run."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,10 @@ def temperature_difference(a: ArmRecord, b: ArmRecord) -> float:
 def _drifting_zeros(arm: ArmRecord) -> set[str]:
     """Zeros of joints that drift within a run."""
     return {
-        f"theta{joint}" for effect in arm.effects or () if effect.effect == ZERO_DRIFT for joint in effect.where.joints
+        f"theta{joint}"
+        for effect in arm.effects or ()
+        if effect.effect in EFFECTS and EFFECTS[effect.effect].shifts_zero
+        for joint in effect.where.joints
     }
 
 
