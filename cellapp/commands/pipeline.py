@@ -5,7 +5,7 @@ The command line and the terminal application call these functions. Nothing else
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import datetime
@@ -71,10 +71,11 @@ from cellapp.ground.outputs import RENEWED, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, StageName
-from cellapp.interfaces.page.page import write_page
 from cellapp.robot.model import CellModel
 
 R = TypeVar("R", bound=RunResults)
+PageWriter = Callable[[RunFile], Path]
+"""Writes the page of a run into its folder and returns the page's path."""
 
 
 def _one_blas_thread() -> AbstractContextManager[object]:
@@ -92,12 +93,13 @@ def default_folder(profile_name: str) -> Path:
 def run_whole(
     profile_path: Path,
     folder: Path | None,
+    write_page: PageWriter,
     listener: Listener = ignore,
     control: JobControl | None = None,
     *,
     ask: Ask | None = None,
 ) -> WholeRunResult:
-    """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report.
+    """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report by ``write_page``.
 
     ``ask`` is asked before the first motion of real arms, once.
 
@@ -398,8 +400,10 @@ def _push(
     return push_commands(job, with_eta(listener), control, confirmation(run.profile, ask))
 
 
-def report_run(run: RunFile, pdf: Path | None = None, outputs: Outputs = RENEWED) -> ReportResult:
-    """Write ``report.html`` into the run's folder and, with ``pdf``, print it to that file.
+def report_run(
+    run: RunFile, write_page: PageWriter, pdf: Path | None = None, outputs: Outputs = RENEWED
+) -> ReportResult:
+    """Write the page of a run and, with ``pdf``, print it to that file.
 
     ``outputs`` says what the PDF may replace: left out, an earlier print.
 

@@ -8,6 +8,9 @@ from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, Valid
 
 from cellapp.ground.errors import InputError
 
+Point = tuple[float, float, float]
+Matrix = tuple[tuple[float, ...], ...]
+
 Stage = Literal["nominal", "geometry", "network", "effects"]
 STAGES: tuple[Stage, ...] = ("nominal", "geometry", "network", "effects")
 """Models of one arm in the order in which they are built."""

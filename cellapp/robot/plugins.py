@@ -1,4 +1,4 @@
-"""What installed distributions add to this program: what is used of each, what is not and why, who took part in a run.
+"""What installed distributions add to this program, in words, and which of them took part in a run.
 
 The registries do the finding, each in its own group of entry points; see ``drivers.plugins``.
 """
@@ -9,16 +9,9 @@ from collections.abc import Iterable
 
 from cellapp import __version__
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.device_plugins import device_plugins, plugins_of_devices
+from cellapp.ground.profile.device_plugins import plugins_of_devices
 from cellapp.robot.effects import EFFECTS
 from drivers.plugins import Plugin
-
-
-def installed_plugins() -> tuple[Plugin, ...]:
-    """Every entry point in a group of this program, also those that are not used."""
-    from cellapp.cell.exports.formats import all_formats  # needs the models of arms, which the other registries do not
-
-    return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins)
 
 
 def in_words(plugins: Iterable[Plugin]) -> dict[str, str]:

@@ -12,11 +12,11 @@ from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopCause, StopReaction
 from cellapp.cell.driving.supervision import attended_cell, hold_while_paused
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.targets.judging import Judge
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.path_records import DrivenPath, PathLag
 from cellapp.cell.targets.plan_path import RUN_UP_RAD, PathPlan, path_rates, plan_path
 from cellapp.estimation.calibration.evaluation import summarise
+from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

@@ -14,8 +14,8 @@ from cellapp.cell.driving.target_visit import TargetVisit
 from cellapp.cell.driving.verification import Agreement, Findings, by_arm, summary_of
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.targets.command import Command
-from cellapp.cell.targets.judging import Judge
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
+from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

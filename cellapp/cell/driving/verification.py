@@ -12,10 +12,10 @@ import numpy as np
 
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.targets.command import Command
-from cellapp.cell.targets.judging import Judge
 from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredTarget
 from cellapp.cell.targets.targets import target_record
 from cellapp.estimation.calibration.evaluation import summarise
+from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array, xyz_of

@@ -12,7 +12,7 @@ from cellapp.cell.planning.coverage import joint_coverage
 from cellapp.cell.planning.duration import planned_time, stop_times_of
 from cellapp.cell.planning.joint_draws import joint_ranges
 from cellapp.cell.planning.planned_stops import last_motions
-from cellapp.cell.planning.records import ArmForecast, PlanForecastResult, PlannedEffect
+from cellapp.cell.planning.records import ArmForecast, PlanForecastResult
 from cellapp.cell.planning.stored_stops import read_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -24,6 +24,7 @@ from cellapp.estimation.discovery.plan_forecast import (
     planned_accuracy,
     planned_effects,
 )
+from cellapp.estimation.discovery.records import PlannedEffect
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.estimation.discovery.records import SmallestSize
-from cellapp.ground.results import Estimate, Record, Result
+from cellapp.estimation.discovery.records import PlannedAccuracy, PlannedEffect
+from cellapp.ground.results import Record, Result
 
 
 class PlanRefusal(Record):
@@ -80,35 +80,6 @@ class PlannedTime(Record):
     measuring_s: float
     references_s: float
     warm_up_s: float
-
-
-class PlannedAccuracy(Record):
-    """Standard errors that measurements at the planned stops give, with ``scatter_mm`` beside the tracker's noise.
-
-    ``standard_error_mm`` is the root mean square over the planned stops of the standard uncertainty of a predicted SMR
-    position, ``largest_mm`` its largest value; ``parameters`` are nominal values with their standard errors.
-    """
-
-    scatter_mm: float
-    standard_error_mm: float
-    largest_mm: float
-    parameters: Mapping[str, Estimate]
-
-
-class PlannedEffect(Record):
-    """Whether a plan can show an effect, and from which sizes on, where noise is the tracker's alone.
-
-    ``smallest_seen`` is by parameter; ``smallest_seen_rms_mm`` the rms displacement of the SMR by the smallest of them,
-    ``with_scatter_rms_mm`` the same with the scatter of arms before anything is known of it.
-    """
-
-    effect: str
-    visible: bool
-    reason: str
-    visible_share: float | None = None
-    smallest_seen: Mapping[str, SmallestSize] = {}
-    smallest_seen_rms_mm: float | None = None
-    with_scatter_rms_mm: float | None = None
 
 
 class ArmForecast(Record):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from cellapp.cell.targets.records import ToleranceVerdict
+from cellapp.estimation.uncertainty.records import ToleranceVerdict
 from cellapp.ground.results import ErrorSummary, Record, Result
 
 PathSource = Literal["", "moving", "at rest"]

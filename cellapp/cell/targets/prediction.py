@@ -10,10 +10,10 @@ import numpy as np
 from cellapp.cell.targets.command import Prediction
 from cellapp.cell.targets.other_payload import payload_covariance
 from cellapp.cell.targets.ranges import ConditionRanges
-from cellapp.cell.targets.records import UncertaintyParts
 from cellapp.cell.targets.tolerance import length_bounds, predicted_verdict
 from cellapp.cell.targets.unknown_conditions import OneUnknown, unknown_conditions, unknown_records
 from cellapp.cell.targets.working_conditions import conditions_payload
+from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel

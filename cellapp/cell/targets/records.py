@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
+from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
 from cellapp.ground.results import ErrorSummary, Record, Result
 
-ToleranceVerdict = Literal["in", "out", "cannot say", ""]
-"""Whether a target is met to its tolerance; empty where it has none, or where there is nothing to judge."""
 _MOST_NAMED = 5
 """Targets that a complaint names; further ones are counted."""
 
@@ -29,22 +28,6 @@ class TargetRecord(Record):
     frame: str = "base"
     partner: str = ""
     definition: str = ""
-
-
-class UncertaintyParts(Record):
-    """Standard uncertainty of a measured coordinate of the SMR at a command by its sources [mm]; squares add.
-
-    ``extrapolation`` is what the command's distance from the measured joint ranges and payloads adds; ``noise`` is the
-    scatter of the readings about the model: tracker and repeatability; ``conditions`` is what working conditions add
-    that nobody stated.
-    """
-
-    parameters: float
-    effects: float
-    network: float
-    extrapolation: float
-    noise: float
-    conditions: float
 
 
 class UnknownCondition(Record):

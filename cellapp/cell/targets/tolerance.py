@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import gammaincinv
 
-from cellapp.cell.targets.records import ToleranceVerdict
 from cellapp.estimation.uncertainty.decision import TARGET_WORDS, decided
+from cellapp.estimation.uncertainty.records import ToleranceVerdict
 from cellapp.robot.kinematics.transforms import Array
 
 LIKELY = 0.95

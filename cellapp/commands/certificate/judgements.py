@@ -19,13 +19,13 @@ from scipy.spatial.distance import pdist
 
 from cellapp.cell.driving.iso9283.programme import NORM_CYCLES
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
-from cellapp.commands.certificate.budget import distance_budget, expanded_mm, not_given, position_budget
+from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
-from cellapp.commands.certificate.result import UncertaintyContribution
 from cellapp.commands.run_results import RunResults
+from cellapp.estimation.uncertainty.budget import distance_budget, expanded_mm, not_given, position_budget
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.decision import conformity
-from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement, UncertaintyContribution
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Tolerances
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName
@@ -68,7 +68,9 @@ def judge_run(
     if not profile.tolerances.any_given:
         return ()
     conditions = measured or {}
-    budgets = {arm: position_budget(profile, results, arm, conditions.get(arm)) for arm in profile.arms}
+    budgets = {
+        arm: position_budget(profile, arm, evidence_of(results, arm, conditions.get(arm))) for arm in profile.arms
+    }
     own = [
         *(_position(results, arm, budget) for arm, budget in budgets.items()),
         *(_distance(results, arm, budget) for arm, budget in budgets.items()),

@@ -6,24 +6,11 @@ from collections.abc import Mapping
 from typing import Literal
 
 from cellapp.estimation.iso9283.records import IsoCommands
-from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement, UncertaintyContribution
 from cellapp.ground.results import ErrorSummary, Record, Result, StageName
 
 Range = tuple[float, float]
 DocumentState = Literal["as certified", "changed", "not here"]
-
-
-class UncertaintyContribution(Record):
-    """One line of the uncertainty budget: standard uncertainty of a position [mm]; None where it was not given.
-
-    ``where`` is the arm whose position error the line is of.
-    """
-
-    source: str
-    standard_mm: float | None
-    evaluation: Literal["A", "B"]
-    basis: str
-    where: str = ""
 
 
 class CertifiedErrors(Record):

@@ -6,7 +6,7 @@ import hashlib
 import hmac
 import re
 import tempfile
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -39,7 +39,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CERTIFICATE, ISO9283, VERIFY, StageName
-from cellapp.interfaces.page.certificate_page import certificate_page
 from cellapp.robot.plugins import program_of
 
 PAGE_FILE = "certificate.html"
@@ -57,6 +56,8 @@ _MOST_BYTES = 50_000_000
 """A certificate has some ten thousand bytes."""
 _SHOWN = (".html", ".htm", ".pdf")
 """Files that show a certificate to people."""
+PageOf = Callable[[CertificateResult], str]
+"""Draws the page of a certificate as HTML."""
 _OTHER_MODEL = "another model is in force since"
 
 
@@ -78,6 +79,7 @@ class _Asked:
 
 def certificate_run(
     run: RunFile,
+    page: PageOf,
     *,
     out: Path | None = None,
     number: str | None = None,
@@ -91,6 +93,8 @@ def certificate_run(
 
     Parameters
     ----------
+    page : callable
+        Draws the page that shows the certificate to people.
     out : path, optional
         Folder of the files; the run's own if not given.
     number : str, optional
@@ -132,7 +136,7 @@ def certificate_run(
     stages = read_stages(run)
     basis = _basis(run, stages)
     shown = certificate_of(_input(run, profile, basis, stages, asked))
-    documents = _documents(shown, pdf=pdf)
+    documents = _documents(page(shown).encode(), pdf=pdf)
     hashes = {name: hashlib.sha256(text).hexdigest() for name, text in documents.items()}
     result = shown.model_copy(update={"documents": hashes})
     content = (result.to_json(indent=1) + "\n").encode()
@@ -147,9 +151,8 @@ def certificate_run(
     return result
 
 
-def _documents(result: CertificateResult, *, pdf: bool) -> dict[str, bytes]:
-    """The files that show a certificate to people, name -> content."""
-    page = certificate_page(result).encode()
+def _documents(page: bytes, *, pdf: bool) -> dict[str, bytes]:
+    """The files that show a certificate to people, name -> content: its page and a print of that."""
     if not pdf:
         return {PAGE_FILE: page}
     with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as folder:

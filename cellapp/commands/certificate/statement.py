@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
-from cellapp.commands.certificate.budget import expanded_mm, position_budget
+from cellapp.commands.certificate.evidence import evidence_of
+from cellapp.commands.certificate.instruments import missing_data, used_instruments
 from cellapp.commands.certificate.judgements import held_verification, judge_run
 from cellapp.commands.certificate.result import (
     CertificateResult,
@@ -20,8 +21,8 @@ from cellapp.commands.certificate.result import (
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
+from cellapp.estimation.uncertainty.budget import expanded_mm, position_budget
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
-from cellapp.estimation.uncertainty.instruments import missing_data, used_instruments
 from cellapp.estimation.uncertainty.records import Characteristic
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, CERTIFICATE, COMPENSATE, ISO9283, VERIFY
@@ -74,7 +75,9 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
     """State what is known, judge it, and name what is missing."""
     profile, results, stated = given.profile, given.results, given.profile.traceability
     instruments = used_instruments(profile, given.measured)
-    budgets = {arm: position_budget(profile, results, arm, given.conditions.get(arm)) for arm in profile.arms}
+    budgets = {
+        arm: position_budget(profile, arm, evidence_of(results, arm, given.conditions.get(arm))) for arm in profile.arms
+    }
     arms = {arm: _arm(given, arm, expanded_mm(budget)) for arm, budget in budgets.items()}
     lines = [one.model_copy(update={"where": arm}) for arm, budget in budgets.items() for one in budget]
     return CertificateResult(

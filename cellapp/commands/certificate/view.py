@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from cellapp.commands.certificate.budget import COVERAGE, combined_mm
 from cellapp.commands.certificate.result import (
     CertificateCheckResult,
     CertificateResult,
@@ -12,7 +11,6 @@ from cellapp.commands.certificate.result import (
     CertifiedErrors,
     CertifiedTests,
     SignKeyResult,
-    UncertaintyContribution,
 )
 from cellapp.commands.view.acceptance_words import (
     CHARACTERISTIC_WORDS,
@@ -23,6 +21,8 @@ from cellapp.commands.view.acceptance_words import (
 )
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.iso9283.records import ISO_COMMANDS
+from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
+from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from cellapp.ground.results import ErrorSummary
 
 NOT_GIVEN = "not given"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellapp.cell.targets.records import UncertaintyParts, VerifyResult
+from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.compensate.tables import measured_targets
 from cellapp.commands.compensate.words import PART_WORDS, Measured, bounds_and_errors, promise_words
 from cellapp.commands.view.charts import (
@@ -20,6 +20,7 @@ from cellapp.commands.view.charts import (
     series,
     styles,
 )
+from cellapp.estimation.uncertainty.records import UncertaintyParts
 
 _BEFORE, _AFTER = STAGE_STYLES["nominal"], STAGE_STYLES["effects"]
 _CORRECTED, _OUT = STAGE_STYLES["network"], 5

@@ -13,6 +13,7 @@ from functools import partial
 import numpy as np
 
 from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
+from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_stop, visible
@@ -21,10 +22,13 @@ from cellapp.commands.doctor.result import DeviceReport, DoctorResult
 from cellapp.commands.doctor.result import Finding as ResultFinding
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.robot.plugins import in_words, installed_plugins
+from cellapp.ground.profile.device_plugins import device_plugins
+from cellapp.robot.effects import EFFECTS
+from cellapp.robot.plugins import in_words
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from drivers.findings import Finding
+from drivers.plugins import Plugin
 from drivers.sensors.settings import AirSensorSettings
 from drivers.trackers.settings import TrackerSettings
 
@@ -131,6 +135,11 @@ def _python(profile: Profile) -> Finding:
         else:
             texts.append(f"{package.name} is not installed, and this profile does not need it")
     return Finding("python", "failed" if failed else "ok", ", ".join(texts))
+
+
+def installed_plugins() -> tuple[Plugin, ...]:
+    """Every entry point in a group of this program, also those that are not used."""
+    return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins)
 
 
 def installed_findings() -> list[Finding]:

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.ground.results import Record, Result
+from cellapp.ground.results import Matrix, Point, Record, Result
 
 LocateVerdict = Literal["located", "base moved", "smr moved", "not explained"]
 """What explains the points: the tracker's motion alone; besides it a moved base, or an SMR that was remounted; none."""
-
-Point = tuple[float, float, float]
-Matrix = tuple[tuple[float, ...], ...]
 
 
 class StationPose(Record):

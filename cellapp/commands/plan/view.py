@@ -12,13 +12,13 @@ from cellapp.cell.planning.records import (
     JointCoverage,
     PlanCheckResult,
     PlanForecastResult,
-    PlannedEffect,
     PlannedTime,
     PlanRefusal,
 )
 from cellapp.commands.view.charts import enumerated
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.commands.view.words import display_unit, geometry_unit, short_reason
+from cellapp.estimation.discovery.records import PlannedEffect
 from cellapp.robot.effects import EFFECTS
 
 TIME_RESTS_ON = (

@@ -11,12 +11,13 @@ from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.push import Visited, push
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.command import Command
-from cellapp.cell.targets.judging import Judge
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target
+from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.stages import StoredStage, append_stage, basis_on_model, read_results
 from cellapp.commands.stored_model import model_of
 from cellapp.estimation.uncertainty.conditions import measured_conditions
+from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
@@ -95,7 +96,9 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
 
 def judge_of(run: RunFile, profile: Profile) -> Judge:
     """Who decides on tolerances in a run: with the uncertainty that its results and readings give."""
-    return Judge(profile, read_results(run), measured_conditions({name: run.readings(name) for name in run.arms()}))
+    results = read_results(run)
+    measured = measured_conditions({name: run.readings(name) for name in run.arms()})
+    return Judge(profile, {name: evidence_of(results, name, measured.get(name)) for name in profile.arms})
 
 
 def _store(job: PushJob, judge: Judge, pushed: VerifyResult, notes: list[str]) -> VerifyResult:

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.cell.planning.records import PlannedAccuracy, PlannedEffect
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
@@ -30,7 +29,7 @@ from cellapp.estimation.calibration.weights import with_excess
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
 from cellapp.estimation.discovery.detectability import detectability
 from cellapp.estimation.discovery.joint_fit import fit_terms
-from cellapp.estimation.discovery.records import AbsentEffect
+from cellapp.estimation.discovery.records import AbsentEffect, PlannedAccuracy, PlannedEffect
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import score_threshold, simulate_null_maxima
 from cellapp.estimation.discovery.search.state import SearchResult

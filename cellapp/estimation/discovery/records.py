@@ -343,3 +343,32 @@ class DiscoverResult(Result):
     proposal: Proposal | None = None
     notes: tuple[str, ...] | None = None
     omitted_when_none = frozenset({"proposal", "notes"})
+
+
+class PlannedAccuracy(Record):
+    """Standard errors that measurements at the planned stops give, with ``scatter_mm`` beside the tracker's noise.
+
+    ``standard_error_mm`` is the root mean square over the planned stops of the standard uncertainty of a predicted SMR
+    position, ``largest_mm`` its largest value; ``parameters`` are nominal values with their standard errors.
+    """
+
+    scatter_mm: float
+    standard_error_mm: float
+    largest_mm: float
+    parameters: Mapping[str, Estimate]
+
+
+class PlannedEffect(Record):
+    """Whether a plan can show an effect, and from which sizes on, where noise is the tracker's alone.
+
+    ``smallest_seen`` is by parameter; ``smallest_seen_rms_mm`` the rms displacement of the SMR by the smallest of them,
+    ``with_scatter_rms_mm`` the same with the scatter of arms before anything is known of it.
+    """
+
+    effect: str
+    visible: bool
+    reason: str
+    visible_share: float | None = None
+    smallest_seen: Mapping[str, SmallestSize] = {}
+    smallest_seen_rms_mm: float | None = None
+    with_scatter_rms_mm: float | None = None

@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 
 from cellapp.robot.kinematics.transforms import Array
 
+DIRECTIONS = ("x", "y", "z")
+"""Of approach, along the axes of the arm's base (7.2.3)."""
+DIRECTIONAL_POSES = ("P1", "P2", "P4")
+
 CORNERS: Mapping[str, tuple[int, int, int]] = MappingProxyType(
     {
         "C1": (-1, -1, 1),

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cellapp.cell.driving.iso9283.chosen_cube import DIRECTIONAL_POSES, DIRECTIONS
-from cellapp.cell.driving.iso9283.programme import ArmProgramme, Place
 from cellapp.estimation.iso9283.characteristics import (
     FEWEST_CYCLES,
     accuracy_vector,
@@ -17,7 +15,8 @@ from cellapp.estimation.iso9283.characteristics import (
     pose_accuracy,
     pose_repeatability,
 )
-from cellapp.estimation.iso9283.cube import POSES
+from cellapp.estimation.iso9283.cube import DIRECTIONAL_POSES, DIRECTIONS, POSES
+from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import (
     DirectionalCharacteristics,
     DistanceCharacteristics,

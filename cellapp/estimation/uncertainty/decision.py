@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cellapp.cell.targets.records import ToleranceVerdict
-from cellapp.estimation.uncertainty.records import Conformity
+from cellapp.estimation.uncertainty.records import Conformity, ToleranceVerdict
 from cellapp.ground.profile.acceptance import DecisionRule
 
 TARGET_WORDS: Mapping[Conformity, ToleranceVerdict] = {

@@ -7,6 +7,9 @@ from typing import Literal
 
 from cellapp.ground.results import Record
 
+ToleranceVerdict = Literal["in", "out", "cannot say", ""]
+"""Whether a target is met to its tolerance; empty where it has none, or where there is nothing to judge."""
+
 Conformity = Literal["conforms", "does not conform", "cannot say"]
 Characteristic = Literal[
     "position",
@@ -47,3 +50,32 @@ def overall(judgements: Sequence[Judgement]) -> Conformity | None:
     found = {one.conformity for one in judgements}
     order: tuple[Conformity, ...] = ("does not conform", "cannot say", "conforms")
     return next((one for one in order if one in found), None)
+
+
+class UncertaintyParts(Record):
+    """Standard uncertainty of a measured coordinate of the SMR at a command by its sources [mm]; squares add.
+
+    ``extrapolation`` is what the command's distance from the measured joint ranges and payloads adds; ``noise`` is the
+    scatter of the readings about the model: tracker and repeatability; ``conditions`` is what working conditions add
+    that nobody stated.
+    """
+
+    parameters: float
+    effects: float
+    network: float
+    extrapolation: float
+    noise: float
+    conditions: float
+
+
+class UncertaintyContribution(Record):
+    """One line of the uncertainty budget: standard uncertainty of a position [mm]; None where it was not given.
+
+    ``where`` is the arm whose position error the line is of.
+    """
+
+    source: str
+    standard_mm: float | None
+    evaluation: Literal["A", "B"]
+    basis: str
+    where: str = ""

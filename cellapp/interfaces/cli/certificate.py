@@ -50,10 +50,13 @@ def certificate(
     """Write certificate.json and certificate.html: errors as found and left, budget, tolerances, hashes, what lacks."""
     from cellapp.commands.certificate.run import certificate_run
     from cellapp.commands.certificate.view import certificate_sentences, certificate_tables
+    from cellapp.interfaces.page.certificate_page import certificate_page
 
     private = None if key is None else _private_key(key)
     with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = certificate_run(opened, out=out, number=number, data=data, key=private, pdf=pdf, outputs=job.outputs)
+        result = certificate_run(
+            opened, certificate_page, out=out, number=number, data=data, key=private, pdf=pdf, outputs=job.outputs
+        )
         job.show(certificate_tables(result))
         job.say(*certificate_sentences(result), f"written: {out or folder}")
         job.result(result)

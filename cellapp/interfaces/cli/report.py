@@ -31,12 +31,14 @@ def report(
     from cellapp.commands.calibrate.view import all_tables, out_of_date_sentences
     from cellapp.commands.out_of_date import check_nothing_out_of_date
     from cellapp.commands.pipeline import report_run
+    from cellapp.interfaces.page.page import write_page
 
     if out is not None and not pdf:
         raise InputError("report: --out is the file of --pdf; add --pdf")
     with Job(json_file) as job, open_run(folder) as opened:
         own = out is None
-        result = report_run(opened, (out or folder / "report.pdf") if pdf else None, RENEWED if own else job.outputs)
+        printed_to = (out or folder / "report.pdf") if pdf else None
+        result = report_run(opened, write_page, printed_to, RENEWED if own else job.outputs)
         job.show(all_tables(result))
         printed = [] if result.pdf is None else [f"printed: {result.pdf}"]
         job.say(*out_of_date_sentences(result), f"written: {result.page}", *printed)

@@ -53,9 +53,10 @@ def _run_whole(job: Job, profile: Path, folder: Path | None, *, allowed: bool) -
     from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences, verification_tables
     from cellapp.commands.collect.view import collect_lines, other_notes
     from cellapp.commands.pipeline import run_whole
+    from cellapp.interfaces.page.page import write_page
 
     ask = asking(job, load_profile(profile).name, allowed=allowed)
-    result = run_whole(profile, folder, job.listen, job.control, ask=ask)
+    result = run_whole(profile, folder, write_page, job.listen, job.control, ask=ask)
     if result.collect is not None:
         job.say(*collect_lines(result.collect))
     if result.calibrate is not None:

@@ -51,10 +51,11 @@ def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job
         from cellapp.cell.profile import load_profile
         from cellapp.commands.pipeline import run_whole
         from cellapp.ground.errors import InputError
+        from cellapp.interfaces.page.page import write_page
 
         if agreed is not None and load_profile(profile) != agreed:
             raise InputError(f"{profile} was edited since it was read; it is read again now, then F5 asks again")
-        return run_whole(profile, folder, listener, control, ask=ask)
+        return run_whole(profile, folder, write_page, listener, control, ask=ask)
 
     return Job("run", work, folder, moves=True)
 
@@ -298,8 +299,9 @@ def report(folder: Path, *, pdf: bool = False) -> Job:
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.commands.pipeline import report_run
+        from cellapp.interfaces.page.page import write_page
 
-        return report_run(run, folder / PDF_FILE if pdf else None)
+        return report_run(run, write_page, folder / PDF_FILE if pdf else None)
 
     return on_run("report", folder, work)
 

@@ -62,9 +62,18 @@ def certificate(folder: Path, request: CertificateRequest) -> Job:
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.commands.certificate.run import certificate_run
         from cellapp.commands.certificate.sign_key import load_sign_key
+        from cellapp.interfaces.page.certificate_page import certificate_page
 
         key = None if request.key is None else load_sign_key(request.key, request.passphrase)
-        return certificate_run(run, out=request.out, number=request.number, data=request.data, key=key, pdf=request.pdf)
+        return certificate_run(
+            run,
+            certificate_page,
+            out=request.out,
+            number=request.number,
+            data=request.data,
+            key=key,
+            pdf=request.pdf,
+        )
 
     return on_run("certificate", folder, work)
 

@@ -30,6 +30,7 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, VERIFY
+from cellapp.interfaces.page.page import write_page
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model import CellModel
 from drivers.trackers.protocol import Point
@@ -123,7 +124,7 @@ def test_targets_are_met_from_the_new_station_as_before(moved_run: tuple[RunFile
     assert basis is not None
     assert list(basis.stages) == [LOCATE]
     assert run_overview(run).next_verb == "report"
-    assert "Station of the tracker" in Path(report_run(run).page).read_text("utf-8")
+    assert "Station of the tracker" in Path(report_run(run, write_page).page).read_text("utf-8")
 
 
 def test_without_locating_nothing_is_found_from_there(run: RunFile) -> None:

@@ -14,12 +14,13 @@ from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import append_stage, basis_of, read_results
 from cellapp.ground.errors import CheckFailed
 from cellapp.ground.results import VERIFY
+from cellapp.interfaces.page.page import write_page
 
 
 def test_a_page_is_out_of_date_as_soon_as_the_run_holds_something_newer(finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
         assert complaints_of(run) == []
-        report_run(run)
+        report_run(run, write_page)
         assert complaints_of(run) == []
         check_nothing_out_of_date(run, "show")
         verify = read_results(run).verify

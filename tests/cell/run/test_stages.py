@@ -19,7 +19,7 @@ from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_results, read_stages, readings_digest
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY
-from cellapp.interfaces.page.page import page_text
+from cellapp.interfaces.page.page import page_text, write_page
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES, small_twin
 
@@ -133,7 +133,7 @@ def test_calibrating_again_with_another_outcome_outdates_what_rested_on_it(
         assert states["verify"] == reasons[VERIFY]
         overview = run_overview(run)
         assert (overview.next_verb, overview.next_step) == ("discover", f"cellapp discover {finished_copy}")
-        assert report_run(run).out_of_date == reasons
+        assert report_run(run, write_page).out_of_date == reasons
         assert "out of date" in page_text(run, NOON)
         # refused before any device is opened
         monkeypatch.setattr(

@@ -22,6 +22,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Instrument, Tolerances, Traceability
 from cellapp.ground.results import CERTIFICATE, VERIFY
+from cellapp.interfaces.page.certificate_page import certificate_page
 from tests.twin import small_twin
 
 NOON = datetime(2026, 1, 2, 12, tzinfo=UTC)
@@ -34,7 +35,7 @@ def certified(finished_run: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     """A copy of the finished run with a signed certificate. No test may write to it."""
     folder = Path(shutil.copytree(finished_run, tmp_path_factory.mktemp("certified") / "run"))
     with RunFile.open(folder, write=True) as run:
-        certificate_run(run, key=KEY, now=NOON)
+        certificate_run(run, certificate_page, key=KEY, now=NOON)
     return folder
 
 
@@ -219,7 +220,7 @@ def test_the_print_is_certified_with_the_page(
     browser.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     with RunFile.open(finished_copy, write=True) as run:
-        made = certificate_run(run, key=KEY, pdf=True)
+        made = certificate_run(run, certificate_page, key=KEY, pdf=True)
     assert set(made.documents) == {PAGE_FILE, PRINT_FILE}
     assert PRINT_FILE in made.files
     (finished_copy / PRINT_FILE).write_bytes(b"%PDF-1.7 it conforms")
@@ -233,7 +234,7 @@ def test_a_certificate_names_who_how_and_where(finished_copy: Path, tmp_path: Pa
         "  relative_humidity: [40, 45]\n"
     )
     with RunFile.open(finished_copy, write=True) as run:
-        made = certificate_run(run, data=data)
+        made = certificate_run(run, certificate_page, data=data)
         verify = read_results(run).verify
     assert verify is not None
     assert [(one.name, one.wanted_M) for one in made.targets] == [
@@ -264,7 +265,7 @@ def test_a_wrong_pressure_is_told(finished_copy: Path, tmp_path: Path, value: st
     data = tmp_path / "data.yaml"
     data.write_text(f"traceability:\n  air_pressure: {value}\n")
     with RunFile.open(finished_copy, write=True) as run, pytest.raises(InputError, match=words):
-        certificate_run(run, data=data)
+        certificate_run(run, certificate_page, data=data)
 
 
 def test_changed_readings_are_found(changeable: Path) -> None:
@@ -284,14 +285,14 @@ def test_a_signed_certificate_is_never_replaced(changeable: Path, tmp_path: Path
     before = (changeable / CERTIFICATE_FILE).read_bytes()
     with RunFile.open(changeable, write=True) as run:
         with pytest.raises(InputError, match="never replaced"):
-            certificate_run(run)
-        certificate_run(run, out=tmp_path / "elsewhere", number="QA 2026/17")
+            certificate_run(run, certificate_page)
+        certificate_run(run, certificate_page, out=tmp_path / "elsewhere", number="QA 2026/17")
         assert complaints_of(run) == []
         verify = read_results(run).verify
         assert verify is not None
         again = verify.model_copy(update={"stopped": "by hand"})
         append_stage(run, VERIFY, again, read_stages(run).current[VERIFY].basis)
-        certificate_run(run, out=tmp_path / "again")
+        certificate_run(run, certificate_page, out=tmp_path / "again")
         assert complaints_of(run) == [f"{CERTIFICATE_FILE} is an earlier certificate, of other data"]
     assert (changeable / CERTIFICATE_FILE).read_bytes() == before
     assert stored(tmp_path / "elsewhere").number == "QA 2026/17"
@@ -301,16 +302,16 @@ def test_a_signed_certificate_is_never_replaced(changeable: Path, tmp_path: Path
 def test_no_number_is_given_twice(changeable: Path, tmp_path: Path) -> None:
     signed = stored(changeable).number
     with RunFile.open(changeable, write=True) as run:
-        numbers = [certificate_run(run, out=tmp_path / str(one), now=NOON).number for one in range(2)]
+        numbers = [certificate_run(run, certificate_page, out=tmp_path / str(one), now=NOON).number for one in range(2)]
         with pytest.raises(InputError, match="give another number"):
-            certificate_run(run, out=tmp_path / "again", number=signed)
+            certificate_run(run, certificate_page, out=tmp_path / "again", number=signed)
     assert numbers == [f"{signed}-2", f"{signed}-3"]
 
 
 @pytest.mark.parametrize("number", ["", " 1", "a\nb", "<b>", "n" * 61, "a\tb"])
 def test_numbers_that_do_not_fit_a_comment_are_refused(finished_copy: Path, number: str) -> None:
     with RunFile.open(finished_copy, write=True) as run, pytest.raises(InputError, match="--number"):
-        certificate_run(run, number=number)
+        certificate_run(run, certificate_page, number=number)
     assert not (finished_copy / CERTIFICATE_FILE).exists()
 
 
@@ -321,7 +322,7 @@ def test_a_file_completes_the_profile_and_its_errors_have_lines(finished_copy: P
         'tolerances: {position: "1 um", decision: simple}\n'
     )
     with RunFile.open(finished_copy, write=True) as run:
-        found = certificate_run(run, data=data)
+        found = certificate_run(run, certificate_page, data=data)
         assert found.location == "Hall 3"
         assert not any("arm left" in one or "location" in one for one in found.missing)
         assert found.operator == run.profile.traceability.operator
@@ -337,7 +338,7 @@ def test_a_file_completes_the_profile_and_its_errors_have_lines(finished_copy: P
         ):
             data.write_text(text)
             with pytest.raises(InputError, match=words):
-                certificate_run(run, data=data)
+                certificate_run(run, certificate_page, data=data)
         assert len(run.stage_rows()) == count
 
 
@@ -345,7 +346,7 @@ def test_a_run_that_was_only_planned_gets_a_certificate_that_says_so(tmp_path: P
     overdue = Traceability(tracker=Instrument(serial="7", due=date(2020, 1, 1)))
     profile = small_twin().model_copy(update={"traceability": overdue, "tolerances": Tolerances(position=1e-4)})
     with empty_run(tmp_path / "run", profile) as run:
-        found = certificate_run(run)
+        found = certificate_run(run, certificate_page)
     assert any(one.startswith("not verified") for one in found.warnings)
     assert {one.conformity for one in found.judgements} == {"cannot say"}
     assert {"organisation", "operator", "time of measuring"} <= set(found.missing)
@@ -356,7 +357,7 @@ def test_a_run_that_was_only_planned_gets_a_certificate_that_says_so(tmp_path: P
 
 def test_a_run_that_is_open_for_reading_is_left_as_it_is(finished_copy: Path) -> None:
     with RunFile.open(finished_copy) as run, pytest.raises(InputError, match="reading only"):
-        certificate_run(run)
+        certificate_run(run, certificate_page)
     assert not (finished_copy / CERTIFICATE_FILE).exists()
 
 

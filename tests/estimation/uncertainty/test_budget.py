@@ -8,7 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.commands.certificate.budget import (
+from cellapp.commands.certificate.evidence import evidence_of
+from cellapp.commands.run_results import RunResults
+from cellapp.estimation.calibration.records import Repeatability
+from cellapp.estimation.discovery.records import DiscoverResult, Noise
+from cellapp.estimation.uncertainty.budget import (
     AIR,
     CENTERING,
     GROWTH,
@@ -16,17 +20,15 @@ from cellapp.commands.certificate.budget import (
     REPEATABILITY,
     STATION,
     TRACKER,
+    Evidence,
     combined_mm,
     distance_budget,
     expanded_mm,
     not_given,
     position_budget,
 )
-from cellapp.commands.certificate.result import UncertaintyContribution
-from cellapp.commands.run_results import RunResults
-from cellapp.estimation.calibration.records import Repeatability
-from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from tests.estimation.uncertainty.cases import measured, profile_with, results, verification
 from tests.interfaces.page.cases import calibration, nothing_missing
 
@@ -44,7 +46,9 @@ def lines(*values: float | None) -> list[UncertaintyContribution]:
 
 
 def by_source(found: RunResults, conditions: MeasuredConditions | None = None) -> dict[str, UncertaintyContribution]:
-    return {one.source: one for one in position_budget(profile_with({}), found, "left", conditions)}
+    return {
+        one.source: one for one in position_budget(profile_with({}), "left", evidence_of(found, "left", conditions))
+    }
 
 
 def test_variances_add_and_the_coverage_factor_is_two() -> None:
@@ -82,7 +86,7 @@ def test_contributions_of_the_twin_at_four_metres() -> None:
 def test_half_of_the_permissible_error_is_a_choice_and_is_stated() -> None:
     profile = profile_with({"mpe": "half"})
     found = results(verify=verification([measured("a", "left", 0.0)]))
-    tracker = next(one for one in position_budget(profile, found, "left") if one.source == TRACKER)
+    tracker = next(one for one in position_budget(profile, "left", evidence_of(found, "left")) if one.source == TRACKER)
     assert tracker.standard_mm == pytest.approx(0.0195)
     assert "half was chosen" in tracker.basis
     assert profile.model_dump(mode="json")["tolerances"]["mpe"] == "half"
@@ -91,7 +95,7 @@ def test_half_of_the_permissible_error_is_a_choice_and_is_stated() -> None:
 
 def test_what_nobody_gave_has_no_value_and_says_which_key_gives_it() -> None:
     profile = profile_with({}, {"smr_centering": None, "air_temperature_uncertainty": None})
-    budget = position_budget(profile, results(), "left")
+    budget = position_budget(profile, "left", Evidence())
     by_name = {one.source: one for one in budget}
     assert set(not_given(budget)) == {TRACKER, CENTERING, AIR, REPEATABILITY, MODEL}
     assert "traceability.smr_centering" in by_name[CENTERING].basis

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from cellapp.cell.targets.records import CompensateResult, TargetCommand, UncertaintyParts
+from cellapp.cell.targets.records import CompensateResult, TargetCommand
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.monitoring.check.records import CheckResult, CheckVerdict
 from cellapp.estimation.uncertainty.decision import conformity
-from cellapp.estimation.uncertainty.records import Judgement
+from cellapp.estimation.uncertainty.records import Judgement, UncertaintyParts
 from cellapp.ground.results import COMPENSATE, ISO9283, VERIFY
 from tests.estimation.uncertainty.cases import measured, pair, pose_test, profile_with, results, verification
 from tests.interfaces.page.cases import calibration, nothing_missing

@@ -10,10 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
-from cellapp.commands import pipeline
 from cellapp.commands.out_of_date import DATA_MARK, data_mark
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.interfaces.cli.app import app
+from cellapp.interfaces.page import page
 
 RUNNER = CliRunner()
 
@@ -27,7 +27,7 @@ def blank_page(monkeypatch: pytest.MonkeyPatch) -> None:
         page.write_text(f'<meta name="{DATA_MARK}" content="{data_mark(run)}">', encoding="utf-8")
         return page
 
-    monkeypatch.setattr(pipeline, "write_page", write)
+    monkeypatch.setattr(page, "write_page", write)
 
 
 def test_strict_fails_only_where_something_is_out_of_date(finished_copy: Path) -> None:

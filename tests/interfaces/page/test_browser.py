@@ -12,6 +12,7 @@ import pytest
 from cellapp.cell.run import RunFile
 from cellapp.commands.certificate.run import certificate_run
 from cellapp.ground.chromium import print_pdf
+from cellapp.interfaces.page.certificate_page import certificate_page
 from cellapp.interfaces.page.page import page_text
 from tests.interfaces.page.cases import discovery
 from tests.interfaces.page.parsed_page import NOON
@@ -35,7 +36,7 @@ def report(calibrated_folders: Path, tmp_path_factory: pytest.TempPathFactory) -
     shutil.copytree(calibrated_folders / "double", folder / "run")
     with RunFile.open(folder / "run", write=True) as run:
         store_discovery(run, discovery(LEFT, RIGHT))
-        certificate_run(run)
+        certificate_run(run, certificate_page)
         path = folder / "report.html"
         path.write_text(page_text(run, NOON), encoding="utf-8")
     return path

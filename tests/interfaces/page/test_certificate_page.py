@@ -15,10 +15,9 @@ from cellapp.commands.certificate.result import (
     CertifiedData,
     CertifiedErrors,
     CertifiedInstrument,
-    UncertaintyContribution,
 )
 from cellapp.commands.certificate.view import budget_table, certificate_sentences, certificate_tables, errors_table
-from cellapp.estimation.uncertainty.records import Judgement
+from cellapp.estimation.uncertainty.records import Judgement, UncertaintyContribution
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.page.certificate_page import certificate_page
 

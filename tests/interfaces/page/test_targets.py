@@ -14,7 +14,6 @@ from cellapp.cell.targets.records import (
     MeasuredTarget,
     TargetCommand,
     TargetRecord,
-    UncertaintyParts,
     UnknownCondition,
     VerifyResult,
 )
@@ -37,6 +36,7 @@ from cellapp.commands.compensate.words import compensate_lines, push_lines, veri
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.table import most_urgent, part_table
+from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.interfaces.page.chart_figure import chart_figure
 from cellapp.interfaces.tui.plots.drawing import draw
 from tests.interfaces.page.cases import ERRORS

@@ -12,12 +12,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.exports.formats import format_named
 from cellapp.commands.discover.result import discover_result
+from cellapp.commands.doctor.doctor import installed_plugins
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.arm_types import ARM_TYPES
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import CellModel
-from cellapp.robot.plugins import in_words, installed_plugins
+from cellapp.robot.plugins import in_words
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from drivers.plugins import Registry

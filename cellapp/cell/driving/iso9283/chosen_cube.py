@@ -10,15 +10,12 @@ import numpy as np
 
 from cellapp.cell.driving.iso9283.reach import CubeSearch, FoundCube
 from cellapp.cell.safety.gate import refuse_motion
-from cellapp.estimation.iso9283.cube import CYCLE, PLANES, plane_name, pose_positions
+from cellapp.estimation.iso9283.cube import CYCLE, DIRECTIONAL_POSES, DIRECTIONS, PLANES, plane_name, pose_positions
 from cellapp.estimation.iso9283.records import IsoCube, IsoPose
 from cellapp.robot.kinematics.transforms import Array, xyz_of, zyx_angles
 
 LEAST_EDGE_M = 0.05
 """A smaller cube tells nothing of an arm's working space."""
-DIRECTIONS = ("x", "y", "z")
-"""Of approach, along the axes of the arm's base (7.2.3)."""
-DIRECTIONAL_POSES = ("P1", "P2", "P4")
 _APPROACH_SHARE = 0.1
 """Length of the approach as share of the cube's edge: it stays inside the cube."""
 _SHARES = (1.0, 0.85, 0.7, 0.55, 0.4)

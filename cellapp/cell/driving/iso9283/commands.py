@@ -8,10 +8,11 @@ import numpy as np
 
 from cellapp.cell.driving.iso9283.alignment import Alignment
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
-from cellapp.cell.driving.iso9283.programme import ArmProgramme, legs
+from cellapp.cell.driving.iso9283.programme import legs
 from cellapp.cell.targets.choice import LARGEST_CORRECTION
 from cellapp.cell.targets.invert import invert, with_approach
 from cellapp.cell.targets.working_conditions import beside
+from cellapp.estimation.iso9283.places import ArmProgramme
 from cellapp.estimation.iso9283.records import IsoCommands
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, apply

@@ -9,7 +9,6 @@ import numpy as np
 
 from cellapp.cell.driving.iso9283.alignment import Alignment
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
-from cellapp.cell.driving.iso9283.programme import ArmProgramme, Place
 from cellapp.estimation.iso9283.evaluate import (
     Measurements,
     PathRuns,
@@ -20,6 +19,7 @@ from cellapp.estimation.iso9283.evaluate import (
     path_characteristics,
     pose_characteristics,
 )
+from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     BaseAlignment,

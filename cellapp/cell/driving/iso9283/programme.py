@@ -12,7 +12,8 @@ from scipy.optimize import linear_sum_assignment
 from cellapp.cell.driving.iso9283.chosen_cube import approach_sequence
 from cellapp.cell.safety.gate import CellBodies, clear_stops, visible_stops
 from cellapp.estimation.iso9283.cube import CYCLE, POSES
-from cellapp.estimation.iso9283.records import IsoCommands, IsoTest
+from cellapp.estimation.iso9283.places import ArmProgramme, Place
+from cellapp.estimation.iso9283.records import IsoTest
 from cellapp.robot.kinematics.transforms import Array
 
 NORM_CYCLES: Mapping[IsoTest, int] = MappingProxyType(
@@ -28,24 +29,6 @@ def wanted_cycles(test: IsoTest, cycles: int) -> int:
     return min(cycles, NORM_CYCLES[test]) if test in ("drift", "path") else cycles
 
 
-@dataclass(frozen=True)
-class Place:
-    """What is measured at a visit: its positions are evaluated together, over all cycles.
-
-    ``poses`` are those of ``arms`` in turn; ``approach`` is the direction of a multi-directional test.
-    """
-
-    test: IsoTest
-    commands: IsoCommands
-    arms: tuple[str, ...]
-    poses: tuple[str, ...]
-    approach: str = ""
-
-    def __str__(self) -> str:
-        where = "+".join(self.poses) + (f" along {self.approach}" if self.approach else "")
-        return f"{self.test} of {' and '.join(self.arms)}, {self.commands} commands, {where}"
-
-
 @dataclass(frozen=True, eq=False)
 class Visit:
     """One motion: arm -> joint positions (N,) [rad]. ``place`` is None where nothing is measured."""
@@ -53,33 +36,6 @@ class Visit:
     targets: Mapping[str, Array]
     place: Place | None
     cycle: int
-
-
-@dataclass(frozen=True, eq=False)
-class ArmProgramme:
-    """What one arm is commanded to with one kind of commands.
-
-    Attributes
-    ----------
-    name : str
-    commands : str
-    position_M : mapping
-        Position -> where its SMR should be [m].
-    frame : mapping
-        Position -> covariance (3, 3) of that [m^2].
-    q : mapping
-        (position, the one before) -> joint positions (N,) [rad]: a model with play commands by the side of approach.
-    """
-
-    name: str
-    commands: IsoCommands
-    position_M: Mapping[str, Array]
-    frame: Mapping[str, Array]
-    q: Mapping[tuple[str, str], Array]
-
-    def place(self, test: IsoTest, pose: str, approach: str = "") -> Place:
-        """The place of a position of this arm alone."""
-        return Place(test, self.commands, (self.name,), (pose,), approach)
 
 
 def legs() -> list[tuple[str, str]]:

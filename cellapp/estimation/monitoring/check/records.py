@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.commands.locate.result import Matrix, Point
-from cellapp.ground.results import Record, Result, StageName
+from cellapp.ground.results import Matrix, Point, Record, Result, StageName
 
 CheckVerdict = Literal[
     "valid", "tracker moved", "base moved", "smr moved", "arm changed", "not explained", "cannot say"

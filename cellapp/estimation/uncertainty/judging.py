@@ -11,12 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cellapp.cell.targets.records import ToleranceVerdict, UncertaintyParts
-from cellapp.commands.certificate.budget import expanded_mm, not_given, target_budget
-from cellapp.commands.certificate.result import UncertaintyContribution
-from cellapp.commands.run_results import RunResults
-from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.budget import Evidence, expanded_mm, not_given, target_budget
 from cellapp.estimation.uncertainty.decision import target_verdict
+from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyContribution, UncertaintyParts
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import DecisionRule
 from cellapp.robot.kinematics.transforms import Array
@@ -26,12 +23,11 @@ from cellapp.robot.kinematics.transforms import Array
 class Judge:
     """Judges errors in one cell.
 
-    ``results`` are those that the run has, ``measured`` the conditions of its readings by arm.
+    ``known`` is what the run knows of the errors of each arm.
     """
 
     profile: Profile
-    results: RunResults = field(default_factory=lambda: RunResults(run=""))
-    measured: Mapping[str, MeasuredConditions] = field(default_factory=dict)
+    known: Mapping[str, Evidence] = field(default_factory=dict)
 
     @property
     def rule(self) -> DecisionRule:
@@ -65,11 +61,6 @@ class Judge:
             line
             for arm, p_M in measured_M.items()
             for line in target_budget(
-                self.profile,
-                self.results,
-                arm,
-                float(np.linalg.norm(p_M)),
-                parts.get(arm),
-                self.measured.get(arm),
+                self.profile, arm, self.known.get(arm, Evidence()), float(np.linalg.norm(p_M)), parts.get(arm)
             )
         ]

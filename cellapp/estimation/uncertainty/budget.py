@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
-import numpy as np
-
-from cellapp.cell.targets.records import MeasuredTarget, UncertaintyParts
-from cellapp.commands.certificate.result import UncertaintyContribution
-from cellapp.commands.run_results import RunResults
+from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.discovery.records import ArmDiscoveryResult
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.records import UncertaintyContribution, UncertaintyParts
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import MPE_SHARE, MpeRule
 from cellapp.ground.profile.schema import ArmType, PermissibleError
-from cellapp.ground.results import COMPENSATE, DISCOVER, LOCATE, VERIFY
 
 COVERAGE = 2.0
 """Coverage factor k; about 95 % for a normal distribution (GUM 6.2.1, G.6.6)."""
@@ -41,30 +38,53 @@ TRACKER, CENTERING, AIR = "tracker", "SMR centering", "air temperature"
 REPEATABILITY, MODEL, STATION, GROWTH = "arm repeatability", "calibrated model", "station", "thermal growth of the arm"
 
 
-def position_budget(
-    profile: Profile, results: RunResults, arm: str, measured: MeasuredConditions | None = None
-) -> tuple[UncertaintyContribution, ...]:
-    """Contributions to the uncertainty of a position error of ``arm``; those that nobody gave have no value.
+@dataclass(frozen=True)
+class Evidence:
+    """What a run knows of the errors of one arm, beside its profile; only what is not out of date, but ``calibrated``.
 
-    ``measured`` are the conditions of its readings: the thermal growth of the arm is only stated where they have
-    temperatures, and distances are theirs where no target was verified.
+    Attributes
+    ----------
+    calibrated, discovered : results, optional
+        Of the calibration and of the discovery.
+    commands : tuple
+        Uncertainties of the compensated commands.
+    verified_m : float, optional
+        Largest distance of a verified target from the tracker [m].
+    station_mm : float, optional
+        Uncertainty of the station, where the tracker was moved and located [mm].
+    measured : MeasuredConditions, optional
+        Conditions of the readings: the thermal growth of the arm is only stated where they have temperatures, and
+        distances are theirs where no target was verified.
     """
-    return _position(profile, results, arm, _farthest_m(results, arm, measured), _model(results, arm), measured)
+
+    calibrated: ArmCalibrationResult | None = None
+    discovered: ArmDiscoveryResult | None = None
+    commands: tuple[UncertaintyParts, ...] = ()
+    verified_m: float | None = None
+    station_mm: float | None = None
+    measured: MeasuredConditions | None = None
+
+    @property
+    def farthest_m(self) -> float | None:
+        """Largest distance of the SMR from the tracker at the verified targets, else of the readings [m]."""
+        if self.verified_m is not None:
+            return self.verified_m
+        return None if self.measured is None or self.measured.distance_m is None else self.measured.distance_m[1]
+
+
+def position_budget(profile: Profile, arm: str, known: Evidence) -> tuple[UncertaintyContribution, ...]:
+    """Contributions to the uncertainty of a position error of ``arm``; those that nobody gave have no value."""
+    return _position(profile, arm, known, known.farthest_m, _model(known))
 
 
 def target_budget(
-    profile: Profile,
-    results: RunResults,
-    arm: str,
-    distance_m: float,
-    parts: UncertaintyParts | None = None,
-    measured: MeasuredConditions | None = None,
+    profile: Profile, arm: str, known: Evidence, distance_m: float, parts: UncertaintyParts | None = None
 ) -> tuple[UncertaintyContribution, ...]:
     """The same contributions at one place, ``distance_m`` from the tracker; ``parts`` are those of the command."""
-    model = _model(results, arm)
+    model = _model(known)
     if parts is not None:
         model = _line(MODEL, _of_model_mm(parts), "A", "posterior of the model in force at the command")
-    return _position(profile, results, arm, distance_m, model, measured)
+    return _position(profile, arm, known, distance_m, model)
 
 
 def distance_budget(position: Sequence[UncertaintyContribution]) -> tuple[UncertaintyContribution, ...]:
@@ -134,13 +154,13 @@ def _air(profile: Profile, farthest_m: float | None) -> UncertaintyContribution:
     return _line(AIR, AIR_PER_KELVIN * kelvin * farthest_m * 1e3, "B", basis)
 
 
-def _repeatability(results: RunResults, arm: str) -> UncertaintyContribution:
+def _repeatability(known: Evidence) -> UncertaintyContribution:
     """What the readings scatter beyond the tracker's statement: about the model with its effects, else of repeats.
 
     The model with effects comes first: repeats of an arm with backlash scatter by the side that they came from, which
     a compensated command accounts for.
     """
-    found = _discovered(results, arm)
+    found = known.discovered
     if found is not None and found.scatter is not None and found.noise_mm is not None:
         tracker = found.noise_mm.rms / math.sqrt(3.0)
         excess = tracker * math.sqrt(max(found.scatter**2 - 1.0, 0.0))
@@ -149,7 +169,7 @@ def _repeatability(results: RunResults, arm: str) -> UncertaintyContribution:
             f" {tracker:.4f} mm a coordinate; what exceeds it"
         )
         return _line(REPEATABILITY, excess, "A", basis)
-    calibrated = None if results.calibrate is None else results.calibrate.arms.get(arm)
+    calibrated = known.calibrated
     repeats = None if calibrated is None else calibrated.repeatability_mm
     if calibrated is None or repeats is None:
         return _line(REPEATABILITY, None, "A", "not given: no stop was repeated and no discovery holds")
@@ -162,29 +182,19 @@ def _repeatability(results: RunResults, arm: str) -> UncertaintyContribution:
     return _line(REPEATABILITY, math.sqrt(max(scatter**2 - tracker**2, 0.0)), "A", basis)
 
 
-def _model(results: RunResults, arm: str) -> UncertaintyContribution:
+def _model(known: Evidence) -> UncertaintyContribution:
     """Where the target is in the tracker frame rests on the calibrated model: its posterior at the commands."""
-    commands = [] if results.compensate is None or COMPENSATE in results.out_of_date else results.compensate.targets
-    parts = [one.parts for one in commands if one.arm == arm and one.parts is not None]
-    if parts:
+    if known.commands:
         return _line(
             MODEL,
-            max(map(_of_model_mm, parts)),
+            max(map(_of_model_mm, known.commands)),
             "A",
-            f"posterior of the model in force, largest of {len(parts)} commands",
+            f"posterior of the model in force, largest of {len(known.commands)} commands",
         )
-    found = _discovered(results, arm)
+    found = known.discovered
     if found is not None and found.uncertainty_mm is not None:
         return _line(MODEL, found.uncertainty_mm.largest, "A", "posterior of the model, largest at held-out stops")
     return _line(MODEL, None, "A", "not given: no posterior of the model in force is stored")
-
-
-def _station(results: RunResults) -> list[UncertaintyContribution]:
-    """Only where the tracker was located after it was moved."""
-    located = results.locate
-    if located is None or not located.moved or LOCATE in results.out_of_date:
-        return []
-    return [_line(STATION, located.uncertainty_mm, "A", "the tracker was moved and located by a few points")]
 
 
 def _growth(
@@ -216,21 +226,17 @@ def _growth(
 
 
 def _position(
-    profile: Profile,
-    results: RunResults,
-    arm: str,
-    distance_m: float | None,
-    model: UncertaintyContribution,
-    measured: MeasuredConditions | None,
+    profile: Profile, arm: str, known: Evidence, distance_m: float | None, model: UncertaintyContribution
 ) -> tuple[UncertaintyContribution, ...]:
-    growth = _growth(profile.arms[arm].type, _discovered(results, arm), measured)
+    growth = _growth(profile.arms[arm].type, known.discovered, known.measured)
+    moved = "the tracker was moved and located by a few points"
     return (
         _tracker(profile, distance_m),
         _centering(profile),
         _air(profile, distance_m),
-        _repeatability(results, arm),
+        _repeatability(known),
         model,
-        *_station(results),
+        *([] if known.station_mm is None else [_line(STATION, known.station_mm, "A", moved)]),
         *([] if growth is None else [growth]),
     )
 
@@ -244,20 +250,3 @@ def _line(source: str, standard_mm: float | None, evaluation: str, basis: str) -
     return UncertaintyContribution.model_validate(
         {"source": source, "standard_mm": standard_mm, "evaluation": evaluation, "basis": basis}
     )
-
-
-def _discovered(results: RunResults, arm: str) -> ArmDiscoveryResult | None:
-    """The discovery of an arm, while it holds."""
-    if results.discover is None or DISCOVER in results.out_of_date:
-        return None
-    return results.discover.arms.get(arm)
-
-
-def _farthest_m(results: RunResults, arm: str, measured: MeasuredConditions | None) -> float | None:
-    """Largest distance of the SMR from the tracker at the verified targets, else of the readings [m]."""
-    verify = None if VERIFY in results.out_of_date else results.verify
-    targets: Sequence[MeasuredTarget] = () if verify is None else verify.targets
-    points = [one.measured_M for one in targets if one.arm == arm and one.measured_M is not None]
-    if points:
-        return float(np.linalg.norm(np.array(points), axis=1).max())
-    return None if measured is None or measured.distance_m is None else measured.distance_m[1]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import date
 
-from cellapp.commands.certificate.budget import not_given
-from cellapp.commands.certificate.result import CertifiedArm, CertifiedInstrument, UncertaintyContribution
+from cellapp.commands.certificate.result import CertifiedArm, CertifiedInstrument
+from cellapp.estimation.uncertainty.budget import not_given
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
+from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Instrument
 from cellapp.ground.times import day_of

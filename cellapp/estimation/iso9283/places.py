@@ -1,0 +1,54 @@
+"""What is measured at a visit of the tests, and what an arm is commanded to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from cellapp.estimation.iso9283.records import IsoCommands, IsoTest
+from cellapp.robot.kinematics.transforms import Array
+
+
+@dataclass(frozen=True)
+class Place:
+    """What is measured at a visit: its positions are evaluated together, over all cycles.
+
+    ``poses`` are those of ``arms`` in turn; ``approach`` is the direction of a multi-directional test.
+    """
+
+    test: IsoTest
+    commands: IsoCommands
+    arms: tuple[str, ...]
+    poses: tuple[str, ...]
+    approach: str = ""
+
+    def __str__(self) -> str:
+        where = "+".join(self.poses) + (f" along {self.approach}" if self.approach else "")
+        return f"{self.test} of {' and '.join(self.arms)}, {self.commands} commands, {where}"
+
+
+@dataclass(frozen=True, eq=False)
+class ArmProgramme:
+    """What one arm is commanded to with one kind of commands.
+
+    Attributes
+    ----------
+    name : str
+    commands : str
+    position_M : mapping
+        Position -> where its SMR should be [m].
+    frame : mapping
+        Position -> covariance (3, 3) of that [m^2].
+    q : mapping
+        (position, the one before) -> joint positions (N,) [rad]: a model with play commands by the side of approach.
+    """
+
+    name: str
+    commands: IsoCommands
+    position_M: Mapping[str, Array]
+    frame: Mapping[str, Array]
+    q: Mapping[tuple[str, str], Array]
+
+    def place(self, test: IsoTest, pose: str, approach: str = "") -> Place:
+        """The place of a position of this arm alone."""
+        return Place(test, self.commands, (self.name,), (pose,), approach)
