@@ -68,6 +68,8 @@ class Effect(ABC):
     """Whether it moves the reading or the reflector instead of the flange."""
     wears: ClassVar[bool] = False
     """Whether it comes with wear: a check looks for it at every joint, although the calibration did not find it."""
+    lengthens: ClassVar[bool] = False
+    """Whether links grow by it."""
     shifts_zero: ClassVar[bool] = False
     """Whether it shifts the zero positions of joints."""
 

@@ -96,6 +96,7 @@ class ThermalGrowth(Effect):
     """
 
     slug = "thermal_growth"
+    lengthens = True
     title = "thermal growth of links"
     meaning = Meaning(
         cause="The links grow with temperature, from their own joints and from the air.",
