@@ -61,7 +61,7 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.records import DiscoverResult, Proposal
-from cellapp.estimation.prior.calibrate import with_prior
+from cellapp.estimation.prior.calibrate import calibrate_with_prior
 from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.chromium import print_pdf
@@ -241,7 +241,7 @@ def calibrate_run(
         earlier = {} if prior is None else earlier_arms(run, prior)
         calibration = calibrate_readings(run.profile, readings, with_eta(listener), cancel)
         if earlier:
-            calibration = with_prior(run.profile, readings, calibration, earlier)
+            calibration = calibrate_with_prior(run.profile, readings, calibration, earlier)
         elif used := {record.run for record in recorded_priors(run).values()}:
             notes = (
                 *notes,

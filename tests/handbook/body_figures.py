@@ -138,7 +138,7 @@ def tracker_angle_error(scene: Scene) -> Chart:
     law = EFFECTS["tracker_angle_error"].law("orders")
     azimuth, _, horizontal, _ = context.across
     series = []
-    for label, name in (("one cycle a turn", "azimuth_sin1"), ("two cycles a turn", "azimuth_sin2")):
+    for label, name in (("one cycle per revolution", "azimuth_sin1"), ("two cycles per revolution", "azimuth_sin2")):
         shift = smr_shift(context, "tracker_angle_error", law, {name: 5 * _MICRO})
         series.append(Series(label, np.degrees(azimuth), np.einsum("na,na->n", shift, horizontal), "points"))
     return Chart(

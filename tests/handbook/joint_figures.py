@@ -57,11 +57,13 @@ def encoder_eccentricity(scene: Scene) -> Chart:
     context = scene.context(swept(scene.stretched(len(TURN)), 1, TURN))
     law = EFFECTS["encoder_eccentricity"].law()
     offset = joint_offset(context, "encoder_eccentricity", law, {"sin1q1": 80 * _MICRO})
-    return Chart("One cycle a turn of the joint", "joint 1 [deg]", _OFFSET, (Series("2 µm on 25 mm", TURN, offset),))
+    return Chart(
+        "One cycle per revolution of the joint", "joint 1 [deg]", _OFFSET, (Series("2 µm on 25 mm", TURN, offset),)
+    )
 
 
 def transmission_error(scene: Scene) -> Chart:
-    """Offset over a quarter of a turn of joint 1: two cycles a turn, and the line of a 1:50 gear on it."""
+    """Offset over a quarter of a turn of joint 1: two cycles per revolution, and the line of a 1:50 gear on it."""
     angle = np.linspace(-45.0, 45.0, 271)
     context = scene.context(swept(scene.stretched(len(angle)), 1, angle))
     effect = EFFECTS["transmission_error"]
@@ -69,10 +71,10 @@ def transmission_error(scene: Scene) -> Chart:
     smooth = joint_offset(context, "transmission_error", effect.law("two"), two)
     lines = joint_offset(context, "transmission_error", effect.law("gear", {"ratio": 50.0}), two | {"sin50q1": 20e-6})
     return Chart(
-        "Two cycles a turn, and 50 cycles a turn of the gear",
+        "Two cycles per revolution, and 50 cycles per revolution of the gear",
         "joint 1 [deg]",
         _OFFSET,
-        (Series("with 50 cycles a turn", angle, lines), Series("two cycles a turn", angle, smooth)),
+        (Series("with 50 cycles per revolution", angle, lines), Series("two cycles per revolution", angle, smooth)),
     )
 
 

@@ -19,7 +19,7 @@ from cellapp.cell.driving.smr_search import FoundPoint, SmrSearch
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.cell.driving.target_visit import last_motion_matters
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.estimation.monitoring.check import Standing
+from cellapp.estimation.monitoring.check import SequentialState
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
@@ -37,7 +37,7 @@ first time and after it."""
 class StopTest(Protocol):
     """A test that is told what was measured at each stop, as ``SequentialTest``."""
 
-    def add(self, readings: Mapping[str, Readings]) -> Standing:
+    def add(self, readings: Mapping[str, Readings]) -> SequentialState:
         """Take one stop, arm -> its reading, and say where the test stands."""
 
 
@@ -64,7 +64,7 @@ class MeasuredStop:
 
     number: int
     found: Mapping[str, FoundPoint]
-    standing: Standing
+    standing: SequentialState
     time_s: float
 
 

@@ -121,7 +121,7 @@ def _pair_cost(stops: StopSet, members: Order, sizes: NDArray[np.intp]) -> Array
     cost = np.zeros((len(pairs), len(sizes), m, m))
     for number, (first, second) in enumerate(pairs):
         for block, size in enumerate(sizes.tolist()):
-            allowed = stops.go_together(first, second, members[first, block, :size], members[second, block, :size])
+            allowed = stops.compatible_stops(first, second, members[first, block, :size], members[second, block, :size])
             cost[number, block, :size, :size] = np.where(allowed, 0.0, _FORBIDDEN_STEPS * stops.usual_step_s)
     return cost
 

@@ -11,7 +11,7 @@ from cellapp.cell.planning.balance import Columns, posture_functions, standardis
 from cellapp.cell.planning.design_records import FactorCorrelation, TravelTime
 from cellapp.cell.planning.duration import home_s, stop_times_of
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
-from cellapp.cell.planning.ways import Way, WayFinder
+from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.ground.profile import Profile
@@ -77,12 +77,12 @@ def _added_by_a_detour_s(profile: Profile, stops: PlannedStops, rng: np.random.G
     """Mean time that ways between random stops take longer than straight ones [s]; those not found are left out."""
     if len(stops) < 2:
         return 0.0
-    finder = WayFinder(profile, cell_bodies(profile), rng)
+    finder = TransitPlanner(profile, cell_bodies(profile), rng)
     added = []
     for _ in range(_SAMPLED_WAYS):
         here, there = (stops.targets(stop) for stop in rng.choice(len(stops), 2, replace=False).tolist())
         way = finder.find(here, there)
-        if isinstance(way, Way):
+        if isinstance(way, TransitPath):
             added.append(way.seconds - finder.seconds(here, there))
     return float(np.mean(added)) if added else 0.0
 

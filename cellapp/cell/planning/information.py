@@ -1,8 +1,8 @@
 """What each candidate stop of an arm tells: whitened derivatives of its reading by geometry and effects.
 
 The columns are all geometric parameters with the priors of typical arms, the coefficients of the effects that the
-profile lists, and *potential terms*: periodic errors of several cycles a turn that no one asked for, each small by
-prior. A design that ignored them would put its stops where the listed effects are largest and nowhere else, and what
+profile lists, and *potential terms*: periodic errors of several cycles per revolution that no one asked for, each small
+by prior. A design that ignored them would put its stops where the listed effects are largest and nowhere else, and what
 discovery finds with free forms would stay hidden (Bayesian designs with potential terms: DuMouchel, Jones,
 Technometrics 36 (1994) 37).
 """
@@ -45,7 +45,7 @@ POTENTIAL_CYCLES = (3, 4, 5, 6)
 """Cycles a turn of the potential terms of every joint: the next above those of the listed effects. Higher ones have
 nothing in common with posture, so that any stops show them that leave no gap."""
 _MOST_CYCLES = 2
-"""Columns of effects with more cycles a turn are left to the potential terms."""
+"""Columns of effects with more cycles per revolution are left to the potential terms."""
 _REGISTRATION = {"m": 5e-3, "rad": 5e-3}
 """Standard deviation of the parameters of base and SMR that have no prior: where a first registration leaves them."""
 _LEAST_EFFECT_M = 1e-6
@@ -150,7 +150,7 @@ def information_model(
     """Choose the columns of an arm from some of its candidates ``q`` (n, N) [rad] under ``conditions``.
 
     Of each effect the simplest form that a plan can show counts, with the middle one of its laws (of several onsets or
-    time constants), and of this the columns that are no refinements and have at most two cycles a turn.
+    time constants), and of this the columns that are no refinements and have at most two cycles per revolution.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterat
 
 
 def _potential_terms(context: EffectContext) -> tuple[_EffectPart, Array] | None:
-    """Periodic errors of several cycles a turn of each joint that moves the SMR."""
+    """Periodic errors of several cycles per revolution of each joint that moves the SMR."""
     joints = range(1, context.joints + 1)
     waves = frozenset(f"{wave}{n}q{j}" for j in joints for n in POTENTIAL_CYCLES for wave in ("cos", "sin"))
     law = EFFECTS[TRANSMISSION_ERROR].law("lines")

@@ -10,7 +10,7 @@ import numpy as np
 from cellapp.cell.planning.arrangement import Arrangement
 from cellapp.cell.planning.factors import FactorPlan
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, orders
-from cellapp.cell.planning.ways import WayFinder
+from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion
 from cellapp.ground.progress import CancelToken, Report
 from cellapp.robot.kinematics.transforms import Array
@@ -34,7 +34,7 @@ class LegPlanner:
         q: Mapping[str, Array],
         arrangement: Arrangement,
         factors: FactorPlan,
-        finder: WayFinder,
+        finder: TransitPlanner,
         start: Configuration | None,
     ) -> None:
         self._cell, self._q, self._arrangement = cell, q, arrangement

@@ -32,7 +32,7 @@ _START, _END = -1, -2
 """Stand for the numbers of the configurations before the first stop and after the last."""
 
 
-def mend_order(
+def repair_order(
     stops: StopSet,
     arrangement: Arrangement,
     start: Configuration | None,

@@ -11,10 +11,10 @@ from cellapp.cell.planning.arrangement import arrange, block_count
 from cellapp.cell.planning.factors import FactorPlan
 from cellapp.cell.planning.joint_draws import joint_ranges
 from cellapp.cell.planning.legs import LegPlanner, can_end
-from cellapp.cell.planning.order_repair import mend_order
+from cellapp.cell.planning.order_repair import repair_order
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, joined_after
 from cellapp.cell.planning.stop_set import StopSet
-from cellapp.cell.planning.ways import WayFinder
+from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.errors import InputError
@@ -78,7 +78,7 @@ def sequenced(
     home: Configuration | None = homes if set(homes) == set(cell.arms) else None
     begun = after is not None and len(next(iter(after.values()))) > 0
     start = {name: q[-1] for name, q in after.items()} if begun and after is not None else home
-    job = _Job(profile, cell, home, WayFinder(profile, cell, rng), rng, listener, cancel or CancelToken(), [])
+    job = _Job(profile, cell, home, TransitPlanner(profile, cell, rng), rng, listener, cancel or CancelToken(), [])
     q = {name: _reached(profile, cell, name, rows, job.finder, job.given_up) for name, rows in chosen.items()}
     if not min(map(len, q.values())):
         raise InputError(f"plan: none of the chosen stops can be reached. {' '.join(job.given_up[:1])}".strip())
@@ -92,7 +92,9 @@ def sequenced(
     return Sequenced(planned, tuple(job.given_up))
 
 
-def _reached(profile: Profile, cell: CellBodies, name: str, q: Array, finder: WayFinder, given_up: list[str]) -> Array:
+def _reached(
+    profile: Profile, cell: CellBodies, name: str, q: Array, finder: TransitPlanner, given_up: list[str]
+) -> Array:
     """Configurations (m, N) that the arm alone can reach, in the turns in which they are planned."""
     turned = nearest_turns(profile, cell, name, q)
     reached = finder.roadmaps[name].reaches(turned)
@@ -126,7 +128,7 @@ class _Job:
     profile: Profile
     cell: CellBodies
     home: Configuration | None
-    finder: WayFinder
+    finder: TransitPlanner
     rng: np.random.Generator
     listener: Listener
     cancel: CancelToken
@@ -156,7 +158,7 @@ class _Job:
         least = min(map(len, q.values()))
         stops = StopSet(self.profile, self.cell, {name: rows[:least] for name, rows in q.items()})
         arrangement = arrange(stops, block_count(self.profile.plan.blocks, n), repeats, self.rng, self.cancel)
-        arrangement = mend_order(stops, arrangement, start, self.home, self.cancel)
+        arrangement = repair_order(stops, arrangement, start, self.home, self.cancel)
         at = stops.at(arrangement.rows)
         factors = FactorPlan(self.profile, self.cell, at, arrangement.block, arrangement.repeat_of, self.rng)
         legs = LegPlanner(self.cell, at, arrangement, factors, self.finder, start)

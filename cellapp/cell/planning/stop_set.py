@@ -101,7 +101,7 @@ class StopSet:
         """All pairs of arms."""
         return combinations(range(len(self.q)), 2)
 
-    def go_together(self, first: int, second: int, rows: Rows, partners: Rows) -> NDArray[np.bool_]:
+    def compatible_stops(self, first: int, second: int, rows: Rows, partners: Rows) -> NDArray[np.bool_]:
         """Whether arm ``first`` may stand and be seen at each of ``rows`` (m,) while ``second`` is at ``partners``.
 
         Returns

@@ -11,9 +11,9 @@ from cellapp.cell.safety.bodies import ArmBodies
 from cellapp.cell.safety.covers import cover
 from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, TrackerField
 from cellapp.cell.safety.mesh_files import load_mesh
+from cellapp.cell.safety.obstacle_clearance import obstacle_clearances
 from cellapp.cell.safety.obstacles import Obstacle
 from cellapp.cell.safety.shapes import Cylinder, RoundedBox, Shape
-from cellapp.cell.safety.standing import standings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.profile.obstacles import (
@@ -104,7 +104,7 @@ def _check_obstacles(profile: Profile, cell: CellBodies) -> None:
                     " inside it or touches it, so that every beam would end there; correct one of them"
                 )
     homes = {name: q for name, q in home_positions(profile).items() if q.shape == (cell.arms[name].geometry.joints,)}
-    for standing in standings(cell, homes):
+    for standing in obstacle_clearances(cell, homes):
         if standing.moving < 0.0:
             raise InputError(
                 f"profile {profile.name}: obstacles.{standing.obstacle}.pose: arm {standing.arm} at home reaches"

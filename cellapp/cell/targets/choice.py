@@ -99,7 +99,7 @@ def judged_branches(cell: CellBodies, homes: Mapping[str, Array], name: str, sol
     return Branches(q, beyond, motion, clear, seen)
 
 
-def liked_configurations(cell: CellBodies, homes: Mapping[str, Array], name: str, seed: int) -> Array:
+def admissible_configurations(cell: CellBodies, homes: Mapping[str, Array], name: str, seed: int) -> Array:
     """Configurations (m, N) [rad] of an arm that the gate admits and the tracker sees, the others at home."""
     samples = sampled_configurations(cell.arms[name].limits, homes[name], seed)
     others = {other: np.tile(at, (len(samples), 1)) for other, at in homes.items() if other != name}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, visible
-from cellapp.cell.targets.choice import Branches, Chosen, Positions, choose, judged_branches, liked_configurations
+from cellapp.cell.targets.choice import Branches, Chosen, Positions, admissible_configurations, choose, judged_branches
 from cellapp.cell.targets.command import Command, command_record, refused
 from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
 from cellapp.cell.targets.invert import Inverted, invert, invert_model, with_approach, without_effects
@@ -142,7 +142,7 @@ class _Group:
                 cell.arms[name].limits,
                 homes[name],
                 profile.seed,
-                liked_configurations(cell, homes, name, profile.seed) if free else None,
+                admissible_configurations(cell, homes, name, profile.seed) if free else None,
             )
             branches[name] = judged_branches(cell, homes, name, solutions)
         return cls(model, cell, homes, targets, goals, stated, branches, ranges)

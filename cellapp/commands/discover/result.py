@@ -114,7 +114,7 @@ def _accepted(effect: outcome.AcceptedEffect) -> AcceptedEffect:
         ),
         answer_set=effect.answer_set,
         runners_up=tuple(
-            RunnerUp(effect=rival.slug, statistic=rival.score, told_apart=rival.distinguishable)
+            RunnerUp(effect=rival.slug, statistic=rival.score, distinguishable=rival.distinguishable)
             for rival in effect.rivals
         ),
         correlated_with=None

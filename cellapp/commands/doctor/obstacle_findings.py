@@ -6,14 +6,14 @@ from collections.abc import Iterator, Mapping
 
 from cellapp.cell.safety.covers import cover
 from cellapp.cell.safety.gate import CellBodies
-from cellapp.cell.safety.standing import Standing, standings
+from cellapp.cell.safety.obstacle_clearance import ObstacleClearance, obstacle_clearances
 from cellapp.robot.kinematics.transforms import Array
 from drivers.findings import Finding
 
 
 def obstacle_findings(cell: CellBodies, homes: Mapping[str, Array]) -> Iterator[Finding]:
     """Yield a finding for each obstacle of the cell, and for each that is mounted on an arm."""
-    found = list(standings(cell, homes))
+    found = list(obstacle_clearances(cell, homes))
     for obstacle in cell.obstacles:
         yield _standing(cell, obstacle.name, [one for one in found if one.obstacle == obstacle.name])
     for name, arm in cell.arms.items():
@@ -29,7 +29,7 @@ def obstacle_findings(cell: CellBodies, homes: Mapping[str, Array]) -> Iterator[
             yield Finding(f"obstacle {obstacle.name}", "ok", text)
 
 
-def _standing(cell: CellBodies, name: str, beside: list[Standing]) -> Finding:
+def _standing(cell: CellBodies, name: str, beside: list[ObstacleClearance]) -> Finding:
     homes = ", ".join(f"arm {one.arm} {1e3 * one.moving:.0f} mm" for one in beside)
     words = [f"distance at home: {homes}"]
     on_it = [one.arm for one in beside if one.base < cell.clearance]

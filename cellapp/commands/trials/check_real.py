@@ -21,7 +21,7 @@ from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.monitoring.check import check_belief, choose_stops
 from cellapp.estimation.monitoring.check.conclusion import judgement
 from cellapp.estimation.monitoring.check.linear import stop_rows
-from cellapp.estimation.monitoring.check.sequential import design_of, ended
+from cellapp.estimation.monitoring.check.sequential import decided_prefix, design_of
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Record
@@ -107,7 +107,7 @@ def real_checks(entrants: Mapping[str, Entrant], task: RealCheckTask) -> RealChe
         some = rng.permutation(others)[: _AMONG * task.planned]
         order = choose_stops(belief, {entrant.arm: readings.q[some]}, task.planned).order
         stops = stop_rows(belief, {entrant.arm: readings.take(some[order])}, design.directions)
-        measured, standing = ended(design, stops)
+        measured, standing = decided_prefix(design, stops)
         verdict = judgement(design, measured, standing)[0]
         found.append(
             CheckedChange(

@@ -25,8 +25,8 @@ from cellapp.estimation.monitoring.check.conclusion import judgement
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
 from cellapp.estimation.monitoring.check.model import FALSE_ALARM, LENGTH_M, TRACKER, TURN_RAD
 from cellapp.estimation.monitoring.check.naming import Cause, Design, with_station
-from cellapp.estimation.monitoring.check.sequential import design_of, ended
-from cellapp.estimation.monitoring.check.statistics import LastTest
+from cellapp.estimation.monitoring.check.sequential import decided_prefix, design_of
+from cellapp.estimation.monitoring.check.statistics import MinPValueTest
 from cellapp.estimation.prior.belief import is_own
 from cellapp.estimation.prior.changes import parameter_words
 from cellapp.estimation.readings import Readings
@@ -152,11 +152,11 @@ class _Trial:
         return self.points(build_plant(self.profile))
 
     @cached_property
-    def last(self) -> LastTest:
+    def last(self) -> MinPValueTest:
         """The test after all stops: it depends on the stops and not on what is measured there."""
         readings = self._readings(build_plant(self.profile), 0)
         stops = stop_rows(self.belief, readings, self.design.directions)
-        return LastTest.of(Moments.of(stops), self.design.alternatives)
+        return MinPValueTest.of(Moments.of(stops), self.design.alternatives)
 
     @property
     def belief(self) -> CheckBelief:
@@ -187,7 +187,7 @@ class _Trial:
         """One check of a changed plant."""
         readings = self._readings(change.plant, number)
         stops = stop_rows(self.belief, readings, self.design.directions)
-        some, standing = ended(self.design, stops)
+        some, standing = decided_prefix(self.design, stops)
         here, _ = with_station(self.design, some)
         verdict, found, _, _ = judgement(self.design, here, standing)
         moved = self.points(change.plant) - self.before

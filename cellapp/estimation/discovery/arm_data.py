@@ -16,7 +16,7 @@ from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.robot.effects.modulation import with_modulations
-from cellapp.robot.effects.smooth import with_prior
+from cellapp.robot.effects.smooth import with_prior_sd
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import prior_sigmas
@@ -137,7 +137,7 @@ class ArmData:
         for term in terms:
             columns = with_modulations(self.columns(term.slug, term.law, term.names), term.modulations, self.context)
             found += columns[: len(term.names)]
-            found += map(with_prior, columns[len(term.names) :], term.modulation_sd)
+            found += map(with_prior_sd, columns[len(term.names) :], term.modulation_sd)
         return tuple(found)
 
 

@@ -397,7 +397,7 @@ def _accepted_effects(
 
 
 def _cycles(fit: JointFit, number: int, term: EffectTerm) -> dict[str, CycleBand]:
-    """Dominant cycles a turn of a periodic term, by the values of the final model."""
+    """Dominant cycles per revolution of a periodic term, by the values of the final model."""
     here = fit.layout.parameters(number)
     return dominant_cycles(fit.term_columns(number), term.values, fit.identification.covariance[here, here])
 

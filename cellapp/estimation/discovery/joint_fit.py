@@ -182,10 +182,10 @@ class JointFit:
     def target(self) -> Array:
         """Residual plus prediction of the terms with priors, whitened (3 n,): data of linear refits with priors."""
         first = self.layout.geometric
-        with_prior = np.flatnonzero(self.precision[first:] > 0.0)
-        if not len(with_prior):
+        penalised = np.flatnonzero(self.precision[first:] > 0.0)
+        if not len(penalised):
             return self.residual
-        held = self.identification.effect_values[with_prior] @ self.rows[first + with_prior]
+        held = self.identification.effect_values[penalised] @ self.rows[first + penalised]
         return np.asarray(self.residual + held)
 
     def candidate(self, data: ArmData, slug: str, law: Law) -> CandidateLaw:

@@ -44,7 +44,7 @@ class AcceptedEffect:
     correlated : (str, float), optional
         Geometric parameter that its values are most correlated with, and the correlation.
     cycles : mapping, optional
-        Dominant cycles a turn of each joint, of a transmission error.
+        Dominant cycles per revolution of each joint, of a transmission error.
     description : Description, optional
         Of a data-driven term.
     posterior : float

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from pydantic import Field
+from pydantic import AliasChoices, Field
 
 from cellapp.estimation.calibration.records import PairMethodResult
 from cellapp.ground.results import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
@@ -55,11 +55,13 @@ class Evidence(Record):
 
 
 class RunnerUp(Record):
-    """Another effect that explains nearly as much; ``told_apart`` says whether these data rule it out."""
+    """Another effect that explains nearly as much; ``distinguishable``: whether the data rule it out."""
 
     effect: str
     statistic: float
-    told_apart: bool
+    distinguishable: bool = Field(
+        validation_alias=AliasChoices("distinguishable", "told_apart"), serialization_alias="told_apart"
+    )
 
 
 class Correlation(Record):
@@ -78,7 +80,7 @@ class PlaceMovement(Record):
 
 
 class CycleBand(Record):
-    """Middle 80 % of the power of a periodic error in cycles a turn, its strongest line, and its rms."""
+    """Middle 80 % of the power of a periodic error in cycles per revolution, its strongest line, and its rms."""
 
     first: int = Field(validation_alias="from", serialization_alias="from")
     last: int = Field(validation_alias="to", serialization_alias="to")
@@ -152,7 +154,7 @@ class AcceptedEffect(Record):
     @property
     def ruled_out(self) -> tuple[str, ...]:
         """Effects nearly as good that these data rule out."""
-        return tuple(rival.effect for rival in self.runners_up if rival.told_apart)
+        return tuple(rival.effect for rival in self.runners_up if rival.distinguishable)
 
 
 class SmallestSize(Record):

@@ -40,7 +40,7 @@ class _PairArm:
     tracker_frame_network: None = None
 
 
-def with_prior(
+def calibrate_with_prior(
     profile: Profile, readings: Mapping[str, Readings], calibration: Calibration, earlier: Mapping[str, Earlier]
 ) -> Calibration:
     """The calibration with the arms in ``earlier`` calibrated again with their prior, and the pair with them."""

@@ -19,6 +19,7 @@ from cellapp.estimation.uncertainty.records import UncertaintyContribution, Unce
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import MPE_SHARE, MpeRule
 from cellapp.ground.profile.schema import ArmType, PermissibleError
+from cellapp.robot.effects import EFFECTS
 
 COVERAGE = 2.0
 """Coverage factor k; about 95 % for a normal distribution (GUM 6.2.1, G.6.6)."""

@@ -13,7 +13,7 @@ from cellapp.robot.effects.effect import Effect, ImpossibleValues
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior
+from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.kinematics.transforms import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -128,7 +128,7 @@ class Backlash(Effect):
             joint_column(f"half_play{j + 1}", "rad", j, lag[:, j], 0.0, _MOST_PLAY) for j in range(context.joints)
         ]
         if law.form == SMALL:
-            return [with_prior(column, law.constants[AMPLITUDE.name]) for column in columns]
+            return [with_prior_sd(column, law.constants[AMPLITUDE.name]) for column in columns]
         return columns
 
 

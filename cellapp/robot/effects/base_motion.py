@@ -14,7 +14,7 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior
+from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
@@ -117,7 +117,7 @@ class BaseDrift(Effect):
         along = _place_in_order(context, law) if law.form == WANDERING_IN_ORDER else run_fraction(context, law)
         if law.form in (WANDERING, WANDERING_IN_ORDER):
             return [
-                with_prior(column, law.constants[AMPLITUDE.name] / k)
+                with_prior_sd(column, law.constants[AMPLITUDE.name] / k)
                 for k in range(1, _HALF_CYCLES + 1)
                 for column in _twist(self.slug, context, np.cos(k * math.pi * along), f"_{k}")
             ]

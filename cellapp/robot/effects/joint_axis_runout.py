@@ -25,7 +25,7 @@ from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, LENGTH, SmoothLaw
 _MOST_SHIFT = 5e-4
 """Bound of each amplitude [m]: ten times the run-out of a cross-roller bearing of this size."""
 
-RUNOUT = LawForm("", "radial and axial, with the cycles a turn that each joint needs")
+RUNOUT = LawForm("", "radial and axial, with the cycles per revolution that each joint needs")
 SMOOTH = LawForm("smooth", "a free smooth shift, radial and axial", (AMPLITUDE, LENGTH, CYCLES))
 
 
@@ -33,8 +33,8 @@ class JointAxisRunout(Effect):
     """The axis shifts with its own angle: ``d_j = sum_n (a_n cos n q_j + b_n sin n q_j) e`` [m], e along x, y and z.
 
     The radial shifts, along x and y of the D-H frame before the joint, are one block for each joint and n from 1 to 6,
-    the axial ones, along the joint's axis z, another. One cycle a turn of a radial shift is in part a length of the
-    arm, which is geometry, and only refines; one cycle of the axial shift is the face run-out of a bearing.
+    the axial ones, along the joint's axis z, another. One cycle per revolution of a radial shift is in part a length of
+    the arm, which is geometry, and only refines; one cycle of the axial shift is the face run-out of a bearing.
 
     The law ``smooth`` has all n from 1 to ``cycles`` under a prior; it is not scanned.
 

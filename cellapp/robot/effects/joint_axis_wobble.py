@@ -24,15 +24,15 @@ _MOST_TILT = 1e-3
 """Bound of each amplitude [rad]: fifty times what a bearing's runout gives."""
 _AXES = (("x", np.array([1.0, 0.0, 0.0])), ("y", np.array([0.0, 1.0, 0.0])))
 
-TWICE = LawForm("", "two cycles a turn")
-HARMONICS = LawForm("harmonics", "with the cycles a turn that each joint needs")
+TWICE = LawForm("", "two cycles per revolution")
+HARMONICS = LawForm("harmonics", "with the cycles per revolution that each joint needs")
 SMOOTH = LawForm("smooth", "a free smooth tilt", (AMPLITUDE, LENGTH, CYCLES))
 
 
 MOTION_CYCLES = 10
 """Highest cycle count of the other error motions of an axis, which bearings and raceways make."""
 MOTION_LENGTHS = LengthRange(math.radians(40.0), math.radians(20.0), math.radians(120.0))
-"""Errors of a bearing's raceways have a few cycles a turn."""
+"""Errors of a bearing's raceways have a few cycles per revolution."""
 
 
 class JointAxisWobble(Effect):
@@ -44,7 +44,7 @@ class JointAxisWobble(Effect):
         n = 2, ovality of raceways.
     harmonics
         n from 1 to 6, a block for each joint and n: lobes of races, a seat that is not equally stiff all round. One
-        cycle a turn is in part a fixed tilt of the axis, which is geometry, and only refines.
+        cycle per revolution is in part a fixed tilt of the axis, which is geometry, and only refines.
     smooth
         All n from 1 to ``cycles`` under a prior. Not scanned.
 
@@ -52,8 +52,8 @@ class JointAxisWobble(Effect):
     origin, and moves everything beyond the joint. With ``joint_axis_runout`` and errors of the angle itself these are
     the six error motions of a rotary axis (ISO 230-7). Size: 5 to 20 urad, 5 to 25 um (estimate, not sourced); 79 %
     visible, with most of a turn of the joint. Look-alikes: run-out of the same axis, as the lever to the target
-    distinguishes them; slightly, two cycles a turn of a neighbouring joint. Where the axis of the joint before meets
-    this one at a right angle, an error of that joint that depends on this joint's angle is the same motion.
+    distinguishes them; slightly, two cycles per revolution of a neighbouring joint. Where the axis of the joint before
+    meets this one at a right angle, an error of that joint that depends on this joint's angle is the same motion.
     """
 
     slug = "joint_axis_wobble"
@@ -104,7 +104,7 @@ class JointAxisWobble(Effect):
 
 
 def _two_cycles(context: EffectContext, joint: int, name: str, tilted: Array) -> list[EffectColumn]:
-    """Cosine and sine of two cycles a turn of one tilt, in the block of the joint; named without the cycle count."""
+    """Cosine and sine of two cycles per revolution of one tilt, in the block of the joint; the name has no cycle count."""
     waves = (("cos", Wave(2, sine=False)), ("sin", Wave(2, sine=True)))
     return [
         shift_column(
@@ -131,7 +131,7 @@ def error_motions(
     largest: float,
     refining: Collection[int] = (),
 ) -> list[EffectColumn]:
-    """Cosine and sine of some cycles a turn of a joint (from 0), times an SMR shift ``moved`` (n, 3) per unit.
+    """Cosine and sine of some cycles per revolution of a joint (from 0), times an SMR shift ``moved`` (n, 3) per unit.
 
     ``blocks`` names the block of each cycle count. Counts in ``refining`` are no effect alone.
     """
@@ -158,7 +158,7 @@ def error_motions(
 def smooth_motions(
     context: EffectContext, law: Law, joint: int, name: str, unit: str, moved: Array, largest: float
 ) -> list[EffectColumn]:
-    """``error_motions`` of one cycle a turn and up, in the block of the joint, with the prior of a smooth function."""
+    """``error_motions`` of one cycle per revolution and up, in the block of the joint, with a smooth prior."""
     cycles = round(law.constants[CYCLES.name])
     sd = law.constants[AMPLITUDE.name] * np.sqrt(circle_variances(law.constants[LENGTH.name], cycles))
     blocks = dict.fromkeys(range(1, cycles + 1), f"joint {joint + 1}")

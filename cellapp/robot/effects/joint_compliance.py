@@ -13,7 +13,7 @@ from cellapp.robot.effects.effect import Effect, ImpossibleValues
 from cellapp.robot.effects.law import SCALED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior
+from cellapp.robot.effects.smooth import AMPLITUDE, SmoothLaw, with_prior_sd
 from cellapp.robot.kinematics.transforms import Array
 
 KNEES = (0.2, 0.35, 0.5, 0.65)
@@ -54,8 +54,8 @@ class JointCompliance(Effect):
 
     Size: strain-wave drives of this class have K = 1e4 to 1e5 Nm/rad (Harmonic Drive CSG catalogue, ratio 1:50,
     sourced); times the torques of a UR10, 1 to 3 mm at its flange (computed). Visible with a range of q2, q3; a payload
-    change distinguishes it from errors of the masses. Look-alikes: a bending link (nearly the same), one cycle a turn
-    (0.8 of what is visible), tilting pedestal.
+    change distinguishes it from errors of the masses. Look-alikes: a bending link (nearly the same), one cycle per
+    revolution (0.8 of what is visible), tilting pedestal.
     """
 
     slug = "joint_compliance"
@@ -280,7 +280,7 @@ def _torques_of_unit_masses(
             name = f"unit{j + 1}_{i}"
             if name in names if names is not None else np.abs(torque).max(initial=0.0) > _ROUNDING:
                 column = joint_column(name, "rad/Nm", j, torque, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
-                columns.append(with_prior(column, amplitude))
+                columns.append(with_prior_sd(column, amplitude))
     return columns
 
 

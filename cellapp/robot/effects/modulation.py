@@ -23,7 +23,7 @@ from cellapp.robot.effects.data_driven import PER_JOINT, Quantity, Variable, var
 from cellapp.robot.kinematics.transforms import Array
 
 HARMONICS = 3
-"""Highest multiple of an angle: with a law of n cycles a turn its neighbours from n - 3 to n + 3 are covered."""
+"""Highest multiple of an angle: with a law of n cycles per revolution its neighbours n - 3 to n + 3 are covered."""
 HALF_CYCLES = 4
 """Half cycles over the range of other drivers: a law that is nearly right differs smoothly."""
 OWN_HALF_CYCLES = 8

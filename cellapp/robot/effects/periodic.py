@@ -1,4 +1,4 @@
-"""Errors that are periodic in the joint angle: one cycle a turn, or more."""
+"""Errors that are periodic in the joint angle: one cycle per revolution, or more."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import AMPLITUDE_NAME, FIXED, Constant, DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
 from cellapp.robot.effects.modulation import FreeDriver
-from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, SmoothLaw, circle_variances, with_prior
+from cellapp.robot.effects.smooth import AMPLITUDE, CYCLES, SmoothLaw, circle_variances, with_prior_sd
 from cellapp.robot.kinematics.transforms import Array
 
 LINES_MAX = 210
@@ -30,28 +30,28 @@ CURVE_LENGTH = Constant("length", "rad", FIXED, per_joint=True)
 """Correlation length of a joint's curve; its amplitude is the next constant. The search sets both by the evidence."""
 CURVE_AMPLITUDE = Constant(AMPLITUDE_NAME, "rad", FIXED, per_joint=True)
 
-TWO = LawForm("two", "two cycles a turn")
+TWO = LawForm("two", "two cycles per revolution")
 LINES = LawForm("lines", "single lines of the spectrum")
-GEAR = LawForm("gear", "two cycles a turn and the lines of a gear", (GEAR_RATIO,))
+GEAR = LawForm("gear", "two cycles per revolution and the lines of a gear", (GEAR_RATIO,))
 CURVE = LawForm("curve", "a free curve for each joint", (CYCLES, CURVE_LENGTH, CURVE_AMPLITUDE))
 
 
-ONE = LawForm("", "one cycle a turn")
-ONE_SMOOTH = LawForm("smooth", "one cycle a turn, small by prior", (AMPLITUDE,))
+ONE = LawForm("", "one cycle per revolution")
+ONE_SMOOTH = LawForm("smooth", "one cycle per revolution, small by prior", (AMPLITUDE,))
 
 
 class EncoderEccentricity(Effect):
-    """One cycle a turn: ``dq_j = (e / r) sin(q_j + phi) = A cos q_j + B sin q_j``, A and B in rad.
+    """One cycle per revolution: ``dq_j = (e / r) sin(q_j + phi) = A cos q_j + B sin q_j``, A and B in rad.
 
     A graduated disc of radius r whose centre is e off the axis, read by one head; 2 um on 25 mm is 80 urad, 50 to
     110 um at a UR10's flange (estimate, not sourced). A gear's first-order error has exactly this shape; only a second
     encoder distinguishes them. Visible with most of a turn of the joint; geometry takes some 40 % of it.
-    Look-alikes: joint compliance, two cycles a turn over a small range.
+    Look-alikes: joint compliance, two cycles per revolution over a small range.
     """
 
     slug = "encoder_eccentricity"
     wears = True
-    title = "encoder eccentricity (one cycle a turn)"
+    title = "encoder eccentricity (one cycle per revolution)"
     arm_bound = True
     meaning = Meaning(
         cause=(
@@ -74,7 +74,7 @@ class EncoderEccentricity(Effect):
     forms = (ONE, ONE_SMOOTH)
 
     def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
-        """One cycle a turn, at any amplitude."""
+        """One cycle per revolution, at any amplitude."""
         return [SmoothLaw("smooth", 5e-5)]
 
     def laws(self, context: EffectContext) -> list[Law]:
@@ -87,20 +87,20 @@ class EncoderEccentricity(Effect):
         """Cosine and sine of each joint."""
         columns = _waves(context, {j: (1,) for j in range(context.joints)})
         if law.form == ONE_SMOOTH:
-            return [with_prior(column, law.constants[AMPLITUDE.name]) for column in columns]
+            return [with_prior_sd(column, law.constants[AMPLITUDE.name]) for column in columns]
         return columns
 
 
 class TransmissionError(Effect):
-    """Periodic error of a gear, two cycles a turn and up: ``dq_j = sum_n A_n cos n q_j + B_n sin n q_j`` [rad].
+    """Periodic error of a gear, two cycles per revolution and up: ``dq_j = sum_n A_n cos n q_j + B_n sin n q_j`` [rad].
 
     Laws
     ----
     two
-        Two cycles a turn: ovality of gear or encoder disc.
+        Two cycles per revolution: ovality of gear or encoder disc.
     lines
         Any cycle counts from 2 to 210, each a block of its own: a strain-wave gear of ratio N has them at N and 2 N
-        cycles a turn of its output and at the beats of its flexspline.
+        cycles per revolution of its output and at the beats of its flexspline.
     gear
         2, N and 2 N cycles of any joint, N being the gear ratio in ``ratio``: proposed once a line was found, as drives
         of one arm are alike.
@@ -114,12 +114,12 @@ class TransmissionError(Effect):
     """
 
     slug = "transmission_error"
-    title = "transmission error (two cycles a turn and up)"
+    title = "transmission error (two cycles per revolution and up)"
     arm_bound = True
     meaning = Meaning(
         cause=(
-            "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles a turn, the"
-            " wave generator one or two cycles a turn of the motor, the teeth more."
+            "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles per revolution,"
+            " the wave generator one or two cycles per revolution of the motor, the teeth more."
         ),
         size="20 to 80 urad, 13 to 80 um at the flange of a UR10; only the cycle counts are published",
         size_source="estimate",
@@ -130,7 +130,7 @@ class TransmissionError(Effect):
         ),
         settle=(
             "Move {place} alone in steps of 0.1 degrees over 10 degrees: the lines of the gear stand out.",
-            "Add stops over a whole turn of {place} where two cycles a turn and one are confused.",
+            "Add stops over a whole turn of {place} where two cycles per revolution and one are confused.",
             "Read the encoders with all their digits: rounding hides lines of many cycles.",
         ),
     )

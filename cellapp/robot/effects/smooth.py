@@ -62,10 +62,10 @@ def _spectrum(length: float) -> Array:
 
 
 def circle_variances(length: float, cycles: int) -> Array:
-    """Relative prior variances (cycles,) of the cosine, and of the sine, of 1 ... ``cycles`` cycles a turn."""
+    """Relative prior variances (cycles,) of the cosine, and of the sine, of 1 ... ``cycles`` cycles per revolution."""
     return _spectrum(float(length))[:cycles]
 
 
-def with_prior(column: EffectColumn, sd: float) -> EffectColumn:
+def with_prior_sd(column: EffectColumn, sd: float) -> EffectColumn:
     """The column with a prior on its parameter."""
     return replace(column, prior_sd=sd)

@@ -132,7 +132,7 @@ class TrackerDistanceOffset(Effect):
 
 
 class TrackerAngleError(Effect):
-    """The tracker's angles err with one and two cycles a turn: ``d_az = sum_n a_n cos n az + b_n sin n az``, so for el.
+    """The tracker's angles err with one and two cycles per revolution: ``d_az = sum_n a_n cos n az + b_n sin n az``, so for el.
 
     Eccentricity and runout of the graduated circles; amplitudes in rad. Across the beam, azimuth moves the point by
     ``rho cos el d_az``, elevation by ``rho d_el``. Even orders survive two-face averaging (published). Size: half of
@@ -162,7 +162,7 @@ class TrackerAngleError(Effect):
     )
     look_alikes = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
     variables = frozenset({DriverVariable.BEAM})
-    forms = (LawForm("orders", "one and two cycles a turn of either angle"),)
+    forms = (LawForm("orders", "one and two cycles per revolution of either angle"),)
     free_drivers = (
         FreeDriver(Quantity.AZIMUTH),
         FreeDriver(Quantity.ELEVATION),

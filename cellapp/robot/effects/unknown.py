@@ -35,7 +35,7 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.field import FIELD_LENGTH, field_frequencies, field_variances
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
 from cellapp.robot.effects.meaning import Meaning
-from cellapp.robot.effects.smooth import AMPLITUDE, with_prior
+from cellapp.robot.effects.smooth import AMPLITUDE, with_prior_sd
 from cellapp.robot.effects.unknown_meaning import UNKNOWN_MEANING, data_driven_meaning
 from cellapp.robot.kinematics.transforms import Array
 
@@ -184,7 +184,7 @@ def _with_priors(columns: list[EffectColumn], law: Law) -> list[EffectColumn]:
     """The columns of a field with the priors of its amplitude and length scale; each direction has all functions."""
     variances = field_variances(law.constants[FIELD_LENGTH.name], field_frequencies(law.constants))
     sd = law.constants[AMPLITUDE.name] * np.sqrt(variances)
-    return [with_prior(column, sd[k % len(sd)]) for k, column in enumerate(columns)]
+    return [with_prior_sd(column, sd[k % len(sd)]) for k, column in enumerate(columns)]
 
 
 def channel_directions(context: EffectContext, channel: DataChannel) -> list[Array]:

@@ -20,7 +20,7 @@ class EncoderEccentricity(Effect):
     ``reading = s + atan2(e sin(s + phase), r - e cos(s + phase))``. Solved for s in the triangle of centre, axis and
     head, whose angle at the centre follows from the reading: ``s = reading - atan2(h, sqrt(r^2 - h^2))`` with
     ``h = e sin(reading + phase)``. A disc that is also tilted by t against the shaft looks elliptic to the head: its
-    reading errs with two cycles a turn, amplitude ``tan^2(t / 2)``.
+    reading errs with two cycles per revolution, amplitude ``tan^2(t / 2)``.
     """
 
     joints: np.ndarray

@@ -38,7 +38,7 @@ class JointAxisRunout(Effect):
 def joint_axis_runout(parameters: Parameters) -> Effect:
     """Build run-out. ``joints``: numbers from 1; for each ``radial`` and ``axial`` [m].
 
-    ``harmonics`` (cycles a turn), as many ``shares``, and a ``seed`` of the phases are those of all joints.
+    ``harmonics`` (cycles per revolution), as many ``shares``, and a ``seed`` of the phases are those of all joints.
     """
     parameters.require("joints", "radial", "axial", "harmonics", "shares", "seed")
     joints = parameters.joint_numbers("joints")

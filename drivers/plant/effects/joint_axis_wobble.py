@@ -67,7 +67,7 @@ class HarmonicWobble(Effect):
     """The axis tilts with any harmonics of its own angle, with other phases about x than about y.
 
     About each of the two axes across it the joint tilts by ``tilt`` [rad] times a sum of harmonics with random phases.
-    One cycle a turn is therefore an ellipse; only its round part belongs to the geometry.
+    One cycle per revolution is therefore an ellipse; only its round part belongs to the geometry.
     """
 
     joints: np.ndarray
@@ -86,7 +86,7 @@ class HarmonicWobble(Effect):
 def joint_axis_wobble(parameters: Parameters) -> Effect:
     """Build wobble. ``joints``: from 1; for each ``radius``, ``two_lobes``, ``three_lobes`` [m], ``phase`` [rad].
 
-    With ``law`` harmonics instead: ``joints``, for each ``tilt`` [rad]; ``harmonics`` (cycles a turn), as many
+    With ``law`` harmonics instead: ``joints``, for each ``tilt`` [rad]; ``harmonics`` (cycles per revolution), as many
     ``shares``, and a ``seed`` of the phases.
     """
     law, parameters = parameters.by_law("lobes", "harmonics")

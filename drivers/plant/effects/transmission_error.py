@@ -81,9 +81,9 @@ class ErrorCurve(Effect):
 class MeshingGears(Effect):
     """Lines of two gear stages, the first with an amplitude that the output's run-out modulates.
 
-    The generator's line of ``ratio`` cycles a turn has the amplitude ``line (1 + depth cos(q + depth_phase))``, which
-    is a line with a sideband on either side. A second stage has ``second_cycles`` a turn, which need not be whole, and
-    a line of twice that of half its amplitude.
+    The generator's line of ``ratio`` cycles per revolution has the amplitude ``line (1 + depth cos(q + depth_phase))``,
+    which is a line with a sideband on either side. A second stage has ``second_cycles`` a turn, which need not be
+    whole, and a line of twice that of half its amplitude.
     """
 
     joints: np.ndarray

@@ -21,7 +21,7 @@ from cellapp.cell.safety.gate import refuse_motion, refuse_stop
 from cellapp.commands.stages import read_stages
 from cellapp.commands.station import excess_of_readings
 from cellapp.commands.stored_model import model_of, stage_in_force
-from cellapp.estimation.monitoring.check import Standing
+from cellapp.estimation.monitoring.check import SequentialState
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
@@ -37,11 +37,13 @@ class Fed:
     sure_after: int = 100
     stops: list[Mapping[str, Readings]] = field(default_factory=list)
 
-    def add(self, readings: Mapping[str, Readings]) -> Standing:
+    def add(self, readings: Mapping[str, Readings]) -> SequentialState:
         self.stops.append(readings)
         count = len(self.stops)
         sure = count >= self.sure_after
-        return Standing(stops=count, sure=sure, changed=False, valid=sure, log_evidence=0.0, log_valid=0.0, p_value=1.0)
+        return SequentialState(
+            stops=count, sure=sure, changed=False, valid=sure, log_evidence=0.0, log_valid=0.0, p_value=1.0
+        )
 
 
 @pytest.fixture(scope="module")

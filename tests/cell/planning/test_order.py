@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cellapp.cell.planning.arrangement import Arrangement, arrange, block_count
 from cellapp.cell.planning.balance import balanced_levels, fair_blocks, standardised
-from cellapp.cell.planning.order_repair import mend_order
+from cellapp.cell.planning.order_repair import repair_order
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.stop_set import StopSet
 from cellapp.cell.planning.tour import Move, TourTask, best_order
@@ -157,7 +157,7 @@ def test_pairs_stand_together_and_an_order_is_mended() -> None:
     arrangement = arrange(stops, 3, 2, np.random.default_rng(0), CancelToken())
     assert arrangement.rows.shape == (3, 20)
     assert stops.together(arrangement.rows).all()
-    mended = mend_order(stops, arrangement, homes, homes, CancelToken())
+    mended = repair_order(stops, arrangement, homes, homes, CancelToken())
     assert sorted(map(tuple, mended.rows.T.tolist())) == sorted(map(tuple, arrangement.rows.T.tolist()))
     np.testing.assert_array_equal(mended.block, arrangement.block)
     copies = np.flatnonzero(mended.repeat_of >= 0)

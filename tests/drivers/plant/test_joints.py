@@ -132,7 +132,7 @@ GEAR = {
 
 
 def _lines(values):
-    """Amplitude of each cycle a turn of joint 2 [rad], mean left out."""
+    """Amplitude of each cycle per revolution of joint 2 [rad], mean left out."""
     error = _offset("transmission_error", values, _sweep(1)).joints
     assert np.abs(np.delete(error, 1, axis=1)).max() == 0.0
     amplitudes = 2.0 * np.abs(np.fft.rfft(error[:, 1])) / len(error)

@@ -94,9 +94,9 @@ def ambiguous_compliance() -> AcceptedEffect:
         evidence=EVIDENCE,
         answer_set=("joint_compliance", "pedestal_compliance", "link_bending"),
         runners_up=(
-            RunnerUp(effect="pedestal_compliance", statistic=249.0, told_apart=False),
-            RunnerUp(effect="link_bending", statistic=248.0, told_apart=False),
-            RunnerUp(effect="tracker_angle_error", statistic=244.0, told_apart=True),
+            RunnerUp(effect="pedestal_compliance", statistic=249.0, distinguishable=False),
+            RunnerUp(effect="link_bending", statistic=248.0, distinguishable=False),
+            RunnerUp(effect="tracker_angle_error", statistic=244.0, distinguishable=True),
         ),
         correlated_with=Correlation(parameter="theta2", correlation=0.7283),
         posterior=0.874,

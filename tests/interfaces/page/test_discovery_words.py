@@ -91,7 +91,7 @@ def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
 def test_long_words_are_wrapped_and_long_reasons_are_cut() -> None:
     arm = unknown_effect("left")
     step = arm.steps[1].model_copy(
-        update={"what": "dropped in review: " + ", ".join(["encoder eccentricity (one cycle a turn)"] * 4)}
+        update={"what": "dropped in review: " + ", ".join(["encoder eccentricity (one cycle per revolution)"] * 4)}
     )
     backlash = arm.invisible[0].model_copy(update={"reason": "not testable: " + "no reason at all " * 9})
     changed = {"steps": (arm.steps[0], step, arm.steps[2]), "invisible": (backlash, arm.invisible[1])}

@@ -200,7 +200,7 @@ def test_a_gear_has_two_cycles_its_ratio_and_twice_that_at_any_joint():
     ],
 )
 def test_a_line_that_was_found_proposes_the_gears_it_may_belong_to(names, ratios):
-    """A line is at the ratio or at twice that; two cycles a turn are of any gear."""
+    """A line is at the ratio or at twice that; two cycles per revolution are of any gear."""
     effect = EFFECTS["transmission_error"]
     found = effect.refinements(CONTEXT, effect.law("lines"), names)
     assert [(law.name, law.constants["ratio"]) for law in found] == [("gear", ratio) for ratio in ratios]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.cell.safety.gate import CellBodies
-from cellapp.cell.targets.choice import liked_configurations
+from cellapp.cell.targets.choice import admissible_configurations
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.plan_forecast import nominal_model
@@ -83,7 +83,7 @@ def alignment_configurations(
 
     Chosen one by one for the determinant of the information (D-optimal).
     """
-    liked = liked_configurations(cell, homes, name, seed)
+    liked = admissible_configurations(cell, homes, name, seed)
     if not len(liked):
         return liked
     _, J = jacobian(geometry, JointAngles.of(liked), base_and_tool(geometry.joints))

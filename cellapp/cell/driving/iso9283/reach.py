@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.safety.gate import CellBodies, visible, with_margin_for_ways
-from cellapp.cell.targets.choice import clear_with_others, liked_configurations
+from cellapp.cell.targets.choice import admissible_configurations, clear_with_others
 from cellapp.cell.targets.invert import invert
 from cellapp.estimation.iso9283.cube import lattice_cube
 from cellapp.robot.kinematics.chain import flange_poses, frame_poses
@@ -136,7 +136,7 @@ class CubeSearch:
 
     def _seeds(self) -> list[tuple[Array, Array]]:
         """Configurations (N,) far apart from each other, and rotations (3, 3) in which their SMRs face the tracker."""
-        liked = liked_configurations(self.cell, self.homes, self.name, self.seed)
+        liked = admissible_configurations(self.cell, self.homes, self.name, self.seed)
         if not len(liked):
             return []
         rotations, origins = flange_poses(self.nominal.geometry, liked)

@@ -1,4 +1,4 @@
-"""Dominant cycles a turn of periodic joint errors, from the power of their Fourier coefficients."""
+"""Dominant cycles per revolution of periodic joint errors, from the power of their Fourier coefficients."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BAND = (0.1, 0.9)
 def dominant_cycles(
     columns: Sequence[EffectColumn], values: Array, covariance: Array | None = None
 ) -> dict[str, CycleBand]:
-    """Dominant cycles a turn of each joint (key: its number) of columns that are waves, with values (m,) [rad].
+    """Dominant cycles per revolution of each joint (key: its number) of columns that are waves, with values (m,) [rad].
 
     ``covariance`` (m, m) of the values gives the standard error of each joint's rms.
     """

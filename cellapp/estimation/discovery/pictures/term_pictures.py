@@ -35,7 +35,7 @@ _LEAST_LEVER = 0.05
 _LEAST_OWN_LEVER = 0.2
 """Readings where a joint's lever is below this share of its median are not shown: noise over lever would fill it."""
 _MOST_DRAWN = 40
-"""Lines of more cycles a turn are too dense to be drawn over a whole turn: below 9 degrees a cycle."""
+"""Lines of more cycles per revolution are too dense to be drawn over a whole turn: below 9 degrees a cycle."""
 _ONE_DIRECTION = 0.9
 """Share of the squares of a shift in one direction from which it is shown along that, with its sign."""
 _NO_SHIFT = 1e-9
@@ -158,7 +158,7 @@ class _TermPictures:
             period = 360.0 / base
             own = [k for k, count in cycles.items() if count in fast and count % base == 0]
             label = f"joint {joint + 1}, within a cycle of {period:.3g} deg [deg]"
-            title = f", its {base} cycles a turn laid over one another"
+            title = f", its {base} cycles per revolution laid over one another"
             curve = self._curve(own, np.linspace(0.0, period, _CYCLE_POINTS))
             views.append(_JointView(own, label, np.remainder(angle, period), title, curve))
             fast = [count for count in fast if count % base]

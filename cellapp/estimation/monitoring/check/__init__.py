@@ -1,7 +1,14 @@
 """The mathematics of the ten-minute check: what a calibration expects, which stops tell most, a sequential test."""
 
 from cellapp.estimation.monitoring.check.belief import check_belief
-from cellapp.estimation.monitoring.check.model import LENGTH_M, TURN_RAD, CheckBelief, ChosenStops, Conclusion, Standing
+from cellapp.estimation.monitoring.check.model import (
+    LENGTH_M,
+    TURN_RAD,
+    CheckBelief,
+    ChosenStops,
+    Conclusion,
+    SequentialState,
+)
 from cellapp.estimation.monitoring.check.sequential import SequentialTest
 from cellapp.estimation.monitoring.check.stops import choose_stops
 
@@ -11,8 +18,8 @@ __all__ = [
     "CheckBelief",
     "ChosenStops",
     "Conclusion",
+    "SequentialState",
     "SequentialTest",
-    "Standing",
     "check_belief",
     "choose_stops",
 ]

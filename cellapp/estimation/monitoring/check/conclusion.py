@@ -11,10 +11,10 @@ from scipy.optimize import brentq
 from scipy.special import chdtrc, chdtri, chndtr
 
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows
-from cellapp.estimation.monitoring.check.model import Conclusion, Power, Standing
+from cellapp.estimation.monitoring.check.model import Conclusion, Power, SequentialState
 from cellapp.estimation.monitoring.check.naming import NOT_EXPLAINED, Cause, Design, Explanation, explain, with_station
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckVerdict, FoundChange
-from cellapp.estimation.monitoring.check.statistics import LastTest
+from cellapp.estimation.monitoring.check.statistics import MinPValueTest
 from cellapp.estimation.monitoring.check.stops import LEAST_INFORMATION
 from cellapp.robot.kinematics.transforms import Array, apply
 
@@ -57,11 +57,11 @@ def _needed(critical: float, rank: int, miss: float) -> float:
     return float(brentq(lambda size: float(chndtr(limit, rank, size)) - miss, 1e-6, _MOST_NEEDED))
 
 
-def concluded(design: Design, stops: StopRows, standing: Standing) -> Conclusion:
+def concluded(design: Design, stops: StopRows, standing: SequentialState) -> Conclusion:
     """The conclusion from all stops, of which the standing says whether something changed."""
     here, station = with_station(design, stops)
     moments = Moments.of(here)
-    test = LastTest.of(moments, design.alternatives)
+    test = MinPValueTest.of(moments, design.alternatives)
     verdict, found, weak, stray = judgement(design, here, standing)
     explained = verdict != "not explained" and stray is None
     return Conclusion(
@@ -87,7 +87,7 @@ def concluded(design: Design, stops: StopRows, standing: Standing) -> Conclusion
 
 
 def judgement(
-    design: Design, stops: StopRows, standing: Standing
+    design: Design, stops: StopRows, standing: SequentialState
 ) -> tuple[CheckVerdict, Explanation, tuple[Power, ...], int | None]:
     """Verdict, what explains the stops, visible changes that they may miss, and a single point that stands out.
 
@@ -119,7 +119,7 @@ def stray_point(stops: StopRows) -> int | None:
 
 def _weak(design: Design, moments: Moments) -> tuple[Power, ...]:
     """Visible changes that the last test finds with less than the asked power, and that the stops do not rule out."""
-    critical = LastTest.of(moments, design.alternatives).critical(design.last_alarm)
+    critical = MinPValueTest.of(moments, design.alternatives).critical(design.last_alarm)
     ruled_out = 0.5 * moments.information[-1] - np.abs(moments.moment[-1]) >= -math.log(design.miss)
     found = zip(powers(design, moments, critical), design.directions, ruled_out, strict=True)
     return tuple(one for one, direction, out in found if one.visible and one.detected > direction.step and not out)

@@ -130,7 +130,7 @@ class ChosenStops:
 
 
 @dataclass(frozen=True)
-class Standing:
+class SequentialState:
     """Where the sequential test stands after some stops.
 
     Attributes

@@ -20,7 +20,7 @@ from cellapp.estimation.monitoring.check.alternatives import Alternative, Direct
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows
 from cellapp.estimation.monitoring.check.model import CheckBelief
 from cellapp.estimation.monitoring.check.motions import LARGE_M, solve_motions
-from cellapp.estimation.monitoring.check.statistics import SPENT_EARLY, LastTest, after, solved
+from cellapp.estimation.monitoring.check.statistics import SPENT_EARLY, MinPValueTest, after, solved
 from cellapp.estimation.prior.changes import SURE
 from cellapp.robot.kinematics.transforms import Array
 
@@ -100,7 +100,7 @@ class Cause:
     covariance: Array
     motion: Array | None
     least_p: float
-    test: LastTest
+    test: MinPValueTest
     rivals: tuple[str, ...]
     open_rivals: tuple[str, ...] = ()
 
@@ -144,7 +144,7 @@ def explain(design: Design, stops: StopRows) -> Explanation:
         moments = Moments.of(stops)
         rest = after(moments, nuisance) if nuisance else moments
         left = [one for one in design.alternatives if one not in [cause.alternative for cause in causes]]
-        test = LastTest.of(rest, left)
+        test = MinPValueTest.of(rest, left)
         p_values = test.p_values(rest.white[:, None])[:, 0]
         if causes and not test.significant(float(p_values.min()), design.false_alarm):
             break
@@ -187,7 +187,7 @@ class _Found:
     fits: Sequence[_Fit]
     best: int
     p_value: float
-    test: LastTest
+    test: MinPValueTest
 
 
 def _cause(design: Design, found: _Found, sizes: Array, covariance: Array) -> Cause:

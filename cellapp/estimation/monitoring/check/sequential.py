@@ -11,9 +11,9 @@ from cellapp.estimation.calibration.station_location import FEWEST_POINTS
 from cellapp.estimation.monitoring.check.alternatives import alternatives_of, directions_of
 from cellapp.estimation.monitoring.check.conclusion import concluded
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
-from cellapp.estimation.monitoring.check.model import FALSE_ALARM, MISS, CheckBelief, Conclusion, Standing
+from cellapp.estimation.monitoring.check.model import FALSE_ALARM, MISS, CheckBelief, Conclusion, SequentialState
 from cellapp.estimation.monitoring.check.naming import Design, explain, with_station
-from cellapp.estimation.monitoring.check.statistics import LastTest, looks
+from cellapp.estimation.monitoring.check.statistics import MinPValueTest, looks
 from cellapp.estimation.monitoring.check.visible import calibration_motions, visibility
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.errors import InputError
@@ -37,15 +37,15 @@ class SequentialTest:
         self._design = design_of(belief, false_alarm, miss)
         self._planned = planned
         self._readings: dict[str, Readings] = {}
-        self._standing = Standing(0, False, False, False, 0.0, 0.0, 1.0)
+        self._standing = SequentialState(0, False, False, False, 0.0, 0.0, 1.0)
         self._stops: StopRows | None = None
 
     @property
-    def standing(self) -> Standing:
+    def standing(self) -> SequentialState:
         """After the stops so far."""
         return self._standing
 
-    def add(self, readings: Mapping[str, Readings]) -> Standing:
+    def add(self, readings: Mapping[str, Readings]) -> SequentialState:
         """Take one stop, or several: arm -> its readings (same ``configuration`` at the same stop) in the order of
         measurement, with approach signs, steps, temperatures and covariance as collection logs them. An arm may be
         missing where it was not measured.
@@ -92,22 +92,22 @@ def design_of(belief: CheckBelief, false_alarm: float = FALSE_ALARM, miss: float
     return Design(belief, directions, alternatives, motions, moved, visible, false_alarm, miss)
 
 
-def judged(design: Design, stops: StopRows, planned: int) -> Standing:
+def judged(design: Design, stops: StopRows, planned: int) -> SequentialState:
     """Where the test stands after some stops."""
     here, _ = with_station(design, stops)
     moments = Moments.of(here)
     if stops.free and len(stops.measured) < FEWEST_POINTS:  # nothing tells yet where the tracker stands
-        return Standing(len(stops.stop_ends), len(stops.stop_ends) >= planned, False, False, 0.0, 0.0, 1.0)
+        return SequentialState(len(stops.stop_ends), len(stops.stop_ends) >= planned, False, False, 0.0, 0.0, 1.0)
     seen = looks(moments, design.alternatives, design.visible)
     count = len(seen.log_evidence)
     changed_at = _first(seen.log_evidence, design.early_alarm)
     valid_at = _first(seen.log_valid, design.early_miss)
     changed, valid = changed_at < count and changed_at <= valid_at, valid_at < changed_at
     if not changed and not valid and count >= planned:
-        test = LastTest.of(moments, design.alternatives)
+        test = MinPValueTest.of(moments, design.alternatives)
         changed = test.significant(float(test.p_values(moments.white[:, None]).min()), design.last_alarm)
     sure = valid or count >= planned or (changed and count >= _FEWEST_STOPS and _named(design, here))
-    return Standing(
+    return SequentialState(
         stops=valid_at + 1 if valid else count,
         sure=sure,
         changed=changed,
@@ -118,8 +118,8 @@ def judged(design: Design, stops: StopRows, planned: int) -> Standing:
     )
 
 
-def ended(design: Design, stops: StopRows) -> tuple[StopRows, Standing]:
-    """The stops after which the test ends that is fed with ``stops`` one by one, all of which are planned."""
+def decided_prefix(design: Design, stops: StopRows) -> tuple[StopRows, SequentialState]:
+    """Shortest prefix of ``stops`` at which the sequential test decides, and its state there; all are planned stops."""
     planned = len(stops.stop_ends)
     first = 1
     if not design.belief.station_free:  # then the looks at fewer stops are those at all of them

@@ -41,7 +41,7 @@ _TAIL = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What the stops say after each of them, n stops: see ``Standing``."""
+    """What the stops say after each of them, n stops: see ``SequentialState``."""
 
     log_evidence: Array
     log_valid: Array
@@ -93,7 +93,7 @@ def _gains(moments: Moments, one: Alternative) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class LastTest:
+class MinPValueTest:
     """The test after some stops: least p-value of all alternatives.
 
     ``bases`` are orthonormal rows (r, d) that span each alternative in whitened coordinates, in the order of the
@@ -105,7 +105,7 @@ class LastTest:
     seed: tuple[int, ...] = (0,)
 
     @classmethod
-    def of(cls, moments: Moments, alternatives: Sequence[Alternative], seed: Sequence[int] = (0,)) -> LastTest:
+    def of(cls, moments: Moments, alternatives: Sequence[Alternative], seed: Sequence[int] = (0,)) -> MinPValueTest:
         """For the design of ``moments``."""
         bases = tuple(spanned(moments.directions[list(one.members)]) for one in alternatives)
         return cls(bases, moments.fitted, tuple(seed))

@@ -130,7 +130,7 @@ def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():
     assert (slow.curve.x[0], slow.curve.x[-1]) == (-180.0, 180.0)
     assert np.ptp(slow.computed) == pytest.approx(200.0, rel=0.2)
     assert fast.x_label == "joint 2, within a cycle of 6 deg [deg]"
-    assert "60 cycles a turn" in fast.title
+    assert "60 cycles per revolution" in fast.title
     assert 0.0 <= fast.x[0] <= fast.x[-1] <= 6.0 == fast.curve.x[-1]
     off = np.array(fast.curve.value) - 300.0 * np.cos(60.0 * np.radians(fast.curve.x))
     assert (np.abs(off) < 5.0 * np.array(fast.curve.band) + 0.1).all()

@@ -30,7 +30,7 @@ CURVED = (0, 2)
 def curves(rng):
     """Joint offsets that are draws of a smooth function of the joint's own angle, at two joints.
 
-    One cycle a turn is left out: that is an eccentric encoder, another effect.
+    One cycle per revolution is left out: that is an eccentric encoder, another effect.
     """
     k = np.arange(2, 81)
     sd = AMPLITUDE * np.sqrt(circle_variances(LENGTH, 80)[1:])

@@ -14,8 +14,8 @@ from scipy.stats import binom, chi2, kstest, ncx2
 from cellapp.estimation.monitoring.check import choose_stops
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
 from cellapp.estimation.monitoring.check.naming import Design, with_station
-from cellapp.estimation.monitoring.check.sequential import design_of, ended
-from cellapp.estimation.monitoring.check.statistics import LastTest, after, looks
+from cellapp.estimation.monitoring.check.sequential import decided_prefix, design_of
+from cellapp.estimation.monitoring.check.statistics import MinPValueTest, after, looks
 from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, transform
 from tests.estimation.monitoring.check.conftest import SimulatedCell, free
 
@@ -50,7 +50,7 @@ def at_most(count: int, chance: float) -> int:
 def test_p_values_without_a_change_are_uniform(checked: tuple[Design, StopRows]) -> None:
     design, stops = checked
     moments = Moments.of(stops)
-    test = LastTest.of(moments, design.alternatives)
+    test = MinPValueTest.of(moments, design.alternatives)
     count = 8000
     white = np.random.default_rng(3).standard_normal((len(moments.white), count))
     least = test.p_values(white).min(axis=0)
@@ -63,7 +63,7 @@ def test_p_values_without_a_change_are_uniform(checked: tuple[Design, StopRows])
 @pytest.mark.fast
 def test_correction_is_milder_than_bonferroni_and_never_helps(checked: tuple[Design, StopRows]) -> None:
     design, stops = checked
-    test = LastTest.of(Moments.of(stops), design.alternatives)
+    test = MinPValueTest.of(Moments.of(stops), design.alternatives)
     for p in (1e-8, 1e-5, 1e-3, 0.3, 1.0):
         assert p <= test.corrected(p) <= (len(design.alternatives) + 1) * p + 1e-9
         assert test.significant(p, 0.01) == (test.corrected(p) <= 0.01)
@@ -85,7 +85,7 @@ def test_whole_check_keeps_its_false_alarms(checked: tuple[Design, StopRows]) ->
     count = DRAWS // 2
     noise = np.random.default_rng(4).standard_normal((count, len(stops.factor))) @ stops.factor.T
     loose = replace(design, false_alarm=0.1)
-    found = [ended(loose, replace(stops, measured=stops.expected + row.reshape(-1, 3)))[1] for row in noise]
+    found = [decided_prefix(loose, replace(stops, measured=stops.expected + row.reshape(-1, 3)))[1] for row in noise]
     assert sum(one.changed for one in found) <= at_most(count, 0.1)
     assert np.mean([one.stops for one in found]) < PLANNED
 
@@ -106,7 +106,7 @@ def test_a_visible_change_is_called_valid_no_more_often_than_stated(checked: tup
 def test_power_of_the_last_test_is_as_computed(checked: tuple[Design, StopRows]) -> None:
     design, stops = checked
     moments = Moments.of(stops)
-    test = LastTest.of(moments, design.alternatives)
+    test = MinPValueTest.of(moments, design.alternatives)
     critical = test.critical(0.01)
     single = [k for one in design.alternatives if len(one.members) == 1 for k in one.members]
     direction = min(single, key=lambda k: abs(float(moments.information[-1][k]) - 12.0))
@@ -176,5 +176,5 @@ def test_a_fit_takes_its_degrees_of_freedom(checked: tuple[Design, StopRows]) ->
     assert moments.degrees[-1] == 6 * PLANNED - 4
     draws = np.random.default_rng(1).standard_normal((4000, len(moments.white)))
     left = draws - (draws @ moments.fitted.T) @ moments.fitted
-    p_values = LastTest.of(moments, ()).p_values(left.T)[-1]
+    p_values = MinPValueTest.of(moments, ()).p_values(left.T)[-1]
     assert kstest(p_values, "uniform").statistic < 0.035

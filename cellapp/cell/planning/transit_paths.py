@@ -37,14 +37,14 @@ _TREE_STEP = 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class TransitPath:
     """Motions that lead to a configuration, without the last one, which ends there; and the time of all [s]."""
 
     legs: Route
     seconds: float
 
 
-class WayFinder:
+class TransitPlanner:
     """Finds ways in one cell."""
 
     def __init__(self, profile: Profile, cell: CellBodies, rng: np.random.Generator) -> None:
@@ -56,11 +56,11 @@ class WayFinder:
         """Time of a motion of all arms at once [s]."""
         return route_s(self._profile, here, (there,))
 
-    def find(self, here: Configuration, there: Configuration) -> Way | str:
+    def find(self, here: Configuration, there: Configuration) -> TransitPath | str:
         """The shortest way found from ``here`` to ``there`` (all arms); the gate's reason if there is none."""
         refusal = refuse_motion(self._cell, here, there)
         if not refusal:
-            return Way((), self.seconds(here, there))
+            return TransitPath((), self.seconds(here, there))
         if no_standing := refuse_motion(self._cell, there, there):
             return no_standing
         for between in (
@@ -76,7 +76,7 @@ class WayFinder:
 
     def _first_free(
         self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
-    ) -> Way | None:
+    ) -> TransitPath | None:
         """The shortest way through some of the configurations ``between`` that the gate accepts."""
         timed = [(self._route_s([here, *through, there]), k, through) for k, through in enumerate(between)]
         for _, _, through in sorted(timed, key=lambda one: one[:2])[:_MOST_ASKED]:
@@ -85,12 +85,12 @@ class WayFinder:
                 return self._way(here, through, there)
         return None
 
-    def _way(self, here: Configuration, through: Sequence[Configuration], there: Configuration) -> Way:
+    def _way(self, here: Configuration, through: Sequence[Configuration], there: Configuration) -> TransitPath:
         """The way as legs of the arms that move."""
         legs = []
         for before, after in pairwise([here, *through]):
             legs.append({name: q for name, q in after.items() if not np.array_equal(q, before[name])})
-        return Way(tuple(leg for leg in legs if leg), self._route_s([here, *through, there]))
+        return TransitPath(tuple(leg for leg in legs if leg), self._route_s([here, *through, there]))
 
     def _route_s(self, stations: Sequence[Configuration]) -> float:
         return sum(self.seconds(before, after) for before, after in pairwise(stations))

@@ -13,7 +13,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 @dataclass(frozen=True)
-class Standing:
+class ObstacleClearance:
     """One arm beside one obstacle of the cell.
 
     Attributes
@@ -34,7 +34,7 @@ class Standing:
     asked: float
 
 
-def standings(cell: CellBodies, q: Mapping[str, Array]) -> Iterator[Standing]:
+def obstacle_clearances(cell: CellBodies, q: Mapping[str, Array]) -> Iterator[ObstacleClearance]:
     """Yield the distances of each arm of ``q`` (arm -> (N,) [rad]) from each obstacle of the cell."""
     for name, position in q.items():
         arm = cell.arms[name]
@@ -42,7 +42,7 @@ def standings(cell: CellBodies, q: Mapping[str, Array]) -> Iterator[Standing]:
         for obstacle, asked in zip(cell.obstacles, cell.obstacle_clearances[arm], strict=True):
             gaps = obstacle.gaps(bodies.start[0], bodies.end[0], bodies.radius, np.inf)
             checked = asked > -np.inf
-            yield Standing(
+            yield ObstacleClearance(
                 obstacle.name,
                 name,
                 base=float(gaps[arm.frames == 0].min(initial=np.inf)),

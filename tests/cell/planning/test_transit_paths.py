@@ -14,7 +14,7 @@ from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import straight_stops
 from cellapp.cell.planning.reach import ArmRoadmap
 from cellapp.cell.planning.sequence import nearest_turns, sequenced
-from cellapp.cell.planning.ways import Way, WayFinder, random_tree_path
+from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner, random_tree_path
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
@@ -44,7 +44,7 @@ def both_sides(cell: CellBodies) -> tuple[dict[str, np.ndarray], dict[str, np.nd
     return here, there
 
 
-def replay(cell: CellBodies, here: dict[str, np.ndarray], way: Way, there: dict[str, np.ndarray]) -> list[str]:
+def replay(cell: CellBodies, here: dict[str, np.ndarray], way: TransitPath, there: dict[str, np.ndarray]) -> list[str]:
     found = []
     for leg in (*way.legs, there):
         after = {**here, **leg}
@@ -58,8 +58,8 @@ def test_a_way_leads_round_a_pillar() -> None:
     profile = with_pillar(one_arm())
     cell = cell_bodies(profile)
     here, there = both_sides(cell)
-    way = WayFinder(profile, cell, np.random.default_rng(0)).find(here, there)
-    assert isinstance(way, Way)
+    way = TransitPlanner(profile, cell, np.random.default_rng(0)).find(here, there)
+    assert isinstance(way, TransitPath)
     assert way.legs
     assert replay(cell, here, way, there) == []
     assert way.seconds == pytest.approx(route_s(profile, here, (*way.legs, there)))
@@ -85,11 +85,11 @@ def test_arms_that_would_meet_go_another_way() -> None:
     q = {name: nearest_turns(profile, cell, name, rows) for name, rows in drawn.items()}
     stops = [{name: rows[k] for name, rows in q.items()} for k in range(200)]
     meeting = [one for one in pairwise(stops) if refuse_motion(cell, *one).startswith("arms ")][:3]
-    finder = WayFinder(profile, cell, np.random.default_rng(0))
+    finder = TransitPlanner(profile, cell, np.random.default_rng(0))
     found = [finder.find(*one) for one in meeting]
-    assert any(isinstance(way, Way) for way in found)
+    assert any(isinstance(way, TransitPath) for way in found)
     for (here, there), way in zip(meeting, found, strict=True):
-        assert not isinstance(way, Way) or replay(cell, here, way, there) == []
+        assert not isinstance(way, TransitPath) or replay(cell, here, way, there) == []
 
 
 @pytest.mark.fast
