@@ -17,7 +17,10 @@ from hypothesis import HealthCheck, settings
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.pipeline import calibrate_run, discover_run, new_planned_run, push_run
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.discover.run import discover_run
+from cellapp.commands.plan.run import new_planned_run
+from cellapp.commands.push.run import push_run
 from tests.made_once import made_once
 from tests.twin import PROFILES, finished_twin
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Literal, TypeVar
 
 from cellapp.cell.driving.records import ArmOrder, CollectResult
 from cellapp.cell.planning.design_records import PlanDesignResult
@@ -66,6 +66,14 @@ class ReportResult(RunResults):
     page: str
     pdf: str | None = None
     omitted_when_none = RunResults.omitted_when_none | {"pdf"}
+
+
+R = TypeVar("R", bound=RunResults)
+
+
+def shown_by(kind: type[R], stored: RunResults, **more: object) -> R:
+    """The stored results as the result of a verb that shows them."""
+    return kind.model_validate({**{name: getattr(stored, name) for name in stored.model_fields_set}, **more})
 
 
 class DocsResult(Result):

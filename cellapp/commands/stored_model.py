@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from cellapp.cell.run.file import RunFile
-from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage
+from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import LOCATE
+from cellapp.ground.results import LOCATE, StageName
 from cellapp.robot.model.model import CellModel
 
 
@@ -53,3 +57,16 @@ def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:
     """A note where the model of stage ``used`` is used although it does not hold any more."""
     stale = stages.stale_model()
     return [f"the model in force, that of '{used.name}', was used although {stale}"] if stale else []
+
+
+def append_with_model(
+    run: RunFile, name: StageName, result: CalibrateResult | DiscoverResult, model: CellModel, basis: Basis
+) -> StoredStage:
+    """Append a stage; the model's provenance says which stage it belongs to and what that rests on."""
+    provenance = {**model.provenance, "stage": name, "basis": basis.model_dump()}
+    return append_stage(run, name, result, basis, replace(model, provenance=provenance).to_json())
+
+
+def export_model(run: RunFile, stages: RunStages) -> None:
+    """Write the model in force for other programs."""
+    model_of(run, stage_in_force(run, stages)).save(run.folder / CALIBRATION_FILE)

@@ -24,7 +24,8 @@ from typer.testing import CliRunner
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import calibrate_run, new_planned_run
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import CheckFailed
 from cellapp.interfaces.cli.app import app
 from tests.estimation.monitoring.fleet.runs import measured_run, set_month

@@ -1,4 +1,4 @@
-"""The verbs that check and edit plans; beside the pipeline, which makes new runs with them.
+"""The verb ``plan``: make a new run with its plan, check and edit plans.
 
 A plan is edited by hand as a CSV file (``cell.planning.plan_csv``). A plan in a run is extended, or what is left of it
 is designed again; measured stops never change.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
 from cellapp.cell.planning.duration import planned_time
-from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.method import make_stops, plan_run
 from cellapp.cell.planning.plan_csv import PlanFile, read_plan_csv, write_plan_csv
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
@@ -32,12 +33,45 @@ from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.threads import one_blas_thread
 
 _CHANGED = "plan changed: "
 """Begins the line of the log for each change of a plan; their number varies the seed of the next one."""
 _NUMBERS = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
 _SEED = 0xADD
 """Beside the profile's seed: other candidates than those of which some could not be reached."""
+
+
+def default_folder(profile_name: str) -> Path:
+    """A new folder below ``logs`` in the working directory, named after the profile and the time."""
+    return Path("logs") / f"{profile_name}-{datetime.now():%Y%m%d-%H%M%S}"
+
+
+def new_planned_run(
+    profile: Profile, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> RunFile:
+    """A new run with its plan. Nothing is left behind where there is no plan, or on request.
+
+    Raises
+    ------
+    InputError
+        As ``RunFile.create`` and ``plan_run`` do.
+    Cancelled
+    """
+
+    def fill(run: RunFile) -> None:
+        with one_blas_thread():
+            plan_run(run, with_eta(listener), cancel)
+
+    return RunFile.create(folder, profile, fill)
+
+
+def plan_new_run(
+    profile: Profile, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+) -> PlanResult:
+    """Make a new run with its plan. Raises as ``new_planned_run`` does."""
+    with new_planned_run(profile, folder, listener, cancel) as run:
+        return plan_result(run)
 
 
 def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:

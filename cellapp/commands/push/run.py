@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -9,19 +10,23 @@ from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import check_cell
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.push import Visited, push
+from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target
 from cellapp.commands.certificate.evidence import evidence_of
-from cellapp.commands.stages import StoredStage, append_stage, basis_on_model, read_results
-from cellapp.commands.stored_model import model_of
+from cellapp.commands.compensate.run import compensated_commands
+from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.stages import StoredStage, append_stage, basis_on_model, read_results, read_stages
+from cellapp.commands.station import profile_at_station
+from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, Listener
+from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import PUSH, VERIFY
 
 MOST_ROUNDS = 20
@@ -56,6 +61,72 @@ def check_rounds(iterate: int | None, *, verify: bool) -> None:
         raise InputError(f"push: --iterate: expected 1 to {MOST_ROUNDS} rounds, got {iterate}; nothing was moved")
     if not verify:
         raise InputError("push: --iterate corrects what was measured; add --verify. Nothing was moved")
+
+
+def push_run(
+    run: RunFile,
+    targets: Sequence[Target],
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    verify: bool,
+    iterate: int | None = None,
+    out_of_date: bool = False,
+    ask: Ask | None = None,
+) -> VerifyResult:
+    """Compensate and push targets; with ``verify`` measure them before and after compensation.
+
+    ``iterate`` is how often at most what remains at a target is corrected by measuring. ``out_of_date`` uses the model
+    in force even where it, or a discovery, is out of date or a controller's own D-H has changed; result and log say so.
+    ``ask`` is asked before the first motion of real arms. A job that is stopped stores what it has measured.
+
+    Raises
+    ------
+    InputError
+        If the model is out of date and the operator does not insist, no target can be commanded, or the SMR mount in
+        the profile is not the calibrated one. Nothing has moved.
+    CheckFailed
+        If the doctor finds a fault before real arms move. Nothing has moved.
+    HardwareError
+        If a device refused or failed, or a controller or its payload is not the calibrated one.
+    Cancelled
+    """
+    control = control or JobControl()
+    check_rounds(iterate, verify=verify)
+    with running_job(run, control, "verify" if verify else "push", listener) as listener:
+        return push_targets(
+            run, targets, listener, control, ask, verify=verify, iterate=iterate, out_of_date=out_of_date
+        )
+
+
+def push_targets(
+    run: RunFile,
+    targets: Sequence[Target],
+    listener: Listener,
+    control: JobControl,
+    ask: Ask | None,
+    *,
+    verify: bool,
+    iterate: int | None = None,
+    out_of_date: bool = False,
+) -> VerifyResult:
+    """As ``push_run``, within a job that has the folder already."""
+    stages = read_stages(run)
+    if not out_of_date:
+        require_current_model(run, stages, "push")
+    commands, compensated = compensated_commands(run, stages, targets)
+    job = PushJob(
+        run=run,
+        profile=profile_at_station(run, stages),
+        model=stage_in_force(run, stages),
+        commands=commands,
+        targets=tuple(targets),
+        notes=compensated.notes,
+        verify=verify,
+        rounds=iterate or 0,
+        out_of_date=out_of_date,
+    )
+    return push_commands(job, with_eta(listener), control, confirmation(run.profile, ask))
 
 
 def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm: Confirm | None) -> VerifyResult:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.prior_source import recorded_priors
-from cellapp.commands.pipeline import calibrate_run, discover_run
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.discover.run import discover_run
 from cellapp.commands.recalibrate.result import RecalibratedRun, RecalibratedStage, RecalibrateResult
 from cellapp.commands.runs.history import check_folder, run_folders
 from cellapp.commands.stages import read_stages

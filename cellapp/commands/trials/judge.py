@@ -17,8 +17,8 @@ from pydantic import ValidationError
 import cellapp
 from cellapp import __version__
 from cellapp.cell.run import RunFile
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.result import arm_result
-from cellapp.commands.pipeline import calibrate_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
 from cellapp.commands.trials.run_score import score_run

@@ -21,7 +21,7 @@ from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_readings
-from cellapp.commands.pipeline import new_planned_run
+from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.trials.storm_cell import emulated_cell, undisturbed_profile, wire_profile
 from cellapp.commands.trials.storm_faults import KILL, drawn_events
 from cellapp.commands.trials.storm_operator import Operator, StormLog, stored

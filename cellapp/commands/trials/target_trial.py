@@ -28,9 +28,11 @@ from cellapp.cell.targets.prediction import spread_of
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.cell.targets.targets import Target
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.discover.run import discover_run
 from cellapp.commands.locate.result import LocateVerdict
 from cellapp.commands.locate.run import locate_run
-from cellapp.commands.pipeline import calibrate_run, discover_run, new_planned_run
+from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.commands.trials.blind import with_hidden

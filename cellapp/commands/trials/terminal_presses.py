@@ -18,7 +18,7 @@ import numpy as np
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import new_planned_run
+from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.trials.polling import comes_about
 from cellapp.commands.trials.pseudo_terminal import PseudoTerminal
 from cellapp.commands.trials.storm_cell import StormCell, emulated_cell

@@ -163,8 +163,8 @@ def collect(
     json_file: JsonOption = None,
 ) -> None:
     """Drive the planned stops and measure; every stop is committed before the next move."""
+    from cellapp.commands.collect.run import collect_stops
     from cellapp.commands.collect.view import collect_lines, other_notes
-    from cellapp.commands.pipeline import collect_stops
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         ask = asking(job, opened.profile.name, allowed=allow_motion)
@@ -208,7 +208,7 @@ def import_(
 ) -> None:
     """Make a run from readings that were measured elsewhere."""
     from cellapp.cell.profile import load_profile
-    from cellapp.commands.pipeline import import_new_run
+    from cellapp.commands.import_.run import import_new_run
 
     with Job(json_file) as job:
         result = import_new_run(load_profile(profile), csv, folder, in_order=in_order)
@@ -226,8 +226,8 @@ def calibrate(
     json_file: JsonOption = None,
 ) -> None:
     """Identify arms and pair, evaluate on held-out stops, write calibration.json."""
+    from cellapp.commands.calibrate.run import calibrate_run
     from cellapp.commands.calibrate.view import calibration_tables, parameter_tables, tracker_sentences
-    from cellapp.commands.pipeline import calibrate_run
     from cellapp.commands.show.tables import merged_sentences
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
@@ -253,7 +253,7 @@ def discover(
 ) -> None:
     """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
     from cellapp.commands.discover.proposal_view import proposal_lines
-    from cellapp.commands.pipeline import discover_run, propose_run
+    from cellapp.commands.discover.run import discover_run, propose_run
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         if propose is None:
@@ -273,9 +273,9 @@ app.command(LOCATE.name)(command_of(LOCATE))
 def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = None) -> None:
     """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
     from cellapp.cell.targets.targets import load_targets
+    from cellapp.commands.compensate.run import compensate_run
     from cellapp.commands.compensate.tables import predicted_tables
     from cellapp.commands.compensate.words import compensate_lines
-    from cellapp.commands.pipeline import compensate_run
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         result = compensate_run(opened, load_targets(targets, opened.profile))
@@ -301,7 +301,7 @@ def push(
     from cellapp.cell.targets.targets import load_targets
     from cellapp.commands.calibrate.view import verification_tables
     from cellapp.commands.compensate.words import push_lines
-    from cellapp.commands.pipeline import push_run
+    from cellapp.commands.push.run import push_run
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         listed = load_targets(targets, opened.profile)

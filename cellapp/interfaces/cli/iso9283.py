@@ -84,7 +84,7 @@ def _command(tests: Sequence[IsoTest]) -> Callable[..., None]:
         from cellapp.cell.profile import load_profile
         from cellapp.commands.iso9283.run import iso9283_folder, iso9283_run
         from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
-        from cellapp.commands.pipeline import default_folder
+        from cellapp.commands.plan.run import default_folder
         from cellapp.estimation.iso9283.records import ISO_COMMANDS
 
         with Job(json_file) as job:

@@ -69,13 +69,13 @@ def run_plan(job: Job, choice: PlanChoice) -> None:
         If a hand-edited plan is refused.
     """
     from cellapp.cell.profile import load_profile
-    from cellapp.commands.pipeline import plan_new_run
     from cellapp.commands.plan.design_view import plan_lines, plan_result_tables
     from cellapp.commands.plan.run import (
         extend_plan,
         freeze_stops,
         plan_around_file,
         plan_from_file,
+        plan_new_run,
         replan,
         stop_numbers,
     )

@@ -30,7 +30,7 @@ def report(
     """Write report.html, one self-contained page, into the run's folder."""
     from cellapp.commands.calibrate.view import all_tables, out_of_date_sentences
     from cellapp.commands.out_of_date import check_nothing_out_of_date
-    from cellapp.commands.pipeline import report_run
+    from cellapp.commands.report.run import report_run
     from cellapp.interfaces.page.page import write_page
 
     if out is not None and not pdf:

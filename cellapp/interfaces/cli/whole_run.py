@@ -35,7 +35,7 @@ def demo(
 ) -> None:
     """Try the program without hardware: write the simulated cell's profile, run everything, report."""
     from cellapp.cell.profile.starters import FOLDER, TWIN, TWIN_SMALL, write_starter
-    from cellapp.commands.pipeline import default_folder
+    from cellapp.commands.plan.run import default_folder
 
     with Job(json_file) as job:
         name = TWIN if full else TWIN_SMALL
@@ -52,7 +52,7 @@ def _run_whole(job: Job, profile: Path, folder: Path | None, *, allowed: bool) -
     from cellapp.cell.profile import load_profile
     from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences, verification_tables
     from cellapp.commands.collect.view import collect_lines, other_notes
-    from cellapp.commands.pipeline import run_whole
+    from cellapp.commands.run.run import run_whole
     from cellapp.interfaces.page.page import write_page
 
     ask = asking(job, load_profile(profile).name, allowed=allowed)

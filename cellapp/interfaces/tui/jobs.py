@@ -1,4 +1,4 @@
-"""One job at a time, in a thread of its own: it calls a verb of the pipeline; its events wait in a queue.
+"""One job at a time, in a thread of its own: it calls a verb; its events wait in a queue.
 
 Keys and signals reach the brakes through ``control`` without passing the queue.
 """
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Ask = Callable[[str], bool]
 """Shows a person the first motion in words and returns whether it is allowed."""
 Work = Callable[[Listener, JobControl, Ask], "Result | None"]
-"""A verb of the pipeline with its inputs bound; it runs in the thread of the job."""
+"""A verb with its inputs bound; it runs in the thread of the job."""
 M = TypeVar("M", bound=Message)
 
 _MOST_WAITING = 2000

@@ -49,7 +49,7 @@ def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.profile import load_profile
-        from cellapp.commands.pipeline import run_whole
+        from cellapp.commands.run.run import run_whole
         from cellapp.ground.errors import InputError
         from cellapp.interfaces.page.page import write_page
 
@@ -65,7 +65,7 @@ def plan(profile: Path, folder: Path) -> Job:
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.profile import load_profile
-        from cellapp.commands.pipeline import plan_new_run
+        from cellapp.commands.plan.run import plan_new_run
 
         return plan_new_run(load_profile(profile), folder, listener, control)
 
@@ -77,8 +77,8 @@ def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.profile import load_profile
+        from cellapp.commands.import_.run import import_new_run
         from cellapp.commands.init.own_data import OwnData, write_own_data
-        from cellapp.commands.pipeline import import_new_run
 
         own = OwnData(request.readings, request.arm, angles=request.angles, lengths=request.lengths)
         written = write_own_data(own, home)
@@ -207,7 +207,7 @@ def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
     """Measure the planned stops that are not stored yet."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.pipeline import collect_stops
+        from cellapp.commands.collect.run import collect_stops
 
         return collect_stops(run, listener, control, resume=resume, accept_drift=accept_drift, ask=ask)
 
@@ -218,7 +218,7 @@ def calibrate(folder: Path, prior: Path | None = None) -> Job:
     """Identify arms and pair and evaluate them on held-out stops; ``prior`` is the folder of an earlier run."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.pipeline import calibrate_run
+        from cellapp.commands.calibrate.run import calibrate_run
 
         return calibrate_run(run, listener, control, prior=prior)
 
@@ -229,7 +229,7 @@ def discover(folder: Path, propose: int | None = None) -> Job:
     """Search for missing effects; with ``propose`` also write that many further stops into the plan."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.pipeline import discover_run, propose_run
+        from cellapp.commands.discover.run import discover_run, propose_run
 
         if propose is None:
             return discover_run(run, listener, control)
@@ -242,7 +242,7 @@ def compensate(folder: Path, targets: Sequence[Target]) -> Job:
     """Compute commands for targets."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.pipeline import compensate_run
+        from cellapp.commands.compensate.run import compensate_run
 
         return compensate_run(run, targets)
 
@@ -263,7 +263,7 @@ def push(
     """
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.pipeline import push_run
+        from cellapp.commands.push.run import push_run
 
         return push_run(
             run, targets, listener, control, verify=verify, iterate=iterate, out_of_date=out_of_date, ask=ask
@@ -298,7 +298,7 @@ def report(folder: Path, *, pdf: bool = False) -> Job:
     """Write the page of the run; with ``pdf`` print it to a file, too."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.pipeline import report_run
+        from cellapp.commands.report.run import report_run
         from cellapp.interfaces.page.page import write_page
 
         return report_run(run, write_page, folder / PDF_FILE if pdf else None)

@@ -182,7 +182,7 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
 
 def new_folder(profile: Profile | None) -> Path:
     """A new folder for a run. Raises ``InputError`` without a profile."""
-    from cellapp.commands.pipeline import default_folder
+    from cellapp.commands.plan.run import default_folder
 
     if profile is None:
         raise InputError("no profile is open: choose one on the screen Cell")

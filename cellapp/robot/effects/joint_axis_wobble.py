@@ -104,7 +104,7 @@ class JointAxisWobble(Effect):
 
 
 def _two_cycles(context: EffectContext, joint: int, name: str, tilted: Array) -> list[EffectColumn]:
-    """Cosine and sine of two cycles per revolution of one tilt, in the block of the joint; the name has no cycle count."""
+    """Cosine and sine of two cycles per revolution of one tilt, in the block of the joint; no count in the name."""
     waves = (("cos", Wave(2, sine=False)), ("sin", Wave(2, sine=True)))
     return [
         shift_column(

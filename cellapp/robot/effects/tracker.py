@@ -132,7 +132,7 @@ class TrackerDistanceOffset(Effect):
 
 
 class TrackerAngleError(Effect):
-    """The tracker's angles err with one and two cycles per revolution: ``d_az = sum_n a_n cos n az + b_n sin n az``, so for el.
+    """Angles err with one and two cycles per revolution: ``d_az = sum_n a_n cos n az + b_n sin n az``, so for el.
 
     Eccentricity and runout of the graduated circles; amplitudes in rad. Across the beam, azimuth moves the point by
     ``rho cos el d_az``, elevation by ``rho d_el``. Even orders survive two-face averaging (published). Size: half of

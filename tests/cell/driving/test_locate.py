@@ -18,10 +18,15 @@ from cellapp.cell.driving.locating_stops import LocatingStops
 from cellapp.cell.driving.smr_search import FoundPoint, covariances, lattice, share_of_chance
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import load_targets
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.collect.run import collect_stops
+from cellapp.commands.compensate.run import compensate_run
+from cellapp.commands.discover.run import discover_run
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.locate.run import locate_run, typed_pose
 from cellapp.commands.locate.view import location_sentences, location_tables
-from cellapp.commands.pipeline import calibrate_run, collect_stops, compensate_run, discover_run, push_run, report_run
+from cellapp.commands.push.run import push_run
+from cellapp.commands.report.run import report_run
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_results, read_stages
 from cellapp.commands.stored_model import model_of

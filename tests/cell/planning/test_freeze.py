@@ -12,8 +12,7 @@ from typer.testing import CliRunner
 
 from cellapp.cell.planning.stored_stops import read_planned_stops
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import new_planned_run
-from cellapp.commands.plan.run import freeze_stops, replan, stop_numbers
+from cellapp.commands.plan.run import freeze_stops, new_planned_run, replan, stop_numbers
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.app import app
 from tests.twin import small_twin

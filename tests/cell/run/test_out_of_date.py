@@ -9,7 +9,7 @@ import pytest
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.out_of_date import CERTIFICATE_FILE, check_nothing_out_of_date, complaints_of
-from cellapp.commands.pipeline import report_run
+from cellapp.commands.report.run import report_run
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import append_stage, basis_of, read_results
 from cellapp.ground.errors import CheckFailed

@@ -14,7 +14,11 @@ import pytest
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.pipeline import calibrate_run, compensate_run, discover_run, push_run, report_run
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.compensate.run import compensate_run
+from cellapp.commands.discover.run import discover_run
+from cellapp.commands.push.run import push_run
+from cellapp.commands.report.run import report_run
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_results, read_stages, readings_digest
 from cellapp.ground.errors import InputError

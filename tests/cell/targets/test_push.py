@@ -21,8 +21,7 @@ from cellapp.cell.targets.records import ArmVerification, CompensateResult, Meas
 from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.calibrate.view import verification_tables
 from cellapp.commands.compensate.tables import predicted_tables
-from cellapp.commands.pipeline import push_run
-from cellapp.commands.push.run import judge_of
+from cellapp.commands.push.run import judge_of, push_run
 from cellapp.commands.stages import read_results
 from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl

@@ -26,7 +26,7 @@ from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.compensate.words import verify_lines
-from cellapp.commands.pipeline import push_run
+from cellapp.commands.push.run import push_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
 from cellapp.ground.errors import InputError

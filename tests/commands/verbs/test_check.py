@@ -16,9 +16,12 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.prior_source import earlier_arms
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.check.run import check_run, plant_of
+from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.locate.run import locate_run
-from cellapp.commands.pipeline import calibrate_run, compensate_run, new_planned_run, push_run
+from cellapp.commands.plan.run import new_planned_run
+from cellapp.commands.push.run import push_run
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import append_stage, basis_on_model, read_results, read_stages
 from cellapp.commands.stored_model import stage_in_force

@@ -19,13 +19,14 @@ from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_cond
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.collected import reference_drifts
-from cellapp.commands.pipeline import new_planned_run, plan_new_run
 from cellapp.commands.plan.run import (
     check_plan_file,
     export_plan,
     extend_plan,
+    new_planned_run,
     plan_around_file,
     plan_from_file,
+    plan_new_run,
     plan_result,
     replan,
     stored_plan,

@@ -9,7 +9,7 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import import_csv
-from cellapp.commands.pipeline import draw_missing_splits
+from cellapp.commands.calibrate.run import draw_missing_splits
 from cellapp.commands.trials.coverage import coverage
 from cellapp.commands.trials.parameter_sets import parameter_set_trials
 from cellapp.estimation.calibration.calibrate import calibrate_arm

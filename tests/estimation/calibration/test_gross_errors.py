@@ -11,7 +11,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import import_csv
 from cellapp.commands.calibrate.result import arm_result
-from cellapp.commands.pipeline import calibrate_run
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import warnings
 from cellapp.commands.trials.league.series import Entrant, load_entrant

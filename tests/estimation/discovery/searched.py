@@ -5,7 +5,7 @@ from __future__ import annotations
 from cellapp.cell.planning.proposal.candidate_poses import Effort
 from cellapp.cell.planning.proposal.propose import Proposal, propose_stops
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import calibrate_run
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.outcome import CellDiscovery

@@ -12,8 +12,9 @@ import pytest
 from cellapp.cell.driving.cell import build_plant, plant_arm
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.result import arm_result, discover_result
-from cellapp.commands.pipeline import calibrate_run, discover_run
+from cellapp.commands.discover.run import discover_run
 from cellapp.commands.stages import CALIBRATION_FILE, read_results
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm

@@ -26,7 +26,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.commands.discover.proposal_view import proposal_lines
 from cellapp.commands.discover.result import proposal_result
-from cellapp.commands.pipeline import propose_after
+from cellapp.commands.discover.run import propose_after
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile

@@ -11,8 +11,9 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
-from cellapp.commands.pipeline import calibrate_run, discover_run
+from cellapp.commands.discover.run import discover_run
 from cellapp.commands.stages import read_results, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.records import CalibrateResult

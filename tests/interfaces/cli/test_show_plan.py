@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import new_planned_run
+from cellapp.commands.plan.run import new_planned_run
 from tests.interfaces.cli.test_cli import exit_code
 from tests.twin import PROFILES, small_twin, write_profile
 

@@ -10,7 +10,10 @@ import pytest
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import calibrate_run, discover_run, new_planned_run, push_run
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.discover.run import discover_run
+from cellapp.commands.plan.run import new_planned_run
+from cellapp.commands.push.run import push_run
 from cellapp.interfaces.page.page import page_text
 from tests.interfaces.page.parsed_page import NOON, Page
 from tests.interfaces.page.runs import EVENT, LEFT, NAME, RIGHT, fill, targets_of, twin_of, without_devices

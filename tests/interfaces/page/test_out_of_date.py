@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import all_tables, out_of_date_sentences
-from cellapp.commands.pipeline import calibrate_run
 from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_results
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY

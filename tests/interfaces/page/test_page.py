@@ -21,6 +21,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.in_order import write_in_order
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.charts_accuracy import pair_stop_chart, stop_error_chart
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import (
     all_tables,
     calibration_tables,
@@ -30,6 +31,7 @@ from cellapp.commands.calibrate.view import (
     transform_tables,
     verification_tables,
 )
+from cellapp.commands.discover.run import discover_run
 from cellapp.commands.discover.tables import (
     accepted_table,
     invisible_table,
@@ -38,7 +40,6 @@ from cellapp.commands.discover.tables import (
     parameter_table,
 )
 from cellapp.commands.export.run_export import calibrated_arms
-from cellapp.commands.pipeline import calibrate_run, discover_run
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.stages import CALIBRATION_FILE, append_stage, basis_of, read_results, read_stages
 from cellapp.estimation.calibration.records import CalibrateResult

@@ -15,9 +15,8 @@ from cellapp.cell.planning.stored_stops import (
     write_planned_stops,
 )
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import new_planned_run
 from cellapp.commands.plan.design_view import design_sentences, design_tables, plan_lines, plan_result_tables
-from cellapp.commands.plan.run import plan_result, stored_plan
+from cellapp.commands.plan.run import new_planned_run, plan_result, stored_plan
 from cellapp.commands.run_results import StopsResult
 from cellapp.ground.errors import InputError
 from tests.interfaces.page.plan_cases import TIME, plan_design

@@ -8,7 +8,7 @@ import pytest
 
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import new_planned_run
+from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.page.plan_section import plan_section
 from tests.interfaces.page.plan_cases import plan_design
 from tests.twin import small_twin

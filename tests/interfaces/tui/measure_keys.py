@@ -21,7 +21,9 @@ from textual.widgets import Input
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import calibrate_run, import_new_run, new_planned_run
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.trials.storm_cell import emulated_cell
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.work import discover

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 from cellapp.cell.profile import load_profile
-from cellapp.commands.pipeline import new_planned_run
+from cellapp.commands.plan.run import new_planned_run
 from tests.loopback import free_port, own_address
 from tests.twin import PROFILES
 

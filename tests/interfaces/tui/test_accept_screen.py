@@ -135,7 +135,7 @@ async def test_the_verdict_what_comes_next_and_the_report(finished_copy: Path, m
         printed.append(pdf)
         return ReportResult(run=str(run.folder), page=str(run.folder / "report.html"))
 
-    monkeypatch.setattr("cellapp.commands.pipeline.report_run", report_run)
+    monkeypatch.setattr("cellapp.commands.report.run.report_run", report_run)
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)

@@ -14,7 +14,7 @@ from textual.pilot import Pilot
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import connect
-from cellapp.commands.pipeline import new_planned_run
+from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.tui.app import CellApp
 from tests.interfaces.tui.pilot import SMALL, ended, opened, shown_text, until

@@ -11,7 +11,7 @@ from textual.widgets import Input, Static, TabbedContent
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stored_stops import read_planned_stops
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import new_planned_run
+from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.count import CountQuestion
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker

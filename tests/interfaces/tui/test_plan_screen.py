@@ -15,7 +15,7 @@ from cellapp.cell.planning.forecast import forecast_run
 from cellapp.cell.planning.records import PlanForecastResult
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import new_planned_run
+from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.dialogs.question import Question

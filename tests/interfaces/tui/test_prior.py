@@ -10,7 +10,7 @@ import numpy as np
 from textual.widgets import Input
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import calibrate_run
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import read_results
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker

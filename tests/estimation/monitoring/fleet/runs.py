@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.pipeline import calibrate_run, discover_run
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.discover.run import discover_run
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Discovery, Profile
 from cellapp.ground.profile.acceptance import Tolerances, Traceability, TraceableArm

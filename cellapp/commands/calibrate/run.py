@@ -1,0 +1,91 @@
+"""The verb ``calibrate``: identify the arms of a run, append the stage, say what that does to later stages."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from cellapp.cell.run.file import RunFile
+from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_arms, recorded_priors
+from cellapp.commands.calibrate.result import calibrate_result
+from cellapp.commands.stages import CALIBRATION_FILE, RunStages, basis_of, read_stages
+from cellapp.commands.stored_model import append_with_model, export_model
+from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.prior.calibrate import calibrate_with_prior
+from cellapp.ground.errors import InputError
+from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
+from cellapp.ground.threads import one_blas_thread
+
+
+def calibrate_run(
+    run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None, *, prior: Path | None = None
+) -> CalibrateResult:
+    """Calibrate a run: draw missing splits, identify, evaluate, append the stage, export the model in force.
+
+    ``prior`` is the folder of an earlier run of the same arms, whose calibration is taken as prior. The notes also say
+    whether an earlier discovery and verification still hold.
+
+    Raises
+    ------
+    InputError
+        If an arm has no readings or too few of them, or the earlier run does not suit, see ``earlier_arms``.
+    Cancelled
+        On request; nothing is stored then.
+    """
+    notes = draw_missing_splits(run)
+    readings = {name: run.readings(name) for name in run.profile.arms}
+    with one_blas_thread():
+        earlier = {} if prior is None else earlier_arms(run, prior)
+        calibration = calibrate_readings(run.profile, readings, with_eta(listener), cancel)
+        if earlier:
+            calibration = calibrate_with_prior(run.profile, readings, calibration, earlier)
+        elif used := {record.run for record in recorded_priors(run).values()}:
+            notes = (
+                *notes,
+                f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before",
+            )
+    result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
+    basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
+    append_with_model(run, CALIBRATE, result, calibration.model, basis)
+    stages = read_stages(run)
+    export_model(run, stages)
+    return result.model_copy(update={"notes": (*result.notes, *note_later_stages(run, stages))})
+
+
+def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
+    """Draw and store splits, the same for all arms at a stop, where no reading has one yet. Returns notes."""
+    readings = {name: run.readings(name) for name in run.profile.arms}
+    for name, arm in readings.items():
+        if len(arm) == 0:
+            raise InputError(
+                f"{run.path}: arm '{name}' has no readings; collect or import them, or take the arm out of the profile"
+            )
+    drawn, notes = missing_splits(run.profile, readings)
+    for name, words in drawn.items():
+        run.assign_splits(name, words)
+    return notes
+
+
+def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
+    """Notes on what an earlier discovery and verification are worth after a new calibration; logged too."""
+    notes = []
+    discovered, reason = stages.current.get(DISCOVER), stages.out_of_date.get(DISCOVER)
+    if discovered is not None and reason is None:
+        notes.append(f"the discovery still holds; {CALIBRATION_FILE} keeps the effects that were found")
+    elif discovered is not None:
+        kept = "keeps its effects" if stages.in_force is discovered else "holds the new calibration without effects"
+        notes.append(
+            f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover {run.folder}'"
+        )
+    if LOCATE in stages.out_of_date:
+        reason = stages.out_of_date[LOCATE]
+        notes.append(f"the tracker's station is out of date ({reason}); run 'cellapp locate {run.folder}'")
+    if VERIFY in stages.out_of_date:
+        notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
+    if CHECK in stages.out_of_date:
+        notes.append(f"the check of the calibration is out of date ({stages.out_of_date[CHECK]})")
+    for note in notes:
+        run.log("note", note)
+    return notes

@@ -1,0 +1,59 @@
+"""The verb ``collect``: measure the planned stops of a run."""
+
+from __future__ import annotations
+
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.driving.records import CollectResult
+from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.collected import missing_share, reference_drifts
+from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.station import refuse_second_station
+from cellapp.ground.control import JobControl
+from cellapp.ground.progress import Listener, ignore, with_eta
+from cellapp.ground.threads import one_blas_thread
+
+
+def collect_stops(
+    run: RunFile,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    resume: bool = False,
+    accept_drift: bool = False,
+    ask: Ask | None = None,
+) -> CollectResult:
+    """Measure the planned stops; ``ask`` is asked before the first motion of real arms.
+
+    Raises as ``collect_run`` and ``confirmation`` do, and ``InputError`` if another job runs in the folder.
+    """
+    control = control or JobControl()
+    with running_job(run, control, "collect", listener) as listener:
+        return collect_planned(run, listener, control, ask, resume=resume, accept_drift=accept_drift)
+
+
+def collect_planned(
+    run: RunFile,
+    listener: Listener,
+    control: JobControl,
+    ask: Ask | None,
+    *,
+    resume: bool = False,
+    accept_drift: bool = False,
+) -> CollectResult:
+    """As ``collect_stops``, within a job that has the folder already."""
+    refuse_second_station(run)
+    confirm = confirmation(run.profile, ask)
+    report = with_eta(listener)
+    with one_blas_thread():
+        summary = collect_run(run, report, control, resume=resume, accept_drift=accept_drift, confirm=confirm)
+    return CollectResult(
+        stops=len(run.stops_done()),
+        notes=summary.notes,
+        outcome=summary.outcome,
+        missing=summary.missing,
+        missing_share=missing_share(run, summary.missing),
+        tolerated_share=run.profile.collection.tolerated,
+        references=reference_drifts(run),
+        standard_error_mm=summary.standard_error_mm,
+    )

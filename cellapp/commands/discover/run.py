@@ -1,0 +1,108 @@
+"""The verb ``discover``: search for missing effects, append the stage; propose stops that would tell more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cellapp.cell.planning.proposal.candidate_poses import Effort
+from cellapp.cell.planning.proposal.propose import propose_stops
+from cellapp.cell.planning.proposed_stops import append_proposed_stops, why_not_driven
+from cellapp.cell.run import RunFile
+from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
+from cellapp.commands.discover.result import discover_result, proposal_result
+from cellapp.commands.stages import basis_of, read_stages
+from cellapp.commands.stored_model import append_with_model, export_model, model_of
+from cellapp.estimation.calibration.calibrate import provenance_of
+from cellapp.estimation.discovery.discover import discover_cell
+from cellapp.estimation.discovery.outcome import CellDiscovery
+from cellapp.estimation.discovery.records import DiscoverResult, Proposal
+from cellapp.estimation.prior.discovery import SearchWithPriors
+from cellapp.ground.errors import InputError
+from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.results import CALIBRATE, DISCOVER
+from cellapp.ground.threads import one_blas_thread
+
+
+def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> DiscoverResult:
+    """Search every arm of a calibrated run for missing effects, append the stage, export the model with them.
+
+    Raises
+    ------
+    InputError
+        If the run is not calibrated yet, or by a version that did not store the calibration for itself.
+    Cancelled
+        On request; nothing is stored then.
+    """
+    return _discover(run, listener, cancel)[0]
+
+
+def propose_run(
+    run: RunFile,
+    count: int,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    effort: Effort | None = None,
+) -> DiscoverResult:
+    """Discover, then propose ``count`` further stops of all arms and write them into the plan.
+
+    They replace earlier proposals that were not measured. A run that this program does not drive (no plan, or a driver
+    ``none``) only gets the list.
+
+    Raises
+    ------
+    InputError
+        As ``discover_run``; or if there is nothing to propose. The discovery is stored in the second case.
+    Cancelled
+        On request; no proposal is written then.
+    """
+    result, found = _discover(run, listener, cancel)
+    try:
+        proposal = propose_after(run, found, count, listener, cancel, effort)
+    except InputError as error:
+        raise InputError(f"{error}. The discovery is stored: 'cellapp show {run.folder} discovery'") from None
+    return result.model_copy(update={"proposal": proposal})
+
+
+def propose_after(
+    run: RunFile,
+    found: CellDiscovery,
+    count: int,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    effort: Effort | None = None,
+) -> Proposal:
+    """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
+    readings = {name: run.readings(name) for name in run.profile.arms}
+    with one_blas_thread():
+        proposed = propose_stops(
+            run.profile, found.model, readings, found.arms, count, with_eta(listener), cancel, effort
+        )
+    if why := why_not_driven(run):
+        note = f"{why}: the stops are listed only; measure them, then import them with the earlier readings"
+        return proposal_result(proposed, None, (*proposed.notes, note))
+    return proposal_result(proposed, append_proposed_stops(run, proposed.stops), proposed.notes)
+
+
+def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> tuple[DiscoverResult, CellDiscovery]:
+    calibrated = read_stages(run).current.get(CALIBRATE)
+    if calibrated is None:
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+    if calibrated.basis is None:
+        raise InputError(
+            f"{run.path}: an older version of cellapp calibrated this run and may have changed that calibration since;"
+            " run 'cellapp calibrate' again"
+        )
+    with one_blas_thread():
+        earlier = earlier_of_calibration(run)
+        search = SearchWithPriors(earlier) if earlier else None
+        model = model_of(run, calibrated)
+        readings = {name: run.readings(name) for name in run.profile.arms}
+        found = discover_cell(run.profile, model, readings, with_eta(listener), cancel, search)
+    result = discover_result(found)
+    model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
+    basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
+    append_with_model(run, DISCOVER, result, model, basis)
+    for note in result.notes or ():
+        run.log("warning", note)
+    export_model(run, read_stages(run))
+    return result, found

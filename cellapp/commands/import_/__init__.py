@@ -1,0 +1,1 @@
+"""The verb ``import``: a new run of readings that another program measured."""

@@ -1,0 +1,21 @@
+"""The verb ``import``: a new run of readings from a CSV file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cellapp.cell.driving.records import ImportResult
+from cellapp.cell.run import import_csv
+from cellapp.cell.run.in_order import read_in_order
+from cellapp.ground.profile import Profile
+
+
+def import_new_run(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> ImportResult:
+    """Make a new run from readings in a CSV file; ``in_order`` and errors are as in ``import_csv``."""
+    with import_csv(profile, csv, folder, in_order=in_order) as run:
+        return ImportResult(
+            run=str(folder),
+            readings={name: len(run.readings(name)) for name in run.arms()},
+            in_order=read_in_order(run),
+            notes=tuple(event.text for event in run.events() if event.level == "note"),
+        )

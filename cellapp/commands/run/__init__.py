@@ -1,0 +1,1 @@
+"""The verb ``run``: all verbs one after the other, unattended."""

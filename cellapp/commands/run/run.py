@@ -1,0 +1,62 @@
+"""The verb ``run``: the other verbs one after the other, each as it is on its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.profile import load_profile
+from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.collect.run import collect_planned
+from cellapp.commands.confirm import Ask, asked_once, require_permission
+from cellapp.commands.discover.run import discover_run
+from cellapp.commands.plan.run import default_folder, new_planned_run
+from cellapp.commands.push.run import push_targets
+from cellapp.commands.report.run import PageWriter
+from cellapp.commands.run_results import WholeRunResult, shown_by
+from cellapp.commands.stages import read_results
+from cellapp.ground.control import JobControl
+from cellapp.ground.progress import Listener, ignore
+
+
+def run_whole(
+    profile_path: Path,
+    folder: Path | None,
+    write_page: PageWriter,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    ask: Ask | None = None,
+) -> WholeRunResult:
+    """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report by ``write_page``.
+
+    ``ask`` is asked before the first motion of real arms, once.
+
+    Raises
+    ------
+    CellappError
+        Bad input, or a device that refused.
+    Cancelled
+        On request; the run file keeps all that was committed and can be resumed.
+    """
+    control = control or JobControl()
+    profile = load_profile(profile_path)
+    require_permission(profile, ask)
+    ask = None if ask is None else asked_once(ask)
+    targets: tuple[Target, ...] = ()
+    if profile.targets is not None:  # read now: a misspelt list should not show after hours of measuring
+        targets = load_targets(profile_path.parent / profile.targets, profile)
+    notes: list[str] = []
+    with (
+        new_planned_run(profile, folder or default_folder(profile.name), listener, control) as run,
+        running_job(run, control, "run", listener) as listener,
+    ):
+        collected = collect_planned(run, listener, control, ask)
+        notes += collected.notes
+        notes += calibrate_run(run, listener, control).notes
+        discover_run(run, listener, control)
+        if targets:
+            notes += push_targets(run, targets, listener, control, ask, verify=True).notes
+        write_page(run)
+        return shown_by(WholeRunResult, read_results(run), notes=tuple(notes), collect=collected)
