@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import selectors
 import signal
 import socket
@@ -27,6 +26,7 @@ from drivers.emulators.ur_controller.personality import ControllerConfig, PortNa
 from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
 from drivers.emulators.ur_controller.script import Upload
 from drivers.plant import Plant, PlantConfig
+from drivers.priority import run_first
 
 _LONGEST_LINE = 4096
 _JOIN_S = 10.0
@@ -392,9 +392,7 @@ def _serve_in_process(
     pipe: Connection, arms: Sequence[ControllerConfig], plant: PlantConfig | None, pace: float
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends when the parent closes the pipe
-    if hasattr(os, "setpriority"):
-        with suppress(OSError):  # not allowed to everybody
-            os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    run_first(_NICENESS)
     try:
         server = UrControllerServer(arms, None if plant is None else Plant(plant), pace)
         addresses = server.open()
