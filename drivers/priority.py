@@ -9,46 +9,34 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
 _LEAST_REAL_TIME = 1
-_AUTOGROUP = Path("/proc/self/autogroup")
 
 
 def run_first(niceness: int) -> None:
-    """Prefer this thread, and the threads and processes that it starts from now on; on macOS the whole process."""
+    """Prefer this thread, and the threads and processes that it starts from now on; on macOS the whole process.
+
+    Where Linux shares the processors among sessions first (``sched_autogroup``), this counts within a session only.
+    """
     if hasattr(os, "setpriority"):
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, niceness)
 
 
-def session_first(niceness: int) -> None:
-    """Prefer the session of this process, which must be its own.
-
-    Linux may share the processors among sessions first, so that a niceness counts only within one.
-    """
-    with suppress(OSError):  # no such sharing, or not permitted
-        if os.getsid(0) == os.getpid():
-            _AUTOGROUP.write_text(str(niceness), "ascii")
-
-
-def run_in_real_time() -> bool:
-    """Run this thread, and what it starts, as soon as it has something to do; return whether that is permitted.
-
-    For what stands for another computer. It must not compute for long: everything else waits meanwhile.
-    """
-    return _schedule("SCHED_RR")
-
-
 @contextmanager
-def in_real_time() -> Iterator[bool]:
-    """Run this thread alone so while this context is open, to measure times; whether that is permitted."""
-    permitted = _schedule("SCHED_RR", "SCHED_RESET_ON_FORK")
+def in_real_time(*, inherited: bool = False) -> Iterator[bool]:
+    """Run this thread as soon as it has something to do while this context is open; whether that is permitted.
+
+    For what stands for another computer, and for what measures times: neither may compute for long, as all else waits
+    meanwhile. ``inherited``: threads and processes that are started meanwhile run so, too, and keep it.
+    """
+    flags = () if inherited else ("SCHED_RESET_ON_FORK",)
+    permitted = _schedule("SCHED_RR", *flags)
     try:
         yield permitted
     finally:
         if permitted:
-            _schedule("SCHED_OTHER", "SCHED_RESET_ON_FORK")  # who may not lower that flag may keep it
+            _schedule("SCHED_OTHER", *flags)  # not everybody may lower that flag
 
 
 def _schedule(*flags: str) -> bool:

@@ -24,14 +24,11 @@ from cellapp.trials.polling import can_move, comes_about
 from drivers.arms.simulated_settings import SimulatedArmSettings
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import Control
-from drivers.priority import run_in_real_time
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.simulated_settings import SimulatedTrackerSettings
 
 _PATIENT_S = 60.0
-_REAL_TIME = 1.0
-"""At a greater pace the emulated cell may compute all the time."""
 _POLL_S = 0.01
 _SETTLE_S = 0.05
 """Wall time, of which the emulated arms need less: half a second of theirs is 0.02 s at the usual pace."""
@@ -140,8 +137,7 @@ class StormCell:
 def emulated_cell(profile: Profile, pace: float, *, watch_clearance: bool = True) -> Iterator[StormCell]:
     """Emulate the cell of a profile in another process: the real client holds the interpreter while it connects.
 
-    In real time that process runs before all others, if that is permitted: real controllers have computers of their
-    own. Watching the clearance takes time that the controllers then do not have: some 10 ms now and then.
+    Watching the clearance takes time that the controllers then do not have: some 10 ms now and then.
 
     Raises ``HardwareError`` if it does not start.
     """
@@ -176,8 +172,6 @@ def emulated_cell(profile: Profile, pace: float, *, watch_clearance: bool = True
 def _serve(profile_text: str, pace: float, watch_clearance: bool, pipe: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends when the parent closes the pipe
     logging.disable(logging.WARNING)  # clients that hang up are what this trial is about
-    if pace <= _REAL_TIME:
-        run_in_real_time()
     profile = profile_from_json(profile_text)
     cancel = CancelToken()
     trackers: list[EmulatedTracker] = []

@@ -22,10 +22,9 @@ def test_what_is_not_permitted_changes_nothing(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(os, "setpriority", refused, raising=False)
     monkeypatch.setattr(os, "sched_setscheduler", refused, raising=False)
     priority.run_first(-10)
-    priority.session_first(-10)
-    assert not priority.run_in_real_time()
-    with priority.in_real_time() as permitted:
-        assert not permitted
+    for inherited in (False, True):
+        with priority.in_real_time(inherited=inherited) as permitted:
+            assert not permitted
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="schedulers are those of Linux")
