@@ -53,6 +53,8 @@ BROUGHT_ALONG = {
 """Modules that no installed package names as its own, and those of packages that a declared one needs."""
 REGISTRIES = "drivers.plugins"
 """How all registries find plug-ins, those of effects and exports as well; it knows no device."""
+PRIORITY = "drivers.priority"
+"""How a thread is preferred, one that reads keys as well; it knows no device."""
 
 
 @functools.cache
@@ -123,7 +125,9 @@ def test_the_modules_are_found() -> None:
 def test_every_name_in_these_rules_is_a_module() -> None:
     """A rule about a module that was renamed would hold whatever is written."""
     packages = [f"cellapp.{package}" for package in (*PURE, *OPEN_DEVICES, *OUTER)]
-    assert [module for module in (*packages, *READINGS, *SETTINGS, *DRIVERS, REGISTRIES) if not is_ours(module)] == []
+    assert [
+        module for module in (*packages, *READINGS, *SETTINGS, *DRIVERS, REGISTRIES, PRIORITY) if not is_ours(module)
+    ] == []
     assert not is_ours("cellapp.cell.run.csv_io")
 
 
@@ -154,7 +158,7 @@ def test_only_the_profile_imports_settings_and_only_some_packages_open_devices()
         package = path.relative_to(ROOT / "cellapp").parts[0]
         if package in OPEN_DEVICES:
             continue
-        allowed = tuple(f"{module}." for module in (REGISTRIES, *(SETTINGS if package == "profile" else ())))
+        allowed = tuple(f"{module}." for module in (REGISTRIES, PRIORITY, *(SETTINGS if package == "profile" else ())))
         found = imports_of(path, "drivers")
         assert [module for module in found if not f"{module}.".startswith(allowed)] == [], name(path)
 

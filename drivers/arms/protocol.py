@@ -246,9 +246,10 @@ class Arm(Protocol):
         """
 
     def refuse_motion(self) -> None:
-        """Accept no motion until the next ``connect``. From any thread, at once: nothing is sent, nothing waited for.
+        """Accept no motion until the next ``connect``. From any thread, at once: no device is waited for.
 
-        A motion that goes on is not stopped by it. ``brake`` includes it.
+        A motion that goes on need not be stopped by it: ``brake`` follows, and includes it. A driver that can send its
+        stop without waiting sends it here already.
         """
 
     def brake(self) -> None:

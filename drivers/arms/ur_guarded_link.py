@@ -92,7 +92,16 @@ class GuardedLink:
     # -- stopping ------------------------------------------------------------------------------------------------------
 
     def refuse_motion(self) -> None:
-        """Accept no motion until the next ``connect``; one that is under way starts nothing more on the controller."""
+        """Accept no motion until the next ``connect``; one that is under way starts nothing more on the controller.
+
+        The worker is told to brake, if that needs no waiting.
+        """
+        self._refuse()
+        worker = self._worker
+        if worker is not None:
+            worker.tell_at_once()
+
+    def _refuse(self) -> None:
         self._latch.refuse()
         connecting = self._connecting
         if connecting is not None:
@@ -103,7 +112,7 @@ class GuardedLink:
 
         Raises ``LinkLost`` if the controller did not confirm the stop; the worker no longer kicks its watchdog then.
         """
-        self.refuse_motion()
+        self._refuse()
         with self._latch.stopping():
             try:
                 self._command_stop()

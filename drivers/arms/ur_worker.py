@@ -50,6 +50,7 @@ from drivers.arms.ur_control import Refusal, UrControl, failed
 from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_motion import DECELERATES_WITHIN_S, Kicks, RestCriterion
 from drivers.arms.ur_path_supervisor import PathSupervisor
+from drivers.priority import run_first
 
 _TICK_S = 0.008
 """The arm is looked at with 125 Hz, the rate at which its states come."""
@@ -235,9 +236,7 @@ def _raise_priority() -> None:
 
     Not with real-time priority: the client busy-waits, which would keep a small computer from everything else.
     """
-    if hasattr(os, "setpriority"):
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    run_first(_NICENESS)
 
 
 def main() -> None:

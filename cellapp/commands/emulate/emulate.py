@@ -14,6 +14,7 @@ from cellapp.ground.progress import CancelToken
 from drivers.arms.settings import EmulatedController
 from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
 from drivers.emulators.ur_controller import (
+    REAL_TIME,
     STANDARD_PORTS,
     Addresses,
     ControllerConfig,
@@ -21,6 +22,7 @@ from drivers.emulators.ur_controller import (
     UrControllerServer,
 )
 from drivers.plant import Plant
+from drivers.priority import in_real_time
 from drivers.settings import SettingError
 
 _STEP_S = 0.2
@@ -145,7 +147,8 @@ def emulate(
 ) -> None:
     """Emulate the controllers of a profile until ``cancel``; all ports are free again when this returns.
 
-    The arms belong to the simulated cell of the section ``plant``; without one, only their joints move.
+    The arms belong to the simulated cell of the section ``plant``; without one, only their joints move. In real time
+    they run before other programs, if that is permitted: real controllers have computers of their own.
 
     Parameters
     ----------
@@ -174,6 +177,8 @@ def emulate(
     plant = None if profile.plant is None else build_plant(profile, watch_clearance=watch_clearance)
     server = _server(profile, chosen, plant, pace)
     with ExitStack() as stack:
+        if pace <= REAL_TIME:
+            stack.enter_context(in_real_time(inherited=True))
         _listen(stack, server)
         if served is not None and plant is not None:
             announce_tracker(_serve_tracker(stack, profile, plant, server, served))

@@ -29,6 +29,7 @@ from cellapp.commands.trials.person_results import PersonResult, PersonRow
 from cellapp.commands.trials.terminal_presses import KEYS, PLACES, Press, PressBench, press_bench
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from drivers.priority import in_real_time
 
 MEDIAN_MS, WORST_MS, WORST_BUSY_MS = 50.0, 100.0, 200.0
 """Bars from the byte in the pseudo terminal to the stop command at the last controller."""
@@ -88,7 +89,7 @@ def person_trial(
     trial = _Trial(profile_path, presses, repeats, beside > 0, listener, cancel or CancelToken())
     rows: list[PersonRow] = []
     not_measured = []
-    with busy(beside):
+    with busy(beside), in_real_time():  # else this process's own delays were in the figures
         for part in (trial.pressed, trial.lost, trial.from_elsewhere, trial.left, trial.connecting):
             try:
                 rows += part()

@@ -17,6 +17,8 @@ from textual._xterm_parser import BRACKETED_PASTE_END, BRACKETED_PASTE_START, XT
 from textual.drivers.linux_driver import LinuxDriver
 from textual.message import Message
 
+from drivers.priority import run_first
+
 if TYPE_CHECKING:
     from cellapp.interfaces.tui.app import CellApp
 
@@ -25,6 +27,7 @@ _POLL_S = 0.1
 _PASTE_RESTS_S = 0.5
 """A pasted text that pauses for so long is over: if its end was lost, keys must not be taken for text for ever."""
 _READ = 4096
+_NICENESS = -10
 _LEFT_BUTTON = 1
 _ESCAPES = ("escape", "\x1b")
 """Names of Escape, without modifiers: the second where the terminal encodes it as "modifyOtherKeys" says."""
@@ -45,6 +48,7 @@ class UrgentDriver(LinuxDriver):
         After each read the parser is asked again as soon as an escape sequence would have to go on: the loop of Textual
         looks ten times a second, and a lone Escape waits for that.
         """
+        run_first(_NICENESS)  # and so what it starts: the threads that brake
         parser = XTermParser(self._debug)
         decode = getincrementaldecoder("utf-8")(errors="replace").decode
         wait_s, read_s = _POLL_S, time.monotonic()

@@ -45,6 +45,7 @@ from drivers.emulators.ur_controller.personality import (
 )
 from drivers.emulators.ur_controller.primary import kinematics_info
 from drivers.emulators.ur_controller.server import (
+    REAL_TIME,
     Addresses,
     EmulatorProcess,
     UrControllerServer,
@@ -55,6 +56,7 @@ from drivers.emulators.ur_controller.server import (
 __all__ = [
     "FAULTS",
     "FREE_PORTS",
+    "REAL_TIME",
     "STANDARD_PORTS",
     "Addresses",
     "Braking",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import selectors
 import signal
 import socket
@@ -11,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Self
@@ -27,12 +26,15 @@ from drivers.emulators.ur_controller.personality import ControllerConfig, PortNa
 from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
 from drivers.emulators.ur_controller.script import Upload
 from drivers.plant import Plant, PlantConfig
+from drivers.priority import in_real_time, run_first
 
 _LONGEST_LINE = 4096
 _JOIN_S = 10.0
 _START_S = 60.0
 _NICENESS = -15
 """Of the separate process: a controller has a computer of its own, which no busy-waiting client keeps from running."""
+REAL_TIME = 1.0
+"""Up to this pace the controllers wait most of the time, and may run before all other programs."""
 _MAX_BEHIND = 5
 """Missed control cycles that are made up for; more are skipped."""
 
@@ -392,9 +394,7 @@ def _serve_in_process(
     pipe: Connection, arms: Sequence[ControllerConfig], plant: PlantConfig | None, pace: float
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends when the parent closes the pipe
-    if hasattr(os, "setpriority"):
-        with suppress(OSError):  # not allowed to everybody
-            os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    run_first(_NICENESS)
     try:
         server = UrControllerServer(arms, None if plant is None else Plant(plant), pace)
         addresses = server.open()
@@ -402,4 +402,5 @@ def _serve_in_process(
         pipe.send(error)
         return
     pipe.send(addresses)
-    server.run(stop_when_readable=pipe)
+    with in_real_time(inherited=True) if pace <= REAL_TIME else nullcontext():
+        server.run(stop_when_readable=pipe)

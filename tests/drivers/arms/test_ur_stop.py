@@ -63,6 +63,8 @@ TOLD_WITHIN_S = 0.2
 """From there until the listener is told."""
 FROZEN_S = 0.2
 """A stall that is longer than the watchdog's period of 0.1 s, and shorter than what makes the state unknown."""
+MORE_THAN_A_PIPE_TAKES = 5000
+"""Messages of 16 bytes; a pipe takes 64 KiB."""
 MOST_LOST = 3
 """Of 24 starts that are braked, on a computer too busy to exchange heartbeats or to feed the watchdog."""
 
@@ -481,15 +483,47 @@ def asked_about_joint_positions(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 # -- four arms at a time, because each of these episodes mostly waits --------------------------------------------------
 
+
+def refusal_brakes_without_a_thread(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """On a busy computer the thread that brakes may begin a quarter of a second later."""
+    start(emulator, arm)
+    since_s = time.monotonic()
+    arm.refuse_motion()
+    assert_braked(emulator, arm.name, since_s)
+    with pytest.raises(MotionStopped, match="connect again"):
+        arm.wait_settled(PATIENT_S)
+    arm.brake()
+    arm.connect()
+    go(arm, AWAY)
+
+
+def refusal_does_not_wait_for_a_worker_that_reads_nothing(emulator: EmulatorProcess, arm: UrArm) -> None:
+    pid = arm.worker_pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        began_s = time.monotonic()
+        for _ in range(MORE_THAN_A_PIPE_TAKES):
+            arm.refuse_motion()
+        assert time.monotonic() - began_s < PATIENT_S
+        with suppress(LinkLost):  # the worker takes no message, and is killed
+            arm.brake()
+        until(lambda: at_rest(emulator, arm.name), "the arm has braked")
+    finally:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+
+
 ROUNDS: dict[str, dict[str, list[Episode]]] = {
     "brakes and the slider": {
-        "left": [asked_about_joint_positions, braking_at_rest_or_unconnected],
+        "left": [asked_about_joint_positions, braking_at_rest_or_unconnected, refusal_brakes_without_a_thread],
         "right": [asked_about_joint_positions, brake_without_its_open_line, local_control_is_named_after_a_stop],
         "left2": [slider_at_0_keeps_a_braked_arm_stopped, paused_program_of_somebody_else_is_left_alone],
         "right2": [unconfirmed_brake_says_so_and_stops_all_the_same, local_control_is_named_when_a_stop_is_refused],
     },
     "processes that stand still": {
-        "right": [worker_that_does_not_run_is_a_doubt],
+        "left": [refusal_does_not_wait_for_a_worker_that_reads_nothing],
+        "right": [worker_that_does_not_run_is_a_doubt, refusal_brakes_without_a_thread],
         "right2": [suspended_application_does_not_leave_its_arm_moving],
     },
 }
