@@ -6,13 +6,10 @@ The command line and the terminal application call these functions. Nothing else
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
-
-from threadpoolctl import threadpool_limits
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.records import CollectResult, ImportResult, PlanResult
@@ -25,20 +22,20 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv
 from cellapp.cell.run.collected import missing_share, reference_drifts
 from cellapp.cell.run.in_order import read_in_order
-from cellapp.cell.targets.compensate import Command, compensate, compensate_result
-from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.compensate import Command
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.cell.targets.targets import Target, load_targets
-from cellapp.cell.targets.unplaced_cell import UNPLACED, commanded_profile, is_unplaced
 from cellapp.commands.calibrate.prior_source import (
     basis_of_priors,
     earlier_arms,
     earlier_of_calibration,
     recorded_priors,
 )
-from cellapp.commands.calibrate.result import calibrate_result
+from cellapp.commands.calibrate.run import calibrate_cell
+from cellapp.commands.compensate.run import compensate_targets
 from cellapp.commands.confirm import Ask, asked_once, confirmation, require_permission
-from cellapp.commands.discover.result import discover_result, proposal_result
+from cellapp.commands.discover.result import proposal_result
+from cellapp.commands.discover.run import discover_effects
 from cellapp.commands.later_stages import note_later_stages
 from cellapp.commands.plan.run import plan_result
 from cellapp.commands.push.run import PushJob, check_rounds, push_commands
@@ -56,14 +53,12 @@ from cellapp.commands.stages import (
 )
 from cellapp.commands.station import profile_at_station, refuse_second_station
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force, stale_notes
-from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits, provenance_of
+from cellapp.estimation.calibration.calibrate import missing_splits
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.records import DiscoverResult, Proposal
-from cellapp.estimation.prior.calibrate import with_prior
-from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.readings import Readings
+from cellapp.ground.blas import one_blas_thread
 from cellapp.ground.chromium import print_pdf
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
@@ -75,13 +70,6 @@ from cellapp.interfaces.page.page import write_page
 from cellapp.robot.model import CellModel
 
 R = TypeVar("R", bound=RunResults)
-
-
-def _one_blas_thread() -> AbstractContextManager[object]:
-    """Linear algebra in one thread: the matrices are small, and threads that wait for one another on a busy computer
-    made a search eight times slower than one thread is."""
-    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
-    return limits
 
 
 def default_folder(profile_name: str) -> Path:
@@ -146,7 +134,7 @@ def new_planned_run(
     """
 
     def fill(run: RunFile) -> None:
-        with _one_blas_thread():
+        with one_blas_thread():
             plan_run(run, with_eta(listener), cancel)
 
     return RunFile.create(folder, profile, fill)
@@ -190,7 +178,7 @@ def _collect(
     refuse_second_station(run)
     confirm = confirmation(run.profile, ask)
     report = with_eta(listener)
-    with _one_blas_thread():
+    with one_blas_thread():
         summary = collect_run(run, report, control, resume=resume, accept_drift=accept_drift, confirm=confirm)
     return CollectResult(
         stops=len(run.stops_done()),
@@ -234,20 +222,13 @@ def calibrate_run(
         On request; nothing is stored then.
     """
     notes = draw_missing_splits(run)
-    readings = _readings(run)
-    with _one_blas_thread():
+    with one_blas_thread():
         earlier = {} if prior is None else earlier_arms(run, prior)
-        calibration = calibrate_readings(run.profile, readings, with_eta(listener), cancel)
-        if earlier:
-            calibration = with_prior(run.profile, readings, calibration, earlier)
-        elif used := {record.run for record in recorded_priors(run).values()}:
-            notes = (
-                *notes,
-                f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before",
-            )
-    result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
+    if not earlier and (used := {record.run for record in recorded_priors(run).values()}):
+        notes = (*notes, f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before")
+    result, model = calibrate_cell(run.profile, _readings(run), listener, cancel, earlier=earlier, notes=notes)
     basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
-    _append_with_model(run, CALIBRATE, result, calibration.model, basis)
+    _append_with_model(run, CALIBRATE, result, model, basis)
     stages = read_stages(run)
     _export_model(run, stages)
     return result.model_copy(update={"notes": (*result.notes, *note_later_stages(run, stages))})
@@ -303,7 +284,7 @@ def propose_after(
 ) -> Proposal:
     """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
     readings = _readings(run)
-    with _one_blas_thread():
+    with one_blas_thread():
         proposed = propose_stops(
             run.profile, found.model, readings, found.arms, count, with_eta(listener), cancel, effort
         )
@@ -439,15 +420,12 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
             f"{run.path}: an older version of cellapp calibrated this run and may have changed that calibration since;"
             " run 'cellapp calibrate' again"
         )
-    with _one_blas_thread():
+    with one_blas_thread():
         earlier = earlier_of_calibration(run)
-        search = SearchWithPriors(earlier) if earlier else None
-        model = model_of(run, calibrated)
-        found = discover_cell(run.profile, model, _readings(run), with_eta(listener), cancel, search)
-    result = discover_result(found)
-    model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
+    model = model_of(run, calibrated)
+    result, found = discover_effects(run.profile, model, _readings(run), listener, cancel, earlier=earlier)
     basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
-    _append_with_model(run, DISCOVER, result, model, basis)
+    _append_with_model(run, DISCOVER, result, found.model, basis)
     for note in result.notes or ():
         run.log("warning", note)
     _export_model(run, read_stages(run))
@@ -472,11 +450,8 @@ def _compensate(
 ) -> tuple[tuple[Command, ...], CompensateResult]:
     used = stage_in_force(run, stages)
     model = model_of(run, used)
-    ranges = {name: ConditionRanges.of(readings, model.arms.get(name)) for name, readings in _readings(run).items()}
-    commands = compensate(commanded_profile(run), model, targets, ranges=ranges)
-    notes = [*stale_notes(stages, used), *([UNPLACED] if is_unplaced(run.profile) else [])]
-    result = compensate_result(commands, notes)
+    commands, result = compensate_targets(run.profile, _readings(run), model, targets, stale_notes(stages, used))
     append_stage(run, COMPENSATE, result, basis_on_model(run, used, targets))
-    for note in notes:
+    for note in result.notes:
         run.log("warning", note)
     return commands, result

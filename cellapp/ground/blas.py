@@ -1,0 +1,14 @@
+"""Linear algebra in one thread."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+
+from threadpoolctl import threadpool_limits
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Linear algebra in one thread: the matrices are small, and threads that wait for one another on a busy computer
+    made a search eight times slower than one thread is."""
+    limits: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
+    return limits
