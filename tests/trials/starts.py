@@ -1,4 +1,4 @@
-"""Starts of both arms' drivers with the real client, again and again: ``python -m tests.commands.trials.starts --n 500``.
+"""Starts of both arms' drivers with the real client, again and again: ``python -m tests.trials.starts --n 500``.
 
 Each start has new worker processes, as the first one of a day. Failures are printed with what the worker wrote last;
 any failure ends the command with exit code 1.

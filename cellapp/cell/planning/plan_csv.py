@@ -82,7 +82,7 @@ def read_plan_csv(path: Path, profile: Profile) -> PlanFile:
         Names file, line and column of what is missing, not a number, repeated, out of limits, or misplaced.
     """
     table = read_csv_table(Path(path), "planned stops, as 'cellapp export DIR --plan FILE' writes it")
-    problems = Problems(table.path)
+    problems = Problems(table.place)
     _check_header(table, profile, problems)
     points = _Points(table, profile, problems)
     problems.check()

@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from cellapp.cell.profile.messages import (
     validation_message,
 )
 from cellapp.ground.errors import InputError
+from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile.arm_types import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 
@@ -60,9 +61,37 @@ def load_profile(path: Path) -> Profile:
         One sentence for each of the first few errors, with file, line and key.
     """
     path = Path(path)
-    document = load_text(path)
-    read_arm_types(document, (path.parent,))
-    locate_meshes(document, (path.parent,))
+    return _checked(load_text(path), path.parent)
+
+
+def profile_from_dict(content: Mapping[str, Any], folder: Path = Path()) -> Profile:
+    """Check a profile that is no file: the keys and values of one, tuples and arrays as lists.
+
+    Paths of arm types and meshes are relative to ``folder``.
+
+    Raises
+    ------
+    InputError
+        As ``load_profile``, with the key.
+    """
+    document = Document(plain_data(content))
+    _enter_places(document, (), document.data)
+    _check_version(document)
+    return _checked(document, folder)
+
+
+def _enter_places(document: Document, at: KeyPath, value: Any) -> None:
+    """Enter the place of a value of a profile that is no file, and of all below it."""
+    document.places[at] = Place("profile", 0, at)
+    inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in inside:
+        _enter_places(document, (*at, key), part)
+
+
+def _checked(document: Document, folder: Path) -> Profile:
+    """The profile that a document says; files that it names are in ``folder``."""
+    read_arm_types(document, (folder,))
+    locate_meshes(document, (folder,))
     try:
         return Profile.model_validate(document.data)
     except ValidationError as error:

@@ -52,7 +52,7 @@ _BOUNDS = {
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value is written: file, line, and its path inside that file."""
+    """Where a value is written: file, line (0: it is no file), and its path inside that file."""
 
     file: str
     line: int
@@ -60,8 +60,8 @@ class Place:
 
     def __str__(self) -> str:
         """Return "file:line: key"; without a key at the top of a file."""
-        key = dotted(self.inside)
-        return f"{self.file}:{self.line}: {key}" if key else f"{self.file}:{self.line}"
+        key, file = dotted(self.inside), f"{self.file}:{self.line}" if self.line else self.file
+        return f"{file}: {key}" if key else file
 
 
 class PlacedError(InputError):

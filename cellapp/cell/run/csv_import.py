@@ -81,14 +81,7 @@ def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = Fa
         made then.
     """
     table = read_csv_table(Path(csv))
-    joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-    readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
-    missing = [name for name in profile.arms if name not in readings]
-    if missing:
-        raise InputError(
-            f"{csv}: arm: no reading of arm {', '.join(missing)} of the profile; add its readings, or remove the arm"
-            " from the profile"
-        )
+    readings, orders, notes = readings_of_table(profile, table, in_order=in_order)
 
     def fill(run: RunFile) -> None:
         run.keep_columns(table.names)
@@ -102,6 +95,36 @@ def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = Fa
             run.log("note", note)
 
     return RunFile.create(folder, profile, fill)
+
+
+def readings_of_table(
+    profile: Profile, table: CsvTable, *, in_order: bool = False
+) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
+    """Check the readings of a cell, from a file or from ``table_in_memory``: the one door for all of them.
+
+    Returns
+    -------
+    readings : dict
+        Of every arm of the profile, ordered by configuration; unknown columns are in ``extras``.
+    orders : dict
+        What ``in_order`` derived, by arm; empty without it.
+    notes : list of str
+        As those of ``read_readings_csv``.
+
+    Raises
+    ------
+    InputError
+        As ``read_readings_csv`` does, and if an arm of the profile has no readings.
+    """
+    joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
+    readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
+    missing = [name for name in profile.arms if name not in readings]
+    if missing:
+        raise InputError(
+            f"{table.path}: arm: no reading of arm {', '.join(missing)} of the profile; add its readings, or remove the"
+            " arm from the profile"
+        )
+    return readings, orders, notes
 
 
 def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
@@ -133,7 +156,7 @@ def _read(
     limits: Mapping[str, NDArray[np.float64]],
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
     """Readings, what their order of measurement gave, and notes."""
-    problems = Problems(table.path)
+    problems = Problems(table.place)
     _check_header(table, problems)
     names = [name.strip() for name in table.cells["arm"]]
     for line, name in zip(table.lines, names, strict=True):
@@ -161,7 +184,7 @@ def _read(
 
 
 def _check_header(table: CsvTable, problems: Problems) -> None:
-    path, names = table.path, table.names
+    names = table.names
     check_names(table, problems)
     unknown = [name for name in names if not is_known(name)]
     required = [name for column in COLUMNS if column.required for name in column.csv_names(1)]
@@ -177,7 +200,7 @@ def _check_header(table: CsvTable, problems: Problems) -> None:
                     problems.add(1, name, f"the column is missing; give all six ({', '.join(column.csv)}) or none")
     problems.check()
     if not table.lines:
-        raise InputError(f"{path}:1: there is a header row but no reading; expected a row per arm per stop")
+        raise InputError(f"{table.place(1)}: there is a header row but no reading; expected a row per arm per stop")
 
 
 @dataclass(frozen=True)
@@ -318,9 +341,9 @@ def _check_once(cells: _ArmCells, configuration: NDArray[np.int64], arm: str) ->
     first: dict[int, int] = {}
     for index, number in enumerate(configuration.tolist()):
         if number in first:
-            line = cells.line(first[number])
+            before = cells.table.row_words(cells.line(first[number]))
             cells.refuse(
-                index, "configuration", f"{number} of arm {arm} was given in line {line} already; give one row per stop"
+                index, "configuration", f"{number} of arm {arm} was given in {before} already; give one row per stop"
             )
             return
         first[number] = index

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,26 +24,43 @@ _LONGEST_SHOWN = 40
 
 @dataclass(frozen=True)
 class CsvTable:
-    """The cells of a file by column; ``lines`` are the numbers of the lines in which the rows end."""
+    """The cells of a file by column; ``lines`` are the numbers of the lines in which the rows end.
+
+    ``row_places`` say where each row is found if the table is no file: "the data frame, row 7".
+    """
 
     path: Path
     names: tuple[str, ...]
     lines: tuple[int, ...]
     cells: dict[str, tuple[str, ...]]
+    row_places: tuple[str, ...] = ()
+
+    def place(self, line: int) -> str:
+        """Where a line is found: "file:line", or the row of a table that is no file."""
+        if not self.row_places:
+            return f"{self.path}:{line}"
+        return self.row_places[self.lines.index(line)] if line in self.lines else str(self.path)
+
+    def row_words(self, line: int) -> str:
+        """A line as a sentence about another one of the same table names it."""
+        return self.place(line) if self.row_places else f"line {line}"
 
 
 @dataclass
 class Problems:
-    """Problems of one file, reported together in the order of lines, so that they can be corrected in one go."""
+    """Problems of one file, reported together in the order of lines, so that they can be corrected in one go.
 
-    path: Path
+    ``place`` says where a line is found.
+    """
+
+    place: Callable[[int], str]
     found: dict[tuple[int, str], str] = field(default_factory=dict)
     count: int = 0
 
     def add(self, line: int, column: str, text: str) -> None:
         """Note a problem; only the first is kept of several with one cell (a column that both arms lack)."""
         self.count += 1
-        self.found.setdefault((line, column), f"{self.path}:{line}: {column}: {text}")
+        self.found.setdefault((line, column), f"{self.place(line)}: {column}: {text}")
 
     def check(self) -> None:
         """Raise ``InputError`` with the first problems if there are any."""

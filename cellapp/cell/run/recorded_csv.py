@@ -203,7 +203,7 @@ def _columns(path: Path, line: int, names: Sequence[str]) -> tuple[RecordedColum
     joints = sorted(int(column.quantity[1:]) for column in columns if _is_joint(column.quantity))
     found = [column.quantity for column in columns if column.quantity]
     seen = ", ".join(names)
-    problems = Problems(path)
+    problems = Problems(lambda row: f"{path}:{row}")
     for quantity in dict.fromkeys(one for one in found if found.count(one) > 1):
         problems.add(line, quantity, f"two columns seem to be it ({seen}); rename or remove one")
     if not joints or joints != list(range(1, len(joints) + 1)):
@@ -278,7 +278,7 @@ def _rows(
     path: Path, columns: Sequence[RecordedColumn], body: Sequence[tuple[int, Sequence[str]]]
 ) -> list[tuple[str, ...]]:
     """All rows, each as long as the header, with numbers where numbers must be."""
-    problems = Problems(path)
+    problems = Problems(lambda row: f"{path}:{row}")
     for line, row in body:
         if len(row) != len(columns):
             problems.add(line, "row", f"it has {len(row)} cells, the header has {len(columns)}")

@@ -92,8 +92,12 @@ def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:
     InputError
         With file, line and column of what is missing, unknown or no number.
     """
-    table = read_csv_table(path, "targets", "a row per target")
-    problems = Problems(path)
+    return source_of_table(read_csv_table(path, "targets", "a row per target"), joints)
+
+
+def source_of_table(table: CsvTable, joints: Mapping[str, int]) -> TargetSource:
+    """What a table says that was read from a file, or is none; ``joints`` and errors are as in ``read_csv``."""
+    problems = Problems(table.place)
     columns = _columns(table, problems)
     problems.check()
     if not table.lines:
@@ -105,7 +109,7 @@ def read_csv(path: Path, joints: Mapping[str, int]) -> TargetSource:
 
     def place(location: KeyPath) -> str:
         row = location[1] if len(location) > 1 else None
-        return f"{path}:{table.lines[row] if isinstance(row, int) and row < len(table.lines) else 1}"
+        return table.place(table.lines[row] if isinstance(row, int) and row < len(table.lines) else 1)
 
     def key(inside: KeyPath) -> str:
         return names.get(inside) or next((names[at] for at in names if at[: len(inside)] == inside), "")

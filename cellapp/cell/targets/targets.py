@@ -225,15 +225,19 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
     """
     joints = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
     with _collector_paused():
-        source = _source(Path(path), joints)
-        try:
-            listed = TargetList.model_validate(source.content)
-        except ValidationError as error:
-            found = sentences(source, error, _known_keys)
-            another_file = [(at, words) for at, words in found if at in (("schema",), ("version",))]
-            raise refusal(source, another_file or found) from None
-        if misfits := [*_section_problems(listed, profile), *_target_problems(listed, profile)]:
-            raise refusal(source, misfits)
+        return targets_of(_source(Path(path), joints), profile)
+
+
+def targets_of(source: TargetSource, profile: Profile) -> tuple[Target, ...]:
+    """The targets that a source lists, checked against each other and the cell. Raises as ``load_targets``."""
+    try:
+        listed = TargetList.model_validate(source.content)
+    except ValidationError as error:
+        found = sentences(source, error, _known_keys)
+        another_file = [(at, words) for at, words in found if at in (("schema",), ("version",))]
+        raise refusal(source, another_file or found) from None
+    if misfits := [*_section_problems(listed, profile), *_target_problems(listed, profile)]:
+        raise refusal(source, misfits)
     return listed.targets
 
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cellapp.cell.run import RunFile
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Arm, Pose, Profile
 
@@ -28,25 +27,21 @@ def is_unplaced(profile: Profile) -> bool:
     return profile.tracker.pose is None or any(arm.base is None or arm.home is None for arm in arms)
 
 
-def commanded_profile(run: RunFile) -> Profile:
-    """The profile for which commands of a run are computed: its own, completed where it ``is_unplaced``.
+def commanded_profile(profile: Profile, readings: Mapping[str, Readings]) -> Profile:
+    """The profile for which commands are computed: that of the readings, completed where it ``is_unplaced``.
 
     Then the tracker's frame is the cell's, there is no floor, and a measured configuration is each arm's home. Where
     the bases stand the calibrated model says.
     """
-    if not is_unplaced(run.profile):
-        return run.profile
-    return _placed(run.profile, {name: run.readings(name) for name in run.profile.arms})
-
-
-# -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _placed(profile: Profile, readings: Mapping[str, Readings]) -> Profile:
+    if not is_unplaced(profile):
+        return profile
     arms = {name: _completed(arm, readings.get(name)) for name, arm in profile.arms.items()}
     plan = profile.plan.model_copy(update={"floor": -math.inf, "ceiling": None})
     tracker = profile.tracker.model_copy(update={"pose": _ORIGIN})
     return profile.model_copy(update={"arms": arms, "plan": plan, "tracker": tracker, "obstacles": {}})
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
 
 
 def _completed(arm: Arm, readings: Readings | None) -> Arm:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +14,14 @@ from cellapp.commands.stored_model import append_with_model, export_model
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.prior.calibrate import calibrate_with_prior
+from cellapp.estimation.prior.earlier import Earlier
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
 from cellapp.ground.threads import one_blas_thread
+from cellapp.robot.model import CellModel
 
 
 def calibrate_run(
@@ -38,20 +43,41 @@ def calibrate_run(
     readings = {name: run.readings(name) for name in run.profile.arms}
     with one_blas_thread():
         earlier = {} if prior is None else earlier_arms(run, prior)
-        calibration = calibrate_readings(run.profile, readings, with_eta(listener), cancel)
-        if earlier:
-            calibration = calibrate_with_prior(run.profile, readings, calibration, earlier)
-        elif used := {record.run for record in recorded_priors(run).values()}:
-            notes = (
-                *notes,
-                f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before",
-            )
-    result = calibrate_result(replace(calibration, notes=(*notes, *calibration.notes)))
+    if not earlier and (used := {record.run for record in recorded_priors(run).values()}):
+        notes = (*notes, f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before")
+    result, model = calibrate_cell(run.profile, readings, listener, cancel, earlier=earlier, notes=notes)
     basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
-    append_with_model(run, CALIBRATE, result, calibration.model, basis)
+    append_with_model(run, CALIBRATE, result, model, basis)
     stages = read_stages(run)
     export_model(run, stages)
     return result.model_copy(update={"notes": (*result.notes, *note_later_stages(run, stages))})
+
+
+def calibrate_cell(
+    profile: Profile,
+    readings: Mapping[str, Readings],
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    earlier: Mapping[str, Earlier] | None = None,
+    notes: Sequence[str] = (),
+) -> tuple[CalibrateResult, CellModel]:
+    """Calibrate a cell from readings whose splits are drawn.
+
+    ``earlier`` calibrations of arms are taken as prior. ``notes`` come before those of the calibration.
+
+    Raises
+    ------
+    InputError
+        If an arm has too few readings.
+    Cancelled
+        On request.
+    """
+    with one_blas_thread():
+        found = calibrate_readings(profile, readings, with_eta(listener), cancel)
+        if earlier:
+            found = calibrate_with_prior(profile, readings, found, earlier)
+    return calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
 
 
 def draw_missing_splits(run: RunFile) -> tuple[str, ...]:

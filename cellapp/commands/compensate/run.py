@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import Command, compensate, compensate_result
@@ -12,7 +12,10 @@ from cellapp.cell.targets.targets import Target
 from cellapp.cell.targets.unplaced_cell import UNPLACED, commanded_profile, is_unplaced
 from cellapp.commands.stages import RunStages, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force, stale_notes
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
 from cellapp.ground.results import COMPENSATE
+from cellapp.robot.model import CellModel
 
 
 def compensate_run(run: RunFile, targets: Sequence[Target]) -> CompensateResult:
@@ -26,11 +29,30 @@ def compensated_commands(
     """As ``compensate_run``; also returns the commands themselves."""
     used = stage_in_force(run, stages)
     model = model_of(run, used)
-    ranges = {name: ConditionRanges.of(run.readings(name), model.arms.get(name)) for name in run.profile.arms}
-    commands = compensate(commanded_profile(run), model, targets, ranges=ranges)
-    notes = [*stale_notes(stages, used), *([UNPLACED] if is_unplaced(run.profile) else [])]
-    result = compensate_result(commands, notes)
+    readings = {name: run.readings(name) for name in run.profile.arms}
+    commands, result = compensate_targets(run.profile, readings, model, targets, stale_notes(stages, used))
     append_stage(run, COMPENSATE, result, basis_on_model(run, used, targets))
-    for note in notes:
+    for note in result.notes:
         run.log("warning", note)
     return commands, result
+
+
+def compensate_targets(
+    profile: Profile,
+    readings: Mapping[str, Readings],
+    model: CellModel,
+    targets: Sequence[Target],
+    notes: Sequence[str] = (),
+) -> tuple[tuple[Command, ...], CompensateResult]:
+    """Commands for targets with a model, and their result; ``readings`` are those of the model.
+
+    ``notes`` stand before the one that says what is not known of a cell of which nothing moves here.
+
+    Raises
+    ------
+    InputError
+        If the model is of other arms than the profile.
+    """
+    ranges = {name: ConditionRanges.of(one, model.arms.get(name)) for name, one in readings.items()}
+    commands = compensate(commanded_profile(profile, readings), model, targets, ranges=ranges)
+    return commands, compensate_result(commands, [*notes, *([UNPLACED] if is_unplaced(profile) else [])])

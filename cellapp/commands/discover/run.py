@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from cellapp.cell.planning.proposal.candidate_poses import Effort
@@ -17,10 +18,14 @@ from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.records import DiscoverResult, Proposal
 from cellapp.estimation.prior.discovery import SearchWithPriors
+from cellapp.estimation.prior.earlier import Earlier
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.ground.threads import one_blas_thread
+from cellapp.robot.model import CellModel
 
 
 def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> DiscoverResult:
@@ -83,6 +88,32 @@ def propose_after(
     return proposal_result(proposed, append_proposed_stops(run, proposed.stops), proposed.notes)
 
 
+def discover_effects(
+    profile: Profile,
+    model: CellModel,
+    readings: Mapping[str, Readings],
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    earlier: Mapping[str, Earlier] | None = None,
+) -> tuple[DiscoverResult, CellDiscovery]:
+    """Search every arm for missing effects.
+
+    ``model`` is the calibrated one, ``readings`` and ``earlier`` are those of the calibration. The model of the outcome
+    has the accepted effects, and its provenance is of now.
+
+    Raises
+    ------
+    Cancelled
+        On request.
+    """
+    with one_blas_thread():
+        search = SearchWithPriors(earlier) if earlier else None
+        found = discover_cell(profile, model, readings, with_eta(listener), cancel, search)
+    extended = replace(found.model, provenance=provenance_of(profile).model_dump())
+    return discover_result(found), replace(found, model=extended)
+
+
 def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> tuple[DiscoverResult, CellDiscovery]:
     calibrated = read_stages(run).current.get(CALIBRATE)
     if calibrated is None:
@@ -94,14 +125,11 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
         )
     with one_blas_thread():
         earlier = earlier_of_calibration(run)
-        search = SearchWithPriors(earlier) if earlier else None
-        model = model_of(run, calibrated)
-        readings = {name: run.readings(name) for name in run.profile.arms}
-        found = discover_cell(run.profile, model, readings, with_eta(listener), cancel, search)
-    result = discover_result(found)
-    model = replace(found.model, provenance=provenance_of(run.profile).model_dump())
+    readings = {name: run.readings(name) for name in run.profile.arms}
+    calibrated_model = model_of(run, calibrated)
+    result, found = discover_effects(run.profile, calibrated_model, readings, listener, cancel, earlier=earlier)
     basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
-    append_with_model(run, DISCOVER, result, model, basis)
+    append_with_model(run, DISCOVER, result, found.model, basis)
     for note in result.notes or ():
         run.log("warning", note)
     export_model(run, read_stages(run))

@@ -97,7 +97,7 @@ def _of_arm(
     run: RunFile, stages: RunStages, stage: StoredStage, records: tuple[TargetCommand, ...], name: str
 ) -> ArmCommands:
     in_force = stage_in_force(run, stages)
-    profile = commanded_profile(run)
+    profile = commanded_profile(run.profile, {name: run.readings(name) for name in run.profile.arms})
     model, homes, arm = model_of(run, in_force), home_positions(profile), profile.arms[name]
     speed, acceleration = _rates(run, arm)
     return ArmCommands(

@@ -47,7 +47,7 @@ def arm_type_text(path: Path, *, modified: bool = False) -> str:
 
 def _rows(table: CsvTable) -> list[tuple[float, float, float, float]]:
     """theta, d, a, alpha of each joint [rad, m]."""
-    problems = Problems(table.path)
+    problems = Problems(table.place)
     check_names(table, problems)
     headings = {match.group(1): name for name in table.names if (match := _HEADING.fullmatch(name.lower()))}
     for quantity in (*_ANGLES, *_LENGTHS):
