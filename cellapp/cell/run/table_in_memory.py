@@ -147,5 +147,5 @@ def _column_texts(column: Column, arrays: Mapping[str, Any], joints: int, n: int
         texts = _texts(list(range(n))) if column is CONFIGURATION else ("",) * n
         return [texts] * width
     own = column.matrix(values).T.tolist()
-    texts = [_texts(numbers, whole=column is CONFIGURATION) for numbers in own]
-    return [*texts, *[("",) * n] * (width - len(own))]
+    given = [_texts(numbers, whole=column is CONFIGURATION) for numbers in own]
+    return [*given, *[("",) * n] * (width - len(own))]
