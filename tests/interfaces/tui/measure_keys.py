@@ -22,11 +22,11 @@ from textual.widgets import Input
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.pipeline import calibrate_run, import_new_run, new_planned_run
-from cellapp.commands.trials.storm_cell import emulated_cell
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.work import discover
 from tests.interfaces.tui.pilot import until
 from tests.interfaces.tui.terminal import ROOT, Terminal, cellapp
+from tests.trials.storm_cell import emulated_cell
 
 LETTERS = "zvkjuzvkju"
 STOPS = 40
