@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import importlib
 import io
 import os
 import re
@@ -97,7 +98,7 @@ class Workspace:
         """Run a line; return what is wrong, empty if nothing. That a check did not hold (exit code 1) is not wrong."""
         words = self.words(command.text)
         self._make_what_is_named(words)
-        if _NEEDS_A_SHELL.search(command.text) or words[0] != "cellapp":
+        if _NEEDS_A_SHELL.search(command.text) or program_of(words) is None:
             return self._run_in_shell(shlex.join(words) if not _NEEDS_A_SHELL.search(command.text) else command.text)
         for part in _parts(words):
             if wrong := self._run_here(part):
@@ -113,9 +114,9 @@ class Workspace:
         ]
 
     def _run_here(self, words: Sequence[str]) -> str:
-        if words[0] != "cellapp":
+        if (program := program_of(words)) is None:
             return self._run_in_shell(shlex.join(words))
-        ended = CliRunner().invoke(app, list(words[1:]), env={"COLUMNS": COLUMNS})
+        ended = CliRunner().invoke(program.app, program.words, env={"COLUMNS": COLUMNS})
         self.printed.append(ended.output)
         if words[1:2] == ["init"] and not self.full_size:
             for path in self.folder.glob("**/profiles/twin.yaml"):
@@ -167,6 +168,27 @@ class Workspace:
                 trace = trace.tb_next
             return f"line {example.line if trace is None else trace.tb_lineno}: {error!r}"
         return ""
+
+
+@dataclass(frozen=True)
+class Program:
+    """A command line of this program, or of a trial of it: whose it is, and the words after its name."""
+
+    name: str
+    app: typer.Typer
+    words: list[str]
+
+
+def program_of(words: Sequence[str]) -> Program | None:
+    """``cellapp`` or ``python -m tests.trials.NAME`` with its words; None for any other. Raises ``ImportError``."""
+    if words[:1] == ["cellapp"]:
+        return Program("cellapp", app, list(words[1:]))
+    if words[:2] != ["python", "-m"] or not words[2].startswith("tests.trials."):
+        return None
+    module = importlib.import_module(words[2])
+    if hasattr(module, "__path__"):
+        module = importlib.import_module(f"{words[2]}.__main__")
+    return Program(words[2], module.app, list(words[3:]))
 
 
 def _make_quick(path: Path) -> None:
@@ -280,11 +302,13 @@ def not_understood(line: str, *, whole: bool) -> str:
     except ValueError as error:
         return str(error)
     for part in _parts([PLACEHOLDERS.get(word, word) for word in words]):
-        if part[:1] != ["cellapp"]:
-            continue
         try:
+            if (program := program_of(part)) is None:
+                continue
             with contextlib.suppress(typer.Exit), contextlib.redirect_stdout(io.StringIO()):  # of ``--help``
-                _parse(_program_command(), "cellapp", part[1:], None)
+                _parse(_command_of(program.app), program.name, program.words, None)
+        except ImportError as error:
+            return str(error)
         except typer.TyperException as error:
             if whole or type(error).__name__ not in ("MissingParameter", "NoArgsIsHelpError", "BadOptionUsage"):
                 return str(error)
@@ -292,7 +316,7 @@ def not_understood(line: str, *, whole: bool) -> str:
 
 
 @cache
-def _program_command() -> Any:
+def _command_of(app: typer.Typer) -> Any:
     return typer.main.get_command(app)
 
 

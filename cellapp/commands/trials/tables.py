@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from cellapp.commands.trials.blind_matrix import MatrixResult
-from cellapp.commands.trials.bridge import BridgeResult
-from cellapp.commands.trials.campaigns.trial import CampaignsResult
 from cellapp.commands.trials.judge_records import (
     OUTCOMES,
     THRESHOLD,
@@ -20,16 +18,13 @@ from cellapp.commands.trials.judge_records import (
     Spread,
     TargetScore,
 )
-from cellapp.commands.trials.link_results import LinksResult, Times
 from cellapp.commands.trials.paper import PaperResult
 from cellapp.commands.trials.parameter_sets import ParameterSetsResult
 from cellapp.commands.trials.sealed_setup import Setup
-from cellapp.commands.trials.storm import StormResult
 from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
 from cellapp.ground.times import day_of
 
 _MM = ".4f"
-_SECONDS = ".3f"
 _CELLS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Cells: visible effects, exactly named": {
         "one": ("one", "visible: exactly its name"),
@@ -100,105 +95,6 @@ def paper_tables(result: PaperResult) -> list[Table]:
         headings = (Column("arm, model"), number_column("median", _MM), number_column("worst", _MM))
         tables.append(Table(heading, headings, tuple(shown)))
     return tables
-
-
-def link_tables(result: LinksResult) -> list[Table]:
-    """Times of emulated arms under the real client: without faults, then the reaction of the cell to each fault."""
-    rows = (
-        _times("connect", result.connect_s),
-        _times("ask for the state", result.state_s),
-        _times("motion, beyond its ideal time", result.move_overhead_s),
-    )
-    numbers = (number_column(title, _SECONDS) for title in ("median", "95 %", "max"))
-    quiet = Table("Times without a fault [s]", (Column("what"), *numbers, number_column("n", "d")), rows)
-    longest = [
-        (
-            fault,
-            None if times.recovered_s is None else times.recovered_s.n,
-            *(
-                None if one is None else one.max
-                for one in (
-                    times.detected_s,
-                    times.at_rest_s,
-                    times.commanded_s,
-                    times.beyond_braking_s,
-                    times.recovered_s,
-                )
-            ),
-            "none to stop" if times.commanded_s is None else "kept" if times.kept else "MISSED",
-        )
-        for fault, times in result.by_fault.items()
-    ]
-    columns = (
-        Column("fault"),
-        number_column("n", "d"),
-        number_column("doubt", _SECONDS),
-        number_column("arm at rest", _SECONDS),
-        number_column("others: stop", _SECONDS),
-        number_column("others: rest", _SECONDS),
-        number_column("ready", _SECONDS),
-        Column("bars"),
-    )
-    title = (
-        "Longest times after a fault [s]; bars of the other arms, from the first doubt:"
-        f" {result.commanded_within_s:g} s to the stop received,"
-        f" {result.rest_beyond_braking_s:g} s to rest beyond the ideal braking time"
-    )
-    return [quiet, Table(title, columns, tuple(longest))]
-
-
-def campaign_tables(result: CampaignsResult) -> list[Table]:
-    """What must not be and how often it was, what struck, how sessions ended."""
-    title = f"{result.n} campaigns of {result.stops} stops, {result.readings} readings"
-    judged = Table(title, (Column("must not be"), number_column("found", "d")), tuple(result.failures.items()))
-    struck = Table("Faults", (Column("fault"), number_column("struck", "d")), tuple(result.faults.items()))
-    ends = (*result.sessions.items(), ("holds for a person", result.holds), ("suspended", result.suspensions))
-    return [struck, Table("Sessions", (Column("end"), number_column("n", "d")), ends), judged]
-
-
-def bridge_table(result: BridgeResult) -> Table:
-    """Time of a measurement by the fault that it met."""
-    undisturbed = ("none", result.asked - sum(result.faults.values()), result.undisturbed_s)
-    rows = [(fault, result.faults[fault], longest) for fault, longest in result.recovery_s.items()]
-    columns = (Column("fault"), number_column("n", "d"), number_column("longest; none: median", _SECONDS))
-    return Table("Times of a measurement [s]", columns, (undisturbed, *rows))
-
-
-def storm_tables(result: StormResult) -> list[Table]:
-    """What was caused, and what came of it."""
-    caused = tuple(result.by_fault.items())
-    deviations = [
-        (f"arm {name}: largest deviation from the undisturbed run", Number(one.position_max_mm, 4, "mm"))
-        for name, one in result.deviation.items()
-    ]
-    sigmas = [
-        (f"arm {name}: the same in standard deviations", Number(one.max_sigmas, 1))
-        for name, one in result.deviation.items()
-    ]
-    clearance = None if result.clearance_mm is None else Number(result.clearance_mm, 0, "mm")
-    outcome: list[tuple[Cell, ...]] = [
-        ("planned stops", result.stops),
-        ("readings stored", result.readings),
-        ("readings missing, with their reason", len(result.missing)),
-        ("readings lost", result.lost),
-        ("readings doubled", result.doubled),
-        ("sessions", result.sessions),
-        ("faults", result.faults),
-        ("SIGKILLs", result.kills),
-        ("motions after a stop", result.motions_after_a_stop),
-        ("latest start of an arm after the first stop of another", Number(result.latest_start_ms, 0, "ms")),
-        ("smallest distance between the arms", clearance),
-        *deviations,
-        *sigmas,
-        ("duration", Number(result.seconds / 60.0, 1, "min")),
-    ]
-    ends = tuple((f"exit code {code}", count) for code, count in result.exit_codes.items())
-    count = number_column("n", "d")
-    return [
-        Table("Faults", (Column("fault"), count), caused),
-        Table("Ends of sessions", (Column("end"), count), ends),
-        Table("Outcome", (Column("what"), number_column("value", "d")), tuple(outcome)),
-    ]
 
 
 def judge_tables(result: Scores) -> list[Table]:
@@ -309,10 +205,6 @@ def matrix_sentences(result: MatrixResult) -> list[str]:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _times(what: str, times: Times | None) -> tuple[Cell, ...]:
-    return (what, None, None, None, 0) if times is None else (what, times.median, times.p95, times.max, times.n)
 
 
 def _target_table(targets: Sequence[TargetScore]) -> Table:

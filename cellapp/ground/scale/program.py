@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
 import platform
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -14,6 +16,7 @@ from cellapp.ground.results import Record
 
 _SHOWN_ONLY = ("interfaces", "docs")
 """Packages that show results and compute none."""
+_PACKAGES = ("cellapp", "drivers")
 _ARITHMETIC = ("numpy", "scipy")
 """Packages whose version may change the last digits of a result."""
 
@@ -49,10 +52,19 @@ def program_text() -> str:
     return this_program().model_dump_json()
 
 
+def source_outside(function: Callable[..., object]) -> str:
+    """The start of the SHA-256 of the modules beside that of a function which is no part of the program; else empty."""
+    package = function.__module__.partition(".")[0]
+    return "" if package in _PACKAGES else _digest({package: Path(inspect.getfile(function)).parent})
+
+
 def _source_digest() -> str:
+    return _digest({package: Path(str(files(package))) for package in _PACKAGES})
+
+
+def _digest(folders: Mapping[str, Path]) -> str:
     found = hashlib.sha256()
-    for package in ("cellapp", "drivers"):
-        root = Path(str(files(package)))
+    for package, root in folders.items():
         for path in sorted(root.rglob("*.py")):
             place = path.relative_to(root)
             if place.parts[0] not in _SHOWN_ONLY:

@@ -19,6 +19,7 @@ from pydantic import BaseModel
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Record
+from cellapp.ground.scale.program import source_outside
 
 Common = TypeVar("Common", bound=BaseModel)
 Prepared = TypeVar("Prepared")
@@ -78,8 +79,8 @@ class Batch(Generic[Common, Prepared, Parameters, Found]):
         return as_json(self.common)
 
     def digest(self, program: str) -> str:
-        """SHA-256 of what all tasks share and of the program that computes them."""
-        return _sha256(self.kind.reference, program, self.shared)
+        """SHA-256 of what all tasks share and of the program that computes them, with modules outside of it."""
+        return _sha256(self.kind.reference, program, source_outside(self.kind.run), self.shared)
 
     def tasks(self, program: str) -> list[Task]:
         """All tasks, in their order."""

@@ -1,4 +1,4 @@
-"""``cellapp trials``: trials on simulated cells, emulated devices and measured series."""
+"""``cellapp trials``: trials on simulated cells and measured series."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-from cellapp.commands.record import Writes
-from cellapp.ground.errors import CheckFailed
 from cellapp.interfaces.cli.check_trial import check
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.cost import cost
@@ -17,7 +15,7 @@ from cellapp.interfaces.cli.options import Jobs, JsonOption, MarkdownFile, Profi
 from cellapp.interfaces.cli.series_trials import league, signature
 from cellapp.interfaces.cli.trial_files import check_bars, check_failed, state_result
 
-trials_app = Commands(help="Trials on simulated cells, emulated devices and measured series.", no_args_is_help=True)
+trials_app = Commands(help="Trials on simulated cells and measured series.", no_args_is_help=True)
 
 
 @trials_app.command("coverage")
@@ -92,154 +90,6 @@ def paper(
         job.show(paper_tables(result))
         job.result(result)
         check_failed(result.failed)
-
-
-@trials_app.command("links")
-def links(
-    moves: Annotated[int, typer.Option("--moves", min=2, help="Motions in all, of two arms at once.")] = 1000,
-    every: Annotated[int, typer.Option("--every", min=2, help="Motions to each fault.")] = 20,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws targets and faults.")] = 0,
-    person: Annotated[
-        Path | None, typer.Option("--person", metavar="PROFILE", help="Press STOP in a terminal on this emulated cell.")
-    ] = None,
-    presses: Annotated[int, typer.Option("--presses", min=1, help="With --person: presses of each key.")] = 50,
-    repeats: Annotated[int, typer.Option("--repeats", min=1, help="With --person: of each way to leave.")] = 10,
-    busy: Annotated[int, typer.Option("--busy", min=0, help="With --person: processes that compute beside it.")] = 0,
-    json_file: JsonOption = None,
-) -> None:
-    """Two emulated UR arms under the real client, random faults: how soon every arm of the cell stops."""
-    from cellapp.commands.trials.links import link_trials
-    from cellapp.commands.trials.tables import link_tables
-
-    with Job(json_file) as job:
-        if person is not None:
-            _person(job, person, presses, repeats, busy)
-            return
-        result = link_trials(moves, every, seed, job.listen, job.control)
-        job.show(link_tables(result))
-        job.say(f"{result.moves} moves, {result.faults} faults, {len(result.complaints)} complaints")
-        if result.host_stalls:
-            job.say(
-                f"this computer stalled in {result.host_stalls} motions; the controllers' watchdogs stopped the arms"
-            )
-        job.say(*result.complaints)
-        job.result(result)
-        if result.complaints:
-            raise CheckFailed(f"trials links: {len(result.complaints)} things were not as specified; see above")
-
-
-def _person(job: Job, profile: Path, presses: int, repeats: int, busy: int) -> None:
-    from cellapp.commands.trials.person import person_trial
-    from cellapp.commands.trials.person_results import person_table
-
-    result = person_trial(profile, presses, repeats, busy, job.listen, job.control)
-    job.show([person_table(result)])
-    job.result(result)
-    if result.missed():
-        raise CheckFailed(f"trials links: bars were missed, or not measured: {'; '.join(result.missed())}")
-
-
-@trials_app.command("bridge")
-def bridge(
-    profile: ProfilePath,
-    measurements: Annotated[int, typer.Option("--measurements", min=1, help="Measurements in all.")] = 1000,
-    every: Annotated[int, typer.Option("--every", min=1, help="Measurements to each fault.")] = 20,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults.")] = 0,
-    serial: Annotated[
-        tuple[str, str] | None,
-        typer.Option("--serial", metavar="BRIDGE CLIENT", help="Both ends of a serial cable, to use that instead."),
-    ] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Many measurements over the tracker bridge with random faults: none may be lost, doubled or mixed up."""
-    from cellapp.cell.profile import load_profile
-    from cellapp.commands.trials.bridge import bridge_trial
-    from cellapp.commands.trials.tables import bridge_table
-
-    with Job(json_file) as job:
-        result = bridge_trial(load_profile(profile), measurements, every, seed, serial, job.listen, job.control)
-        job.show([bridge_table(result)])
-        job.say(
-            f"{result.asked} measurements asked for, {result.delivered} delivered; {result.lost} lost,"
-            f" {result.doubled} doubled, {result.strange} mixed up"
-        )
-        job.result(result)
-        if result.lost or result.doubled or result.strange:
-            raise CheckFailed("trials bridge: measurements were lost, doubled or mixed up")
-
-
-@trials_app.command("storm")
-def storm(
-    profile: Annotated[Path, typer.Argument(metavar="PROFILE", help="Profile with loopback devices.")] = Path(
-        "profiles/twin-rtde.yaml"
-    ),
-    stops: Annotated[int, typer.Option("--stops", min=2, help="Planned stops.")] = 400,
-    faults: Annotated[int, typer.Option("--faults", min=0, help="Faults of all kinds.")] = 200,
-    kills: Annotated[int, typer.Option("--kills", min=0, help="SIGKILLs of the collecting program.")] = 50,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults and their moments.")] = 0,
-    pace: Annotated[
-        float, typer.Option("--pace", metavar="X", min=1.0, max=100.0, help="Simulated seconds for each real one.")
-    ] = 50.0,
-    keep: Annotated[
-        Path | None,
-        typer.Option("--keep", metavar="DIR", help="New folder that keeps the runs and what was printed."),
-        Writes.OWN_FOLDER,
-    ] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """A whole collection over the wire in a storm of faults: nothing lost, nothing doubled, no motion after a stop."""
-    from cellapp.cell.profile import load_profile
-    from cellapp.commands.trials.storm import storm_trial
-    from cellapp.commands.trials.tables import storm_tables
-
-    with Job(json_file) as job:
-        result = storm_trial(load_profile(profile), stops, faults, kills, seed, pace, keep, job.listen, job.control)
-        job.show(storm_tables(result))
-        job.say(
-            f"{result.readings} readings at {result.stops} stops, {len(result.missing)} missing with their reason;"
-            f" {result.lost} lost, {result.doubled} doubled; {result.motions_after_a_stop} motions after a stop"
-        )
-        job.say(*result.complaints)
-        job.result(result)
-        if result.complaints:
-            raise CheckFailed(f"trials storm: {len(result.complaints)} things were not as specified; see above")
-
-
-@trials_app.command("campaigns")
-def campaigns(
-    profile: Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")] = Path(
-        "profiles/twin.yaml"
-    ),
-    n: Annotated[int, typer.Option("--n", min=1, help="Campaigns.")] = 50,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the first; the next has the next one.")] = 0,
-    stops: Annotated[int, typer.Option("--stops", min=30, help="Stops of each campaign.")] = 400,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    store: Store = None,
-    json_file: JsonOption = None,
-) -> None:
-    """The whole engine on simulated devices, disk and person, with seeded faults of all kinds on simulated time."""
-    from cellapp.cell.profile import load_profile
-    from cellapp.commands.trials.campaigns.trial import campaign_trials
-    from cellapp.commands.trials.tables import campaign_tables
-
-    with Job(json_file) as job:
-        result = campaign_trials(
-            load_profile(profile), n, seed, stops, resources_of(jobs, scheduler, store), job.listen, job.control
-        )
-        job.show(campaign_tables(result))
-        job.say(
-            f"{result.n - len(result.failed)} of {result.n} campaigns as they should be; {result.missing} planned"
-            f" readings are missing with a reason; a campaign took {result.seconds_mean:.2f} s, at most"
-            f" {result.seconds_worst:.2f} s, for {3600 * result.simulated_h / result.n:.0f} s of simulated time"
-        )
-        for failed in result.failed:
-            job.say(f"seed {failed.seed}: {'; '.join(failed.failures[:3])}")
-            job.say(f"  again: cellapp trials campaigns {profile} --n 1 --seed {failed.seed} --stops {stops}")
-        job.result(result)
-        check_failed(result.not_run)
-        if result.failed:
-            raise CheckFailed(f"trials campaigns: {len(result.failed)} of {result.n} campaigns failed; see above")
 
 
 @trials_app.command("seal")

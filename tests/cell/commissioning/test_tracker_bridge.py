@@ -18,7 +18,6 @@ from cellapp.cell.profile import load_profile, profile_from_json, profile_to_jso
 from cellapp.commands.doctor.doctor import examine
 from cellapp.commands.emulate.emulate import EmulatedTracker, emulate, emulated_arms, emulated_tracker
 from cellapp.commands.tracker_bridge.tracker_bridge import ServedTracker, serve_tracker
-from cellapp.commands.trials.bridge import ALL_FAULTS, bridge_trial
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken
@@ -28,6 +27,7 @@ from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.bridge_token import read_token
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused
 from tests.cell.commissioning.free_ports import on_free_ports
+from tests.trials.bridge import ALL_FAULTS, bridge_trial
 from tests.twin import PROFILES, small_twin, write_profile
 
 PATIENT_S = 30.0

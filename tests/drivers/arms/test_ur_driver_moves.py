@@ -21,9 +21,6 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from cellapp.commands.trials.link_bench import travel_s
-from cellapp.commands.trials.link_results import LinksResult
-from cellapp.commands.trials.links import link_trials
 from cellapp.ground.progress import CancelToken
 from drivers.arms import ur_supervisor
 from drivers.arms.protocol import (
@@ -66,6 +63,9 @@ from tests.drivers.arms.emulated_ur_cell import (
 )
 from tests.latency import attempts
 from tests.loopback import own_address, own_arms
+from tests.trials.link_bench import travel_s
+from tests.trials.link_results import LinksResult
+from tests.trials.links import link_trials
 
 ARMS = ("left", "right")
 TRIAL_HOSTS, SWAPPED_HOSTS = own_arms(43), own_arms(45)

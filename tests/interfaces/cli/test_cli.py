@@ -25,7 +25,6 @@ from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.planning.planned_stops import straight_stops
 from cellapp.cell.planning.stored_stops import write_planned_stops
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.link_results import LinkLog, OtherArm, Struck
 from cellapp.ground.control import JobControl, Request
 from cellapp.interfaces import cli
 from drivers.findings import Finding
@@ -360,32 +359,6 @@ def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call:
 def test_trials(work: Path, call: Any) -> None:
     found = call("trials", "coverage", "twin.yaml", "--n", "2", "--stops", "25", "--jobs", "1", "--json", "-").json
     assert found["arms"]["left"]["runs"] == 2
-
-
-def test_a_trial_of_the_bridge(work: Path, call: Any) -> None:
-    found = call("trials", "bridge", "twin.yaml", "--measurements", "10", "--every", "5", "--json", "-").json
-    assert (found["delivered"], found["lost"], found["doubled"], found["strange"]) == (10, 0, 0, 0)
-    shown = call("trials", "bridge", "twin.yaml", "--measurements", "4", "--every", "2")
-    assert shown.code == 0
-    assert "4 measurements asked for, 4 delivered; 0 lost, 0 doubled, 0 mixed up" in shown.out
-
-
-@pytest.mark.parametrize("complaints", [[], ["move 3: an arm still moves"]])
-def test_a_trial_of_links_that_breaks_a_promise_exits_with_one(
-    work: Path, call: Any, monkeypatch: pytest.MonkeyPatch, complaints: list[str]
-) -> None:
-    struck = [Struck("link closed", "during", "left", 0.07, 0.15, 0.22, (OtherArm("right", 0.01, 0.05),))]
-    monkeypatch.setattr(
-        "cellapp.commands.trials.links.link_trials",
-        lambda *_: LinkLog(4, struck, complaints, connect_s=[0.2], state_s=[0.005], overhead_s=[0.04]).result(),
-    )
-    ended = call("trials", "links", "--moves", "4", "--every", "2")
-    assert ended.code == (1 if complaints else 0)
-    assert "link closed" in ended.out
-    assert "kept" in ended.out
-    assert all(complaint in ended.out for complaint in complaints)
-    found = call("trials", "links", "--json", "-").json
-    assert found["by_fault"]["link closed"]["at_rest_s"]["max"] == 0.15
 
 
 @pytest.mark.parametrize(

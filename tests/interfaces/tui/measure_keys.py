@@ -24,11 +24,11 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.import_.run import import_new_run
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.trials.storm_cell import emulated_cell
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.work import discover
 from tests.interfaces.tui.pilot import until
 from tests.interfaces.tui.terminal import ROOT, Terminal, cellapp
+from tests.trials.storm_cell import emulated_cell
 
 LETTERS = "zvkjuzvkju"
 STOPS = 40

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pyte
 
-from cellapp.commands.trials.pseudo_terminal import PseudoTerminal
+from tests.trials.pseudo_terminal import PseudoTerminal
 
 ROOT = Path(__file__).resolve().parents[3]
 

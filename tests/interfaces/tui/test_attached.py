@@ -18,8 +18,6 @@ from textual.widgets import Static
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.polling import comes_about
-from cellapp.commands.trials.storm_cell import StormCell, emulated_cell
 from cellapp.ground.asking import JOB_FILE, ask_running_job
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
@@ -28,6 +26,8 @@ from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, WAIT_S, ended, log_text, opened, shown_text, until
 from tests.interfaces.tui.planned_day import planned_day
 from tests.interfaces.tui.terminal import ROOT, Terminal, cellapp
+from tests.trials.polling import comes_about
+from tests.trials.storm_cell import StormCell, emulated_cell
 
 LOGS = Path("logs")
 RUN = LOGS / "day"

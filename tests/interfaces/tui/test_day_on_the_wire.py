@@ -15,11 +15,11 @@ from textual.pilot import Pilot
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.storm_cell import StormCell, emulated_cell
 from cellapp.interfaces.tui.app import CellApp
 from tests.interfaces.tui.pilot import shown_text, until
 from tests.interfaces.tui.planned_day import planned_day
 from tests.interfaces.tui.terminal import Terminal, cellapp
+from tests.trials.storm_cell import StormCell, emulated_cell
 
 STOPS = 8
 PACE = 10.0

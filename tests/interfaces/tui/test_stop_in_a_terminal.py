@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from cellapp.commands.trials.polling import comes_about
-from cellapp.commands.trials.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 from cellapp.interfaces.tui import ESCAPE_WAITS_MS
 from cellapp.interfaces.tui.leaving import LEFT
 from tests.interfaces.tui.terminal import ROOT, Terminal
+from tests.trials.polling import comes_about
+from tests.trials.terminal_presses import COLUMNS, KEYS, PLACES, ROWS
 
 WAIT_S = 30.0
 QUIET_S = 0.3

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.pseudo_terminal import PseudoTerminal
-from cellapp.commands.trials.terminal_presses import KEYS, PLACES, press_bench
 from tests.loopback import free_port, own_address
+from tests.trials.pseudo_terminal import PseudoTerminal
+from tests.trials.terminal_presses import KEYS, PLACES, press_bench
 from tests.twin import PROFILES
 
 HOSTS = {"127.0.0.2": own_address(67), "127.0.0.3": own_address(68)}

@@ -14,7 +14,12 @@ from typing import Any
 import numpy as np
 
 from cellapp.cell.driving.reaction import StopCause, StopReaction
-from cellapp.commands.trials.link_arms import (
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import HardwareError
+from drivers.arms.protocol import ArmError, MotionStopped
+from drivers.arms.ur import UrArm
+from drivers.emulators.ur_controller import EmulatorProcess
+from tests.trials.link_arms import (
     ACCELERATION,
     HOME,
     SETTLE_S,
@@ -26,14 +31,9 @@ from cellapp.commands.trials.link_arms import (
     start,
     start_far,
 )
-from cellapp.commands.trials.link_faults import FAULTS, HUNG, SLIDER, Fault, Moment
-from cellapp.commands.trials.link_results import LinkLog, OtherArm, Struck
-from cellapp.commands.trials.polling import can_move, comes_about
-from cellapp.ground.control import JobControl
-from cellapp.ground.errors import HardwareError
-from drivers.arms.protocol import ArmError, MotionStopped
-from drivers.arms.ur import UrArm
-from drivers.emulators.ur_controller import EmulatorProcess
+from tests.trials.link_faults import FAULTS, HUNG, SLIDER, Fault, Moment
+from tests.trials.link_results import LinkLog, OtherArm, Struck
+from tests.trials.polling import can_move, comes_about
 
 _REACH_RAD = 0.35
 """Largest distance of a goal from home: motions of about a second."""

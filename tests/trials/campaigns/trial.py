@@ -8,15 +8,15 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.commands.trials.campaigns.campaign import Bench, Campaign, make_bench, run_campaign
-from cellapp.commands.trials.campaigns.faults import KINDS
-from cellapp.commands.trials.campaigns.monitor import KINDS_OF_FAILURE
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.executor import IN_PROCESS, Resources
 from cellapp.ground.scale.gather import gather
 from cellapp.ground.scale.task import Batch, Seed, TaskKind
+from tests.trials.campaigns.campaign import Bench, Campaign, make_bench, run_campaign
+from tests.trials.campaigns.faults import KINDS
+from tests.trials.campaigns.monitor import KINDS_OF_FAILURE
 
 STOPS = 400
 
@@ -119,9 +119,7 @@ def _campaign(bench: Bench, drawn: Seed) -> OneCampaign:
     return OneCampaign(campaign=run_campaign(bench, drawn.seed)[0])
 
 
-CAMPAIGNS = TaskKind(
-    "cellapp.commands.trials.campaigns.trial:CAMPAIGNS", CampaignPlan, Seed, OneCampaign, _bench, _campaign
-)
+CAMPAIGNS = TaskKind("tests.trials.campaigns.trial:CAMPAIGNS", CampaignPlan, Seed, OneCampaign, _bench, _campaign)
 
 
 def _summary(campaigns: Sequence[Campaign], seed: int, stops: int) -> CampaignsResult:

@@ -19,11 +19,6 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
-from cellapp.commands.trials.campaigns.doubles import ProgramKilled
-from cellapp.commands.trials.campaigns.faults import Fault, draw_faults
-from cellapp.commands.trials.campaigns.monitor import Failure
-from cellapp.commands.trials.campaigns.oracle import ArmEstimate, judge
-from cellapp.commands.trials.campaigns.world import Endless, SimulatedControl, World
 from cellapp.commands.trials.planned_cell import bare_profile
 from cellapp.ground.control import Aborted, Stopped
 from cellapp.ground.errors import CellappError, InputError
@@ -31,6 +26,11 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.collection import AirLimits, Collection, Reference, Suspend, Suspension
 from cellapp.ground.progress import CancelToken
 from drivers.sensors.simulated_settings import SimulatedAirSensorSettings
+from tests.trials.campaigns.doubles import ProgramKilled
+from tests.trials.campaigns.faults import Fault, draw_faults
+from tests.trials.campaigns.monitor import Failure
+from tests.trials.campaigns.oracle import ArmEstimate, judge
+from tests.trials.campaigns.world import Endless, SimulatedControl, World
 
 Plan = Mapping[str, NDArray[np.float64]]
 """Arm -> joint positions (n, N) [rad] of the planned stops and the reserves after them."""

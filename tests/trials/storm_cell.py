@@ -17,7 +17,6 @@ from typing import Any
 
 from cellapp.cell.profile import profile_from_json, profile_to_json
 from cellapp.commands.emulate.emulate import EmulatedArm, EmulatedTracker, emulate
-from cellapp.commands.trials.polling import can_move, comes_about
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.collection import Collection, SlowStart, Suspend, Suspension
@@ -28,6 +27,7 @@ from drivers.emulators.ur_controller import Control
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.simulated_settings import SimulatedTrackerSettings
+from tests.trials.polling import can_move, comes_about
 
 _PATIENT_S = 60.0
 _POLL_S = 0.01

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from cellapp.commands.trials.link_faults import FAULTS, HUNG, MOMENTS, SLIDER, shuffled
-from cellapp.commands.trials.link_results import LinkLog, OtherArm, Struck
-from cellapp.commands.trials.tables import link_tables
+from cellapp.ground.errors import CheckFailed
+from tests.trials import links
+from tests.trials.link_faults import FAULTS, HUNG, MOMENTS, SLIDER, shuffled
+from tests.trials.link_results import LinkLog, OtherArm, Struck
+from tests.trials.link_tables import link_tables
 
 pytestmark = pytest.mark.fast
 
@@ -60,3 +64,17 @@ def test_every_fault_is_drawn_at_every_moment_that_makes_sense() -> None:
     assert set(drawn.values()) == {2}
     assert {moment for name, moment in drawn if name in (HUNG, SLIDER)} == {"during"}
     assert {moment for name, moment in drawn if name == "protective stop"} == set(MOMENTS)
+
+
+@pytest.mark.parametrize("complaints", [[], ["move 3: an arm still moves"]])
+def test_a_broken_promise_ends_the_command_with_one(monkeypatch: pytest.MonkeyPatch, complaints: list[str]) -> None:
+    struck = [Struck("link closed", "during", "left", 0.07, 0.15, 0.22, (OtherArm("right", 0.01, 0.05),))]
+    log = LinkLog(4, struck, complaints, connect_s=[0.2], state_s=[0.005], overhead_s=[0.04])
+    monkeypatch.setattr(links, "link_trials", lambda *_: log.result())
+    ended = CliRunner().invoke(links.app, ["--moves", "4", "--every", "2"])
+    assert isinstance(ended.exception, CheckFailed) == bool(complaints)
+    assert "link closed" in ended.stdout
+    assert "kept" in ended.stdout
+    assert all(complaint in ended.stdout for complaint in complaints)
+    stated = CliRunner().invoke(links.app, ["--json", "-"])
+    assert json.loads(stated.stdout)["by_fault"]["link closed"]["at_rest_s"]["max"] == 0.15

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cellapp.commands.trials.campaigns.monitor import STALL
+from tests.trials.campaigns.monitor import STALL
 
 if TYPE_CHECKING:
-    from cellapp.commands.trials.campaigns.world import World
+    from tests.trials.campaigns.world import World
 
 _STOP_S = 6.0
 """Time of an undisturbed stop: motion, settling, two measurements."""

@@ -11,24 +11,31 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+import typer
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.records import MissingReading
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_readings
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.trials.storm_cell import emulated_cell, undisturbed_profile, wire_profile
-from cellapp.commands.trials.storm_faults import KILL, drawn_events
-from cellapp.commands.trials.storm_operator import Operator, StormLog, stored
-from cellapp.ground.errors import InputError
+from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
+from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.ground.results import Record, Result
+from cellapp.interfaces.cli.command_outputs import Written
+from cellapp.interfaces.cli.job import Job
+from cellapp.interfaces.cli.options import JsonOption
+from tests.trials.command import run_trial, trial_command
+from tests.trials.storm_cell import emulated_cell, undisturbed_profile, wire_profile
+from tests.trials.storm_faults import KILL, drawn_events
+from tests.trials.storm_operator import Operator, StormLog, stored
 
 PACE = 50.0
 """Seconds of the cell for each second: the driver's own waits and the wire's cycles then take most of the time."""
@@ -231,3 +238,78 @@ def _deviation(run: RunFile, reference: RunFile, name: str) -> StormDeviation:
         position_max_mm=float(distance_mm.max(initial=0.0)),
         max_sigmas=float(sigmas.max(initial=0.0)),
     )
+
+
+def storm(
+    profile: Annotated[Path, typer.Argument(metavar="PROFILE", help="Profile with loopback devices.")] = Path(
+        "profiles/twin-rtde.yaml"
+    ),
+    stops: Annotated[int, typer.Option("--stops", min=2, help="Planned stops.")] = 400,
+    faults: Annotated[int, typer.Option("--faults", min=0, help="Faults of all kinds.")] = 200,
+    kills: Annotated[int, typer.Option("--kills", min=0, help="SIGKILLs of the collecting program.")] = 50,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults and their moments.")] = 0,
+    pace: Annotated[
+        float, typer.Option("--pace", metavar="X", min=1.0, max=100.0, help="Simulated seconds for each real one.")
+    ] = 50.0,
+    keep: Annotated[
+        Path | None,
+        typer.Option("--keep", metavar="DIR", help="New folder that keeps the runs and what was printed."),
+        Written.OWN_FOLDER,
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """A whole collection over the wire in a storm of faults: nothing lost, nothing doubled, no motion after a stop."""
+    with Job(json_file) as job:
+        result = storm_trial(load_profile(profile), stops, faults, kills, seed, pace, keep, job.listen, job.control)
+        job.show(storm_tables(result))
+        job.say(
+            f"{result.readings} readings at {result.stops} stops, {len(result.missing)} missing with their reason;"
+            f" {result.lost} lost, {result.doubled} doubled; {result.motions_after_a_stop} motions after a stop"
+        )
+        job.say(*result.complaints)
+        job.result(result)
+        if result.complaints:
+            raise CheckFailed(f"trials storm: {len(result.complaints)} things were not as specified; see above")
+
+
+def storm_tables(result: StormResult) -> list[Table]:
+    """What was caused, and what came of it."""
+    caused = tuple(result.by_fault.items())
+    deviations = [
+        (f"arm {name}: largest deviation from the undisturbed run", Number(one.position_max_mm, 4, "mm"))
+        for name, one in result.deviation.items()
+    ]
+    sigmas = [
+        (f"arm {name}: the same in standard deviations", Number(one.max_sigmas, 1))
+        for name, one in result.deviation.items()
+    ]
+    clearance = None if result.clearance_mm is None else Number(result.clearance_mm, 0, "mm")
+    outcome: list[tuple[Cell, ...]] = [
+        ("planned stops", result.stops),
+        ("readings stored", result.readings),
+        ("readings missing, with their reason", len(result.missing)),
+        ("readings lost", result.lost),
+        ("readings doubled", result.doubled),
+        ("sessions", result.sessions),
+        ("faults", result.faults),
+        ("SIGKILLs", result.kills),
+        ("motions after a stop", result.motions_after_a_stop),
+        ("latest start of an arm after the first stop of another", Number(result.latest_start_ms, 0, "ms")),
+        ("smallest distance between the arms", clearance),
+        *deviations,
+        *sigmas,
+        ("duration", Number(result.seconds / 60.0, 1, "min")),
+    ]
+    ends = tuple((f"exit code {code}", count) for code, count in result.exit_codes.items())
+    count = number_column("n", "d")
+    return [
+        Table("Faults", (Column("fault"), count), caused),
+        Table("Ends of sessions", (Column("end"), count), ends),
+        Table("Outcome", (Column("what"), number_column("value", "d")), tuple(outcome)),
+    ]
+
+
+app = trial_command(storm)
+
+if __name__ == "__main__":
+    run_trial(app, "storm")

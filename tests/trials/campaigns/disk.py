@@ -12,10 +12,10 @@ from typing import Literal
 
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.sqlite_file import FILE_NAME
-from cellapp.commands.trials.campaigns.doubles import Process
-from cellapp.commands.trials.campaigns.monitor import Monitor
 from cellapp.estimation.readings import Reading
 from drivers.plant import Plant
+from tests.trials.campaigns.doubles import Process
+from tests.trials.campaigns.monitor import Monitor
 
 DiskState = Literal["healthy", "full", "read-only", "slow"]
 DeathPoint = Literal["before the transaction", "before its commit", "after its commit"]

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.commands.trials import person
-from cellapp.commands.trials.person_results import PersonResult, PersonRow, person_table
 from cellapp.ground.errors import CheckFailed, HardwareError
-from cellapp.interfaces.cli.trials import trials_app
+from tests.trials import links, person
+from tests.trials.person_results import PersonResult, PersonRow, person_table
 
 pytestmark = pytest.mark.fast
 
@@ -29,8 +28,8 @@ def test_a_missed_bar_is_shown_and_the_command_fails(
     found = result(*values)
     assert person_table(found).rows[0][-1] == ("yes" if kept else "MISSED")
     assert PersonResult.from_json(found.to_json(), "it") == found
-    monkeypatch.setattr(person, "person_trial", lambda *_: found)
-    ended = CliRunner().invoke(trials_app, ["links", "--person", str(Path("cell.yaml"))])
+    monkeypatch.setattr(links, "person_trial", lambda *_: found)
+    ended = CliRunner().invoke(links.app, ["--person", str(Path("cell.yaml"))])
     assert isinstance(ended.exception, CheckFailed) != kept
     assert kept or getattr(ended.exception, "exit_code", 1) == 1
 

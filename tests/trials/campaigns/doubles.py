@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.commands.trials.campaigns.monitor import WATCHDOG_S, Monitor
 from drivers.arms.protocol import ArmError, ArmState, DoubtListener, HostStalled, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
@@ -19,6 +18,7 @@ from drivers.sensors.protocol import AirReading, SensorLinkLost
 from drivers.sensors.simulated import SimulatedAirSensor
 from drivers.trackers.protocol import Point, TrackerLinkLost, Unstable
 from drivers.trackers.simulated import SimulatedTracker
+from tests.trials.campaigns.monitor import WATCHDOG_S, Monitor
 
 Vector = NDArray[np.float64]
 

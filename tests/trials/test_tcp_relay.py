@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from cellapp.commands.trials.tcp_relay import TcpRelay
+from tests.trials.tcp_relay import TcpRelay
 
 pytestmark = pytest.mark.fast
 

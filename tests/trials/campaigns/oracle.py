@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.campaigns.monitor import Failure
 from cellapp.estimation.calibration.identification import Identification, identify, start_from_nominal
 from cellapp.estimation.readings import Readings
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import Clearance
+from tests.trials.campaigns.monitor import Failure
 
 if TYPE_CHECKING:
-    from cellapp.commands.trials.campaigns.world import World
+    from tests.trials.campaigns.world import World
 
 FALSE_ALARM = 1e-12
 """Chance of a false alarm of one statistical check: none in 10 000 campaigns of 400 stops."""

@@ -11,13 +11,13 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.storm import storm_trial
-from cellapp.commands.trials.storm_cell import undisturbed_profile, wire_profile
-from cellapp.commands.trials.storm_faults import FAULTS, KILL, drawn_events
-from cellapp.commands.trials.storm_operator import stored
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from tests.loopback import free_port, own_address, own_arms
+from tests.trials.storm import storm_trial
+from tests.trials.storm_cell import undisturbed_profile, wire_profile
+from tests.trials.storm_faults import FAULTS, KILL, drawn_events
+from tests.trials.storm_operator import stored
 from tests.twin import PROFILES
 
 HOSTS = own_arms(51)

@@ -19,13 +19,13 @@ import numpy as np
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.trials.polling import comes_about
-from cellapp.commands.trials.pseudo_terminal import PseudoTerminal
-from cellapp.commands.trials.storm_cell import StormCell, emulated_cell
-from cellapp.commands.trials.tcp_relay import TcpRelay
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from drivers.trackers.bridge_settings import BridgeSettings
+from tests.trials.polling import comes_about
+from tests.trials.pseudo_terminal import PseudoTerminal
+from tests.trials.storm_cell import StormCell, emulated_cell
+from tests.trials.tcp_relay import TcpRelay
 
 COLUMNS, ROWS = 120, 40
 RUN = Path("logs") / "presses"

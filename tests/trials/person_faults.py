@@ -19,11 +19,11 @@ from typing import Literal
 import numpy as np
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.polling import comes_about
-from cellapp.commands.trials.pseudo_terminal import PseudoTerminal
-from cellapp.commands.trials.storm_cell import StormCell
-from cellapp.commands.trials.tcp_relay import Way
-from cellapp.commands.trials.terminal_presses import COLUMNS, PLACES, ROWS, RUN, PressBench
+from tests.trials.polling import comes_about
+from tests.trials.pseudo_terminal import PseudoTerminal
+from tests.trials.storm_cell import StormCell
+from tests.trials.tcp_relay import Way
+from tests.trials.terminal_presses import COLUMNS, PLACES, ROWS, RUN, PressBench
 
 _WITHIN_S = 30.0
 _STOPS_WITHIN_S = 10.0

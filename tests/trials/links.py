@@ -9,16 +9,25 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 
-from cellapp.commands.trials.link_arms import controllers, disconnect, driver
-from cellapp.commands.trials.link_bench import LinkBench
-from cellapp.commands.trials.link_faults import shuffled
-from cellapp.commands.trials.link_results import LinkLog, LinksResult
-from cellapp.ground.errors import HardwareError
+from cellapp.ground.errors import CheckFailed, HardwareError
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.interfaces.cli.job import Job
+from cellapp.interfaces.cli.options import JsonOption
 from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
+from tests.trials.command import run_trial, trial_command
+from tests.trials.link_arms import controllers, disconnect, driver
+from tests.trials.link_bench import LinkBench
+from tests.trials.link_faults import shuffled
+from tests.trials.link_results import LinkLog, LinksResult
+from tests.trials.link_tables import link_tables
+from tests.trials.person import person_trial
+from tests.trials.person_results import person_table
 
 HOSTS = {"left": "127.0.0.2", "right": "127.0.0.3"}
 """Loopback addresses of the two arms: two, as the client uses the standard ports only."""
@@ -83,3 +92,47 @@ def _emulated(hosts: Mapping[str, str]) -> EmulatorProcess:
         return start_in_process(controllers(hosts))
     except (OSError, TimeoutError) as error:
         raise HardwareError(f"the emulated controllers do not start: {error}") from error
+
+
+def links(
+    moves: Annotated[int, typer.Option("--moves", min=2, help="Motions in all, of two arms at once.")] = 1000,
+    every: Annotated[int, typer.Option("--every", min=2, help="Motions to each fault.")] = 20,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws targets and faults.")] = 0,
+    person: Annotated[
+        Path | None, typer.Option("--person", metavar="PROFILE", help="Press STOP in a terminal on this emulated cell.")
+    ] = None,
+    presses: Annotated[int, typer.Option("--presses", min=1, help="With --person: presses of each key.")] = 50,
+    repeats: Annotated[int, typer.Option("--repeats", min=1, help="With --person: of each way to leave.")] = 10,
+    busy: Annotated[int, typer.Option("--busy", min=0, help="With --person: processes that compute beside it.")] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Two emulated UR arms under the real client, random faults: how soon every arm of the cell stops."""
+    with Job(json_file) as job:
+        if person is not None:
+            _person(job, person, presses, repeats, busy)
+            return
+        result = link_trials(moves, every, seed, job.listen, job.control)
+        job.show(link_tables(result))
+        job.say(f"{result.moves} moves, {result.faults} faults, {len(result.complaints)} complaints")
+        if result.host_stalls:
+            job.say(
+                f"this computer stalled in {result.host_stalls} motions; the controllers' watchdogs stopped the arms"
+            )
+        job.say(*result.complaints)
+        job.result(result)
+        if result.complaints:
+            raise CheckFailed(f"trials links: {len(result.complaints)} things were not as specified; see above")
+
+
+def _person(job: Job, profile: Path, presses: int, repeats: int, busy: int) -> None:
+    result = person_trial(profile, presses, repeats, busy, job.listen, job.control)
+    job.show([person_table(result)])
+    job.result(result)
+    if result.missed():
+        raise CheckFailed(f"trials links: bars were missed, or not measured: {'; '.join(result.missed())}")
+
+
+app = trial_command(links)
+
+if __name__ == "__main__":
+    run_trial(app, "links")

@@ -16,10 +16,6 @@ from cellapp.cell.driving.requests.job_requests import answer_to
 from cellapp.cell.driving.together import one_by_one
 from cellapp.cell.driving.tracker_watch import Died, unwatched
 from cellapp.cell.safety.gate import Gate, refuse_motion
-from cellapp.commands.trials.campaigns.disk import CampaignRun, Disk, copy_run
-from cellapp.commands.trials.campaigns.doubles import CampaignAir, CampaignArm, CampaignTracker, Process, ProgramKilled
-from cellapp.commands.trials.campaigns.faults import KINDS, Fault
-from cellapp.commands.trials.campaigns.monitor import Monitor
 from cellapp.ground.asking import Verb
 from cellapp.ground.control import JobControl, Request
 from cellapp.ground.errors import HardwareError
@@ -30,6 +26,10 @@ from drivers.clock import SimulatedClock, Sleep
 from drivers.plant import Plant
 from drivers.sensors.protocol import SensorError
 from drivers.trackers.protocol import Tracker
+from tests.trials.campaigns.disk import CampaignRun, Disk, copy_run
+from tests.trials.campaigns.doubles import CampaignAir, CampaignArm, CampaignTracker, Process, ProgramKilled
+from tests.trials.campaigns.faults import KINDS, Fault
+from tests.trials.campaigns.monitor import Monitor
 
 _MOST_S = 7200.0
 """Longest campaign without faults, and longest delay by one fault [s]."""

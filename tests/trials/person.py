@@ -13,7 +13,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from cellapp.commands.trials.person_faults import (
+from cellapp.ground.errors import HardwareError
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from drivers.priority import in_real_time
+from tests.trials.person_faults import (
     LEAVES,
     Leave,
     Left,
@@ -25,11 +28,8 @@ from cellapp.commands.trials.person_faults import (
     lost_dashboard,
     stop_command,
 )
-from cellapp.commands.trials.person_results import PersonResult, PersonRow
-from cellapp.commands.trials.terminal_presses import KEYS, PLACES, Press, PressBench, press_bench
-from cellapp.ground.errors import HardwareError
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
-from drivers.priority import in_real_time
+from tests.trials.person_results import PersonResult, PersonRow
+from tests.trials.terminal_presses import KEYS, PLACES, Press, PressBench, press_bench
 
 MEDIAN_MS, WORST_MS, WORST_BUSY_MS = 50.0, 100.0, 200.0
 """Bars from the byte in the pseudo terminal to the stop command at the last controller."""

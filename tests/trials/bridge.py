@@ -6,18 +6,24 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+import typer
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.ground.errors import HardwareError, InputError
+from cellapp.cell.profile import load_profile
+from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.ground.errors import CheckFailed, HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.ground.results import Result
+from cellapp.interfaces.cli.job import Job
+from cellapp.interfaces.cli.options import JsonOption, ProfilePath
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerError, TrackerRefused
+from tests.trials.command import run_trial, trial_command
 
 SECOND_CLIENT = "second-client"
 ALL_FAULTS = (*FAULTS, SECOND_CLIENT)
@@ -193,3 +199,41 @@ def _nests(profile: Profile) -> dict[str, np.ndarray]:
         level = distance * np.cos(elevation)
         nests[name] = np.array([level * np.cos(azimuth), level * np.sin(azimuth), distance * np.sin(elevation)])
     return nests
+
+
+def bridge(
+    profile: ProfilePath,
+    measurements: Annotated[int, typer.Option("--measurements", min=1, help="Measurements in all.")] = 1000,
+    every: Annotated[int, typer.Option("--every", min=1, help="Measurements to each fault.")] = 20,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws the faults.")] = 0,
+    serial: Annotated[
+        tuple[str, str] | None,
+        typer.Option("--serial", metavar="BRIDGE CLIENT", help="Both ends of a serial cable, to use that instead."),
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Many measurements over the tracker bridge with random faults: none may be lost, doubled or mixed up."""
+    with Job(json_file) as job:
+        result = bridge_trial(load_profile(profile), measurements, every, seed, serial, job.listen, job.control)
+        job.show([bridge_table(result)])
+        job.say(
+            f"{result.asked} measurements asked for, {result.delivered} delivered; {result.lost} lost,"
+            f" {result.doubled} doubled, {result.strange} mixed up"
+        )
+        job.result(result)
+        if result.lost or result.doubled or result.strange:
+            raise CheckFailed("trials bridge: measurements were lost, doubled or mixed up")
+
+
+def bridge_table(result: BridgeResult) -> Table:
+    """Time of a measurement by the fault that it met."""
+    undisturbed = ("none", result.asked - sum(result.faults.values()), result.undisturbed_s)
+    rows = [(fault, result.faults[fault], longest) for fault, longest in result.recovery_s.items()]
+    columns = (Column("fault"), number_column("n", "d"), number_column("longest; none: median", ".3f"))
+    return Table("Times of a measurement [s]", columns, (undisturbed, *rows))
+
+
+app = trial_command(bridge)
+
+if __name__ == "__main__":
+    run_trial(app, "bridge")

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.commands.trials.storm_cell import StormCell
 from cellapp.ground.asking import Verb, ask_running_job
 from cellapp.ground.errors import CellappError
+from tests.trials.storm_cell import StormCell
 
 KILL = "program killed"
 _SLIDER_S, _PAUSE_S, _STALL_S = 0.4, 0.4, 0.8

@@ -19,14 +19,15 @@ from cellapp.cell.driving.session import CollectSession
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.campaigns.campaign import Bench, Campaign, campaign_profile, make_bench, run_campaign
-from cellapp.commands.trials.campaigns.faults import KINDS, draw_faults
-from cellapp.commands.trials.campaigns.trial import campaign_trials
 from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.scale.executor import Resources
-from cellapp.interfaces import cli
 from drivers.arms.protocol import ArmState
+from tests.trials.campaigns.__main__ import app
+from tests.trials.campaigns.campaign import Bench, Campaign, campaign_profile, make_bench, run_campaign
+from tests.trials.campaigns.faults import KINDS, draw_faults
+from tests.trials.campaigns.trial import campaign_trials
+from tests.trials.command import run_trial
 from tests.twin import PROFILES
 
 STOPS = 30
@@ -186,24 +187,24 @@ def test_a_failure_prints_the_command_that_replays_it(
         return {name: row for name, row in rows.items() if stop != 5}, []
 
     profile, out = PROFILES / "twin.yaml", tmp_path / "result.json"
-    command = ["trials", "campaigns", str(profile), "--n", "1", "--seed", "3", "--stops", str(STOPS)]
+    command = [str(profile), "--n", "1", "--seed", "3", "--stops", str(STOPS)]
     assert run_command([*command, "--json", str(out)]) == 0
     result = json.loads(out.read_text("utf-8"))
     assert result["schema"] == "cellapp-trials-campaigns"
     assert set(result["failures"].values()) == {0}
     whole = make_bench(load_profile(profile), STOPS)
-    monkeypatch.setattr("cellapp.commands.trials.campaigns.trial.make_bench", lambda *given: whole)
+    monkeypatch.setattr("tests.trials.campaigns.trial.make_bench", lambda *given: whole)
     monkeypatch.setattr(CollectSession, "_measure", silent)
     capsys.readouterr()
     assert run_command(command) == 1
-    assert f"cellapp {' '.join(command)}" in capsys.readouterr().out
+    assert f"python -m tests.trials.campaigns {' '.join(command)}" in capsys.readouterr().out
 
 
 def run_command(arguments: list[str]) -> int:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["cellapp", *arguments])
+        patch.setattr(sys, "argv", ["campaigns", *arguments])
         try:
-            cli.main()
+            run_trial(app, "campaigns")
         except SystemExit as ended:
             return int(ended.code or 0)
     return 0

@@ -17,11 +17,11 @@ from typing import IO, Any
 
 import cellapp
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.link_results import COMMANDED_WITHIN_S
-from cellapp.commands.trials.storm_cell import StormCell
-from cellapp.commands.trials.storm_faults import FAULTS, LONGEST_DELAY_S, Event, Target
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import CancelToken, Listener, Progress
+from tests.trials.link_results import COMMANDED_WITHIN_S
+from tests.trials.storm_cell import StormCell
+from tests.trials.storm_faults import FAULTS, LONGEST_DELAY_S, Event, Target
 
 _POLL_S = 0.02
 _READ_EVERY_S = 0.2
