@@ -7,15 +7,30 @@ any failure ends the command with exit code 1.
 from __future__ import annotations
 
 import argparse
+import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from statistics import median
 
-from cellapp.commands.trials.person import busy
 from drivers.arms.ur import UrArm
 from tests.drivers.arms.emulated_ur_cell import HOSTS, drivers_of, emulated_cell
+
+_SAY_EVERY = 50
+
+
+@contextmanager
+def busy(processes: int) -> Iterator[None]:
+    """Processes that compute without a pause."""
+    started = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(processes)]
+    try:
+        yield
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
 
 
 def failure_of(arm: UrArm) -> str:
@@ -55,6 +70,8 @@ def main(arguments: list[str] | None = None) -> int:
             failed += bool(failures)
             for name, reason in failures.items():
                 say(f"start {number}, arm {name}: {reason}")
+            if number % _SAY_EVERY == 0:
+                say(f"{number} starts, {failed} failed")
     each = f"{median(took_s):.2f} s each, {max(took_s):.2f} s at most"
     say(f"{asked.n} starts of {len(HOSTS)} arms, {failed} failed; {each}")
     return 1 if failed else 0

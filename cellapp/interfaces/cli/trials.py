@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from cellapp.commands.record import Writes
 from cellapp.interfaces.cli.check_trial import check
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.cost import cost

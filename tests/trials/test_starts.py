@@ -1,0 +1,23 @@
+"""The trial of starts: it counts failures, says why, and ends with exit code 1."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+
+import pytest
+
+from tests.trials import starts
+
+pytestmark = pytest.mark.fast
+
+
+@pytest.mark.parametrize(("failures", "code"), [([{}, {}], 0), ([{}, {"left": "LinkLost: exit code 1: a trace"}], 1)])
+def test_a_start_that_fails_is_said_and_fails_the_command(
+    failures: list[dict[str, str]], code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(starts, "emulated_cell", nullcontext)
+    monkeypatch.setattr(starts, "failures_of_one_start", lambda: failures.pop(0))
+    assert starts.main(["--n", "2"]) == code
+    said = capsys.readouterr().out
+    assert ("start 2, arm left: LinkLost: exit code 1: a trace" in said) == bool(code)
+    assert f"2 starts of 2 arms, {code} failed" in said
