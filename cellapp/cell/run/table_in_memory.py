@@ -144,8 +144,7 @@ def _column_texts(column: Column, arrays: Mapping[str, Any], joints: int, n: int
     width = len(column.csv_names(joints))
     values = arrays.get(column.name)
     if values is None:
-        texts = _texts(list(range(n))) if column is CONFIGURATION else ("",) * n
-        return [texts] * width
+        return [_texts(list(range(n))) if column is CONFIGURATION else ("",) * n] * width
     own = column.matrix(values).T.tolist()
     given = [_texts(numbers, whole=column is CONFIGURATION) for numbers in own]
     return [*given, *[("",) * n] * (width - len(own))]

@@ -11,7 +11,7 @@ from cellapp.commands.compensate.words import all_measured, arms_words, shown_to
 from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.locate.view import location_tables
 from cellapp.commands.run_results import RunResults
-from cellapp.commands.view.table import Cell, Column, Interval, Table, most_urgent, number_column, part_table
+from cellapp.commands.view.table import Cell, Column, Interval, Table, View, most_urgent, number_column, part_table
 from cellapp.commands.view.words import geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult
 from cellapp.ground.results import METHODS, STAGES, ErrorSummary
@@ -63,6 +63,16 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *_ERROR_COLUMNS), tuple(rows)))
     return [*tables, *prior_tables(result)]
+
+
+def calibration_view(result: CalibrateResult) -> View:
+    """What ``show DIR calibration`` prints."""
+    return [*calibration_tables(result), *tracker_sentences(result), *result.notes]
+
+
+def parameters_view(result: CalibrateResult) -> View:
+    """What ``show DIR parameters`` prints: identified parameters, and which dropped ones are merged into them."""
+    return [*parameter_tables(result), *merged_sentences(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -118,6 +128,15 @@ def parameter_tables(result: CalibrateResult) -> list[Table]:
             rows.append((parameter, estimate.value * factor, None if error is None else error * factor, unit))
         tables.append(Table(f"Arm {name}: identified parameters", columns, tuple(rows)))
     return tables
+
+
+def merged_sentences(result: CalibrateResult) -> list[str]:
+    """Which parameters were dropped, and which identified ones take their place."""
+    return [
+        f"arm {name}: {parameter} is merged into {merged_words(shares)}"
+        for name, arm in result.arms.items()
+        for parameter, shares in arm.merged.items()
+    ]
 
 
 def merged_words(shares: Mapping[str, float]) -> str:

@@ -7,7 +7,8 @@ import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 
-from cellapp.commands.discover.tables import gap_steps, noise_floor, noise_floor_words
+from cellapp.commands.discover.tables import gap_steps, noise_floor, noise_floor_words, size_tables
+from cellapp.commands.view.table import View
 from cellapp.commands.view.words import place_words, probability_words, ranges, short_reason
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
@@ -67,6 +68,11 @@ def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
     for note in result.notes or ():
         lines += _hanging("Note  ", note, width)
     return lines
+
+
+def discovery_view(result: DiscoverResult) -> View:
+    """What ``show DIR discovery`` prints: what was found, the values of the effects, what they mean."""
+    return [*discovery_lines(result), *size_tables(result), "", *meaning_lines(result)]
 
 
 def _accepted_lines(accepted: Sequence[AcceptedEffect], width: int) -> list[str]:

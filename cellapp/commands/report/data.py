@@ -18,7 +18,7 @@ from cellapp.commands.show.overview import arm_states, next_step
 from cellapp.commands.stages import RunStages, read_results, read_stages
 from cellapp.estimation.calibration.evaluation import position_errors
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
-from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
@@ -99,14 +99,12 @@ class ReportData:
         return {name: self._held_out_arm(name, self.conditions[name]) for name in self.calibrated.arms}
 
     def _held_out_arm(self, name: str, conditions: MeasurementConditions) -> HeldOutArm:
-        readings = self.readings[name]
-        rows = readings.in_split("validate")
-        rows = rows[~np.isin(readings.configuration[rows], self.calibrate.arms[name].left_out_configurations)]
-        return HeldOutArm(
-            readings=readings.take(rows),
-            conditions=conditions.take(rows),
-            calibrated=self.calibrated.arms[name],
-            discovered=None if self.discovered is None else self.discovered.arms[name],
+        return HeldOutArm.of(
+            self.readings[name],
+            conditions,
+            self.calibrate.arms[name],
+            self.calibrated.arms[name],
+            None if self.discovered is None else self.discovered.arms[name],
         )
 
 
@@ -118,6 +116,20 @@ class HeldOutArm:
     conditions: MeasurementConditions
     calibrated: ArmModel
     discovered: ArmModel | None
+
+    @classmethod
+    def of(
+        cls,
+        readings: Readings,
+        conditions: MeasurementConditions,
+        result: ArmCalibrationResult,
+        calibrated: ArmModel,
+        discovered: ArmModel | None,
+    ) -> HeldOutArm:
+        """Those of all readings of an arm, and of their conditions, that are held out and have no gross error."""
+        rows = readings.in_split("validate")
+        rows = rows[~np.isin(readings.configuration[rows], result.left_out_configurations)]
+        return cls(readings.take(rows), conditions.take(rows), calibrated, discovered)
 
     @cached_property
     def computed_M(self) -> Mapping[str, Array]:

@@ -227,8 +227,12 @@ def calibrate(
 ) -> None:
     """Identify arms and pair, evaluate on held-out stops, write calibration.json."""
     from cellapp.commands.calibrate.run import calibrate_run
-    from cellapp.commands.calibrate.view import calibration_tables, parameter_tables, tracker_sentences
-    from cellapp.commands.show.tables import merged_sentences
+    from cellapp.commands.calibrate.view import (
+        calibration_tables,
+        merged_sentences,
+        parameter_tables,
+        tracker_sentences,
+    )
 
     with Job(json_file) as job, open_run(folder, write=True) as opened:
         result = calibrate_run(opened, job.listen, job.control, prior=prior)

@@ -20,7 +20,7 @@ from cellapp.interfaces.cli.command_outputs import current_outputs
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
-    from cellapp.commands.view.table import Table
+    from cellapp.commands.view.table import Table, View
     from cellapp.ground.results import Result
 
 INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
@@ -119,6 +119,14 @@ class Job:
         console = Console(stderr=self._json_file == "-")
         for table in tables:
             console.print(rich_table(table, cut=False), crop=False)
+
+    def show_view(self, view: View) -> None:
+        """Print the tables and lines of a view in their order."""
+        for part in view:
+            if isinstance(part, str):
+                self.say(part)
+            else:
+                self.show([part])
 
     def result(self, result: Result) -> None:
         """Write the result as JSON if ``--json`` was given."""

@@ -259,30 +259,24 @@ def _show_result(job: Job, run: RunFile, part: Part) -> None:
 
 
 def _show_calibration(job: Job, results: RunResults) -> None:
-    from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
+    from cellapp.commands.calibrate.view import calibration_view
 
     assert results.calibrate is not None
-    job.show(calibration_tables(results.calibrate))
-    job.say(*tracker_sentences(results.calibrate), *results.calibrate.notes)
+    job.show_view(calibration_view(results.calibrate))
 
 
 def _show_parameters(job: Job, results: RunResults) -> None:
-    from cellapp.commands.calibrate.view import parameter_tables
-    from cellapp.commands.show.tables import merged_sentences
+    from cellapp.commands.calibrate.view import parameters_view
 
     assert results.calibrate is not None
-    job.show(parameter_tables(results.calibrate))
-    job.say(*merged_sentences(results.calibrate))
+    job.show_view(parameters_view(results.calibrate))
 
 
 def show_discovery(job: Job, result: DiscoverResult) -> None:
     """Print a discovery: what was found, the values of the effects, what they mean."""
-    from cellapp.commands.discover.tables import size_tables
-    from cellapp.commands.discover.view import discovery_lines, meaning_lines
+    from cellapp.commands.discover.view import discovery_view
 
-    job.say(*discovery_lines(result))
-    job.show(size_tables(result))
-    job.say("", *meaning_lines(result))
+    job.show_view(discovery_view(result))
 
 
 def _show_discovery(job: Job, results: RunResults) -> None:
@@ -332,12 +326,10 @@ def _show_paths(job: Job, results: RunResults) -> None:
 
 
 def _show_targets(job: Job, results: RunResults) -> None:
-    from cellapp.commands.compensate.tables import stored_tables
-    from cellapp.commands.compensate.words import compensate_lines
+    from cellapp.commands.compensate.view import compensation_view
 
     assert results.compensate is not None
-    job.show(stored_tables(results.compensate))
-    job.say(*compensate_lines(results.compensate))
+    job.show_view(compensation_view(results.compensate))
 
 
 def _show_verification(job: Job, results: RunResults) -> None:

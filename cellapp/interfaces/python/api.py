@@ -1,8 +1,8 @@
-"""A run from Python, as plain objects that do not change. Nothing here moves an arm or writes a file.
+"""A stored run from Python, as plain objects that do not change. Nothing here moves an arm or writes a file.
 
-    from cellapp.interfaces.python.api import open_run
+    import cellapp
 
-    run = open_run("logs/my-run")
+    run = cellapp.open_run("logs/my-run")
     p_M = run.predict("left", q)
 
 ``dataframes`` beside this has the run's tables as pandas data frames; ``cellapp docs python`` is about both.
@@ -11,29 +11,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.calibrate.view import all_tables, out_of_date_sentences
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.stages import read_results, read_stages
 from cellapp.commands.stored_model import model_of
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.commands.view.table import View
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, StageName
+from cellapp.interfaces.python.fitted import Calibration, Discovery, measured_minus_computed
+from cellapp.interfaces.python.printed import Printed
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.arguments import of_arm
 
 __all__ = ["Run", "open_run"]
 
+_STAGES = frozenset(STAGE_NAMES)
 
-@dataclass(frozen=True, eq=False)
-class Run:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Printed):
     """What a run held when it was opened.
 
     Attributes
@@ -48,6 +54,8 @@ class Run:
     model : CellModel or None
         The model that compensation uses; None before the calibration. Its tracker frame M is that of the tracker where
         it stands now: where it stood during the readings, or where ``cellapp locate`` found it since.
+    models : mapping
+        The models that calibration and discovery stored, as JSON.
     """
 
     folder: Path
@@ -55,6 +63,40 @@ class Run:
     measured: Mapping[str, Readings]
     results: RunResults
     model: CellModel | None
+    models: Mapping[StageName, str] = field(default_factory=dict)
+
+    @cached_property
+    def calibration(self) -> Calibration:
+        """The stored calibration, as ``Cell.calibrate`` returns one. Raises ``InputError`` if there is none."""
+        if self.results.calibrate is None or CALIBRATE not in self.models:
+            raise InputError(f"{self.folder}: not calibrated yet; run 'cellapp calibrate {self.folder}' first")
+        return Calibration(self.profile, self.measured, self._stored(CALIBRATE), self.results.calibrate)
+
+    @cached_property
+    def discovery(self) -> Discovery:
+        """The stored discovery, as ``Calibration.discover`` returns one.
+
+        Raises ``InputError`` if there is none that rests on the stored calibration.
+        """
+        reason = self.results.out_of_date.get(DISCOVER, "no discovery is stored")
+        if self.results.discover is None or DISCOVER not in self.models or DISCOVER in self.results.out_of_date:
+            raise InputError(f"{self.folder}: {reason}; run 'cellapp discover {self.folder}' first")
+        return Discovery(self.profile, self.measured, self._stored(DISCOVER), self.results.discover, self.calibration)
+
+    def _stored(self, stage: StageName) -> CellModel:
+        return CellModel.from_json(self.models[stage], f"{self.folder}: model of '{stage}'")
+
+    def summary(self) -> str:
+        """Folder, cell, number of readings, and the results that are stored."""
+        counts = ", ".join(f"{name} {len(arm)}" for name, arm in self.measured.items()) or "none"
+        stored = [name for name in type(self.results).model_fields if name in _STAGES and getattr(self.results, name)]
+        return (
+            f"{str(self.folder)!r}, cell {self.profile.name}, readings: {counts}, {', '.join(stored) or 'no results'}"
+        )
+
+    def view(self) -> View:
+        """Errors of the stored results, and which of them do not hold any more."""
+        return [*all_tables(self.results), *out_of_date_sentences(self.results)]
 
     def readings(self, arm: str) -> Readings:
         """The readings of one arm. Raises ``InputError`` if no such arm has any."""
@@ -88,10 +130,8 @@ class Run:
         InputError
             If no such arm has readings, or the run is not calibrated.
         """
-        readings, model = self.readings(arm), self.calibrated_model()
-        conditions = conditions_of_arms(model.arms, self.measured)[arm]
-        p_M = readings.p_M if model.T_M_M0 is None else apply(model.T_M_M0, readings.p_M)
-        return np.asarray(p_M - model.arms[arm].predict(readings.q, conditions=conditions))
+        self.readings(arm)
+        return measured_minus_computed(self.calibrated_model(), self.measured)[arm]
 
 
 def open_run(folder: Path | str) -> Run:
@@ -110,4 +150,5 @@ def open_run(folder: Path | str) -> Run:
             measured={arm: run.readings(arm) for arm in run.arms()},
             results=read_results(run, stages),
             model=None if stages.in_force is None else model_of(run, stages.in_force),
+            models={name: stage.model for name, stage in stages.current.items() if stage.model is not None},
         )

@@ -18,12 +18,14 @@ from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.columns import COLUMNS, Column
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.python.api import Run
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
 
 try:
     import pandas as pd
 except ImportError as error:
     raise ImportError(
-        "cellapp.interfaces.python.dataframes needs pandas; install it with: pip install 'cellapp[pandas]'"
+        "tables of a result or a run need pandas; install it with: pip install 'cellapp[pandas]'"
     ) from error
 
 __all__ = ["parameters", "readings", "residuals", "targets"]
@@ -37,16 +39,19 @@ def readings(run: Run) -> pd.DataFrame:
     Joint positions [rad], SMR position in the tracker frame of the readings [m]; what nobody recorded has no column,
     and NaN stands where single readings, or arms with fewer joints, have no value.
     """
+    return readings_frame(_measured(run))
+
+
+def readings_frame(measured: Mapping[str, Readings]) -> pd.DataFrame:
+    """``readings`` of arms by name, of which there is at least one."""
     given = [
         column
         for column in COLUMNS
-        if column.required or any(column.is_given(getattr(arm, column.name)) for arm in run.measured.values())
+        if column.required or any(column.is_given(getattr(arm, column.name)) for arm in measured.values())
     ]
-    parts = [_arm_readings(name, arm, given) for name, arm in run.measured.items()]
-    if not parts:
-        raise InputError(f"{run.folder} holds no readings yet")
+    parts = [_arm_readings(name, arm, given) for name, arm in measured.items()]
     frame = pd.concat(parts, ignore_index=True).sort_values("configuration", kind="stable", ignore_index=True)
-    joints = max(arm.joints for arm in run.measured.values())
+    joints = max(arm.joints for arm in measured.values())
     units = {name: column.unit for column in given for name in column.csv_names(joints)}
     return _with_units(frame, units)
 
@@ -56,14 +61,18 @@ def residuals(run: Run) -> pd.DataFrame:
 
     The conditions are those of the readings; ``residual_mm`` is the length of the vector.
     """
+    measured = _measured(run)
+    return residuals_frame(measured, {name: run.residuals(name) for name in measured})
+
+
+def residuals_frame(measured: Mapping[str, Readings], residuals_M: Mapping[str, Array]) -> pd.DataFrame:
+    """``residuals`` of arms by name, from the vectors (n, 3) [m] of each."""
     parts = []
-    for name, arm in run.measured.items():
-        vectors_mm = run.residuals(name) * 1e3
+    for name, arm in measured.items():
+        vectors_mm = residuals_M[name] * 1e3
         columns: dict[str, Any] = {"configuration": arm.configuration, "arm": name, "split": arm.split}
         columns |= {f"d{axis}_mm": vectors_mm[:, place] for place, axis in enumerate(_AXES)}
         parts.append(pd.DataFrame({**columns, "residual_mm": np.linalg.norm(vectors_mm, axis=1)}))
-    if not parts:
-        raise InputError(f"{run.folder} holds no readings yet")
     frame = pd.concat(parts, ignore_index=True)
     return _with_units(frame, {name: "mm" for name in frame.columns if name.endswith("_mm")})
 
@@ -73,10 +82,13 @@ def parameters(run: Run) -> pd.DataFrame:
 
     All three are in the ``unit`` of their row. The standard error is NaN where a parameter was not identified.
     """
+    return parameters_frame(run.calibrated_model())
+
+
+def parameters_frame(model: CellModel) -> pd.DataFrame:
+    """``parameters`` of a model."""
     rows = [
-        {"arm": name, **asdict(row)}
-        for name, model in run.calibrated_model().arms.items()
-        for row in parameter_rows(model, model.geometry)
+        {"arm": name, **asdict(row)} for name, arm in model.arms.items() for row in parameter_rows(arm, arm.geometry)
     ]
     frame = pd.DataFrame(rows, columns=["arm", *ParameterRow.__dataclass_fields__])
     return frame.astype({"standard_error": np.float64})
@@ -101,8 +113,19 @@ def targets(run: Run) -> pd.DataFrame:
         found = results.compensate.targets
     else:
         raise InputError(f"{run.folder} has no targets yet; run 'cellapp compensate' or 'cellapp push --verify' first")
+    return targets_frame(found)
+
+
+def targets_frame(found: Sequence[MeasuredTarget | TargetCommand]) -> pd.DataFrame:
+    """``targets`` of the records of a result."""
     frame = pd.DataFrame([_target(target) for target in found])
     return _with_units(frame, _units_of_targets(list(frame.columns)))
+
+
+def _measured(run: Run) -> Mapping[str, Readings]:
+    if not run.measured:
+        raise InputError(f"{run.folder} holds no readings yet")
+    return run.measured
 
 
 def _arm_readings(name: str, arm: Readings, given: Sequence[Column]) -> pd.DataFrame:

@@ -21,9 +21,8 @@ from cellapp.commands.calibrate.charts_accuracy import (
     residual_space_chart,
     stage_chart,
 )
-from cellapp.commands.calibrate.view import calibration_tables, parameter_tables, tracker_sentences
+from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
 from cellapp.commands.report.data import ReportData
-from cellapp.commands.show.tables import merged_sentences
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work

@@ -1,0 +1,288 @@
+"""What calibration and discovery return: a model of the cell that answers, tabulates, draws and compensates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cellapp.cell.targets.records import CompensateResult
+from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.cell.targets.targets_in_memory import targets_in_memory
+from cellapp.commands.calibrate.charts_accuracy import (
+    error_histogram_chart,
+    pair_histogram_chart,
+    stage_chart,
+    stop_error_chart,
+)
+from cellapp.commands.calibrate.view import calibration_view, parameters_view
+from cellapp.commands.compensate.run import compensate_targets
+from cellapp.commands.compensate.view import compensation_view
+from cellapp.commands.compensate.words import compensate_summary
+from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
+from cellapp.commands.discover.run import discover_effects
+from cellapp.commands.discover.view import discovery_view
+from cellapp.commands.report.data import HeldOutArm
+from cellapp.commands.view.charts import Chart
+from cellapp.commands.view.table import View
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.interfaces.python.conditions import stated_conditions
+from cellapp.interfaces.python.printed import Charted, Printed
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.arguments import configurations, of_arm, require_radians
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def measured_minus_computed(model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Array]:
+    """Residuals (n, 3) [m] of every reading of each arm, in their order and for their conditions, in frame M."""
+    conditions = conditions_of_arms(model.arms, readings)
+    return {
+        name: np.asarray(
+            (arm.p_M if model.T_M_M0 is None else apply(model.T_M_M0, arm.p_M))
+            - model.arms[name].predict(arm.q, conditions=conditions[name])
+        )
+        for name, arm in readings.items()
+    }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fitted(Charted):
+    """A model of the cell with the readings that it was fitted to.
+
+    Attributes
+    ----------
+    profile : Profile
+    readings : mapping
+        Arm -> Readings, with the split of each.
+    model : CellModel
+        It also answers what is not asked here, and saves itself: ``model.save(Path("calibration.json"))``.
+    """
+
+    profile: Profile
+    readings: Mapping[str, Readings]
+    model: CellModel
+
+    def predict(self, arm: str, q: ArrayLike, **conditions: ArrayLike) -> Array:
+        """SMR positions (n, 3) in the tracker frame [m] where the controller of an arm reads ``q`` (n, N) [rad].
+
+        Parameters
+        ----------
+        conditions
+            What effects depend on, unknown where not given: ``approach``, ``step`` [rad], ``joint_temperature_c``
+            (n, N); ``payload_kg``, ``dwell_s``, ``time_s``, ``temperature_c`` (n,); ``other_q`` (n, K) [rad], where the
+            other arm stands. One number, or one row, stands for all.
+
+        Raises
+        ------
+        InputError
+            If there is no such arm or condition, or something has another shape or seems to be in degrees.
+        """
+        model, at, stated = self._asked(arm, q, conditions)
+        return model.predict(at, conditions=stated)
+
+    def uncertainty(self, arm: str, q: ArrayLike, **conditions: ArrayLike) -> Array:
+        """Standard deviation (n,) [m] of a predicted coordinate, without noise of measuring; as ``predict``."""
+        model, at, stated = self._asked(arm, q, conditions)
+        return model.uncertainty(at, stated)
+
+    def _asked(
+        self, arm: str, q: ArrayLike, given: Mapping[str, ArrayLike]
+    ) -> tuple[ArmModel, Array, MeasurementConditions | None]:
+        model = of_arm(self.model.arms, arm, "this cell")
+        at = configurations(q, model.geometry.joints, arm)
+        require_radians(at, arm)
+        others = [other for name, other in self.model.arms.items() if name != arm]
+        record = self._conditions[arm].record
+        return model, at, stated_conditions(at, given, arm, others[0] if len(others) == 1 else None, record)
+
+    @cached_property
+    def _conditions(self) -> Mapping[str, MeasurementConditions]:
+        return conditions_of_arms(self.model.arms, self.readings)
+
+    @cached_property
+    def residuals_M(self) -> Mapping[str, Array]:
+        """Arm -> measured minus computed SMR positions (n, 3) in the tracker frame [m] of all its readings."""
+        return measured_minus_computed(self.model, self.readings)
+
+    def residuals(self) -> pd.DataFrame:
+        """``residuals_M`` as a table with a row for each reading [mm]. Needs pandas."""
+        from cellapp.interfaces.python.dataframes import residuals_frame
+
+        return residuals_frame(self.readings, self.residuals_M)
+
+    def parameters(self) -> pd.DataFrame:
+        """Every parameter of every arm, effects included: nominal, identified, standard error. Needs pandas."""
+        from cellapp.interfaces.python.dataframes import parameters_frame
+
+        return parameters_frame(self.model)
+
+    def compensate(self, targets: str | Path | Sequence[Any] | Mapping[str, Any] | pd.DataFrame) -> Compensation:
+        """Joint positions that bring the real arms to Cartesian targets.
+
+        Parameters
+        ----------
+        targets
+            The path of a list of targets (YAML or CSV); or a list of mappings with the keys that a target has in such a
+            file, as ``{"name": "A1", "arm": "left", "position": [0.6, 0.1, 0.4]}`` [m]; or a data frame with the
+            columns of a CSV file of targets.
+
+        Raises
+        ------
+        InputError
+            If a target does not fit the cell, or the profile does not say where arms and tracker stand.
+        """
+        if isinstance(targets, str | Path):
+            wanted = load_targets(Path(targets), self.profile)
+        else:
+            wanted = targets_in_memory(targets, self.profile)
+        return Compensation(wanted, compensate_targets(self.profile, self.readings, self.model, wanted)[1])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(Fitted):
+    """A calibrated cell. ``result`` is the same object that ``cellapp calibrate`` stores: ``result.to_json()``."""
+
+    result: CalibrateResult
+
+    def discover(self, listener: Listener = ignore, cancel: CancelToken | None = None) -> Discovery:
+        """Search every arm for physical effects that this model lacks.
+
+        Raises
+        ------
+        Cancelled
+            If ``cancel`` says so.
+        """
+        result, found = discover_effects(self.profile, self.model, self.readings, listener, cancel)
+        return Discovery(self.profile, self.readings, found.model, result, self)
+
+    def summary(self) -> str:
+        """Held-out error of each arm."""
+        errors = {name: arm.validate_[arm.best_stage].position_mm for name, arm in self.result.arms.items()}
+        return "held out: " + ", ".join(f"{name} {one.mean:.4f} mm (n = {one.n})" for name, one in errors.items())
+
+    def view(self) -> View:
+        """Held-out errors, notes and identified parameters, as ``cellapp show`` prints them."""
+        return [*calibration_view(self.result), "", *parameters_view(self.result)]
+
+    def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
+        """Errors of the held-out readings: by stage, by configuration, as a histogram, and of the pair."""
+        return {
+            "stages": lambda: [stage_chart(name, arm) for name, arm in self.result.arms.items()],
+            **_error_charts(self, self),
+            "pair": lambda: [pair_histogram_chart(self.result)] if self.result.pair else [],
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Discovery(Fitted):
+    """A calibrated cell with the effects that were found; ``result`` is what ``cellapp discover`` stores.
+
+    ``calibration`` is the one that was searched.
+    """
+
+    result: DiscoverResult
+    calibration: Calibration
+
+    @property
+    def effects(self) -> dict[str, tuple[str, ...]]:
+        """Arm -> effects that were accepted, by their names in the handbook's chapter on effects."""
+        return {name: tuple(one.effect for one in arm.accepted) for name, arm in self.result.arms.items()}
+
+    def summary(self) -> str:
+        """Effects and held-out rms error of each arm, before and after."""
+        return "; ".join(
+            f"{name}: {', '.join(dict.fromkeys(self.effects[name])) or arm.verdict},"
+            f" {arm.heldout_mm.before:.4f} -> {arm.heldout_mm.after:.4f} mm"
+            for name, arm in self.result.arms.items()
+        )
+
+    def view(self) -> View:
+        """What was found, the values of the effects and what they mean, as ``cellapp show`` prints it."""
+        return discovery_view(self.result)
+
+    def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
+        """The error after each step, probabilities, what each effect looks like, errors of the held-out readings."""
+        arms = self.result.arms
+        return {
+            "steps": lambda: [gap_chart(name, arm) for name, arm in arms.items()],
+            "candidates": lambda: [candidates_chart(name, arm) for name, arm in arms.items()],
+            "effects": lambda: [picture_chart(name, one) for name, arm in arms.items() for one in arm.pictures],
+            **_error_charts(self, self.calibration),
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Compensation(Printed):
+    """Commands for targets; ``result`` is what ``cellapp compensate`` stores.
+
+    Attributes
+    ----------
+    targets : tuple of Target
+    result : CompensateResult
+        ``result.targets`` has a record for each target and arm.
+    """
+
+    targets: tuple[Target, ...]
+    result: CompensateResult
+
+    def q(self, arm: str) -> Array:
+        """Compensated joint positions (n, N) [rad] of an arm at its n targets, in their order; NaN where refused.
+
+        Raises
+        ------
+        InputError
+            If the arm has no target.
+        """
+        commands = of_arm(self._by_arm, arm, "these targets")
+        joints = max((len(one.q_compensated) for one in commands if one.q_compensated is not None), default=0)
+        return np.array([one.q_compensated or (np.nan,) * joints for one in commands], dtype=np.float64)
+
+    @cached_property
+    def _by_arm(self) -> dict[str, list[Any]]:
+        arms = dict.fromkeys(one.arm for one in self.result.targets)
+        return {arm: [one for one in self.result.targets if one.arm == arm] for arm in arms}
+
+    def frame(self) -> pd.DataFrame:
+        """A row for each target and arm: target, command, predicted uncertainty, refusal. Needs pandas."""
+        from cellapp.interfaces.python.dataframes import targets_frame
+
+        return targets_frame(self.result.targets)
+
+    def summary(self) -> str:
+        """How many targets can be commanded."""
+        return compensate_summary(self.result)[0]
+
+    def view(self) -> View:
+        """Commands, uncertainties and what must be known of them, as ``cellapp show`` prints them."""
+        return compensation_view(self.result)
+
+
+def _error_charts(newest: Fitted, calibration: Calibration) -> dict[str, Callable[[], Sequence[Chart]]]:
+    """Errors of the held-out readings of each arm with every model up to the newest."""
+    arms = calibration.result.arms
+
+    def held_out(name: str) -> HeldOutArm:
+        discovered = None if newest is calibration else newest.model.arms[name]
+        conditions = newest._conditions[name]
+        return HeldOutArm.of(newest.readings[name], conditions, arms[name], calibration.model.arms[name], discovered)
+
+    return {
+        "errors": lambda: [stop_error_chart(name, held_out(name), arm.tracker_mm) for name, arm in arms.items()],
+        "histogram": lambda: [
+            error_histogram_chart(name, held_out(name).errors_mm, arm.tracker_mm) for name, arm in arms.items()
+        ],
+    }

@@ -1,0 +1,73 @@
+"""What a result of the library has in common: it prints itself as text, as HTML and as charts."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from cellapp.commands.view.charts import Chart
+from cellapp.commands.view.table import View
+from cellapp.ground.errors import InputError
+from cellapp.interfaces.render.html_view import html_view
+from cellapp.interfaces.render.plain import plain_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LONGEST = 190
+"""Characters of ``repr``: one line of a wide screen or two of a narrow one."""
+
+
+class Printed(ABC):
+    """A result that prints itself: ``print(result)``, or by its name at the end of a cell of a notebook."""
+
+    @abstractmethod
+    def view(self) -> View:
+        """Tables and lines that say everything, in the order of reading."""
+
+    @abstractmethod
+    def summary(self) -> str:
+        """What it is and the figures that matter most, in one line."""
+
+    def report(self, width: int = 100) -> str:
+        """The view as plain text; tables are at most ``width`` characters wide."""
+        return plain_text(self.view(), width)
+
+    def __str__(self) -> str:
+        return self.report()
+
+    def __repr__(self) -> str:
+        text = f"{type(self).__name__}({self.summary()})"
+        return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 4]}...)"
+
+    def _repr_html_(self) -> str:
+        return html_view(self.view())
+
+
+class Charted(Printed):
+    """A result that also draws itself, if matplotlib is installed."""
+
+    @abstractmethod
+    def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
+        """What can be drawn, by name, the most telling first; each makes its charts when it is called."""
+
+    def plot(self, what: str = "") -> Figure:
+        """Draw charts of one kind as a figure of matplotlib; without a name those of the first of ``charts()``.
+
+        Raises
+        ------
+        InputError
+            If there is nothing of that name to draw.
+        ImportError
+            If matplotlib is not installed; the message says how to install it.
+        """
+        from cellapp.interfaces.render.matplotlib_chart import draw_charts
+
+        known = self.charts()
+        if what and what not in known:
+            raise InputError(f"plot: nothing is called '{what}'; known are {', '.join(known)}")
+        drawn = known[what or next(iter(known))]()
+        if not drawn:
+            raise InputError(f"plot: there is nothing to draw of '{what}' in {self.summary()}")
+        return draw_charts(drawn)

@@ -1,0 +1,22 @@
+"""A view as plain text, drawn as in a terminal of a given width without colours."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+
+from cellapp.commands.view.table import View
+from cellapp.interfaces.render.terminal import rich_table
+
+
+def plain_text(view: View, width: int = 100) -> str:
+    """Tables and lines in their order; tables are at most ``width`` characters wide."""
+    text = io.StringIO()
+    console = Console(file=text, width=width, color_system=None, force_terminal=False, legacy_windows=False)
+    for part in view:
+        if isinstance(part, str):
+            text.write(f"{part}\n")
+        else:
+            console.print(rich_table(part, cut=False), crop=False)
+    return "\n".join(line.rstrip() for line in text.getvalue().splitlines()).strip("\n")
