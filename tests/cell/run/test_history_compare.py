@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.compare.history_compare import compare_runs
+from cellapp.commands.compare.run import compare_runs
 from cellapp.commands.compare.view import comparison_sentences, comparison_tables
 from cellapp.commands.pipeline import calibrate_run
 from cellapp.commands.runs.result import ArmComparison, RunComparison

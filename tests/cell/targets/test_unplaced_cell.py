@@ -11,7 +11,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import Target
 from cellapp.cell.targets.unplaced_cell import UNPLACED, is_unplaced
-from cellapp.commands.export.run_export import export_as_run
+from cellapp.commands.export.run import export_as_run
 from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.pipeline import calibrate_run, compensate_run, import_new_run
 from cellapp.commands.show.overview import run_overview
