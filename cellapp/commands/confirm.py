@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from cellapp.cell.driving.motion import Confirm, Vector
-from cellapp.commands.doctor.doctor import examine
+from cellapp.commands.doctor.run import examine
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import smr_positions

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from pydantic import Field
+
 from cellapp.commands.record import Asked, Writes
 
 RunFolder = Annotated[Path, Asked("The run's folder.", "DIR", argument=True)]
@@ -16,3 +18,12 @@ NewRun = Annotated[
 Prior = Annotated[Path | None, Asked("Folder of an earlier calibrated run of the same arms, as prior.", "EARLIER")]
 OutOfDate = Annotated[bool, Asked("Use the latest model even if it no longer fits the run's data.")]
 Strict = Annotated[bool, Asked("Exit code 1 if a result, the page or the certificate is out of date.")]
+RunFolders = Annotated[
+    tuple[Path, ...], Asked("Folders of runs, or of single runs; searched below.", "DIR...", argument=True)
+]
+Jobs = Annotated[
+    int | None,
+    Field(ge=1, le=1024),
+    Asked("Processes, each of one thread; all cores if left out; 1: no other.", "N"),
+]
+Scheduler = Annotated[str | None, Asked("Compute on the workers of a Dask scheduler, as tcp://HOST:8786.", "ADDRESS")]

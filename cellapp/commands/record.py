@@ -84,7 +84,12 @@ class Asked:
 class Request(BaseModel):
     """What a verb is asked for. Subclasses declare the fields, each ``Annotated`` with ``Asked``; immutable."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        arbitrary_types_allowed=True,
+        defer_build=True,  # most starts of the program make one request or none
+    )
 
     @classmethod
     def asked(cls) -> Iterator[tuple[str, Asked]]:
@@ -105,13 +110,23 @@ class Request(BaseModel):
 
 @dataclass(frozen=True)
 class View:
-    """A result for people: tables and sentences in the order in which they are read; ``failed`` says what did not hold.
+    """A result for people: tables and sentences in the order in which they are read. Interfaces draw it.
 
-    Interfaces draw it: as text in a terminal, as widgets, as HTML.
+    Attributes
+    ----------
+    parts : sequence of Table or str
+    failed : sequence of str
+        What did not hold.
+    refused : str
+        Why nothing was done, where only the work showed that; empty where something was.
+    is_json : bool
+        Whether the parts are the result's JSON, which is not shown where it is written to a file.
     """
 
     parts: Sequence[Table | str] = ()
     failed: Sequence[str] = ()
+    refused: str = ""
+    is_json: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,7 +142,8 @@ class Work:
     outputs : Outputs
         What may be replaced.
     announce, say : callable
-        Show a result, or a sentence, before the verb ends, as the addresses of a server.
+        Show a result, or a sentence, before the verb ends, as the addresses of a server. A result that was announced is
+        not shown again when the verb returns it.
     choose : callable
         Question and possible answers -> the answer of a person; empty where nobody can be asked.
     secret : callable

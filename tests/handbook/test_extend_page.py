@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cellapp.commands.docs.handbook import chapter_text, topic_text
-from cellapp.commands.doctor.doctor import installed_findings
+from cellapp.commands.doctor.run import installed_findings
 from tests.interfaces.plugins.installed import EXAMPLE, REGISTRIES, add_example, installed
 
 pytestmark = pytest.mark.fast

@@ -23,13 +23,13 @@ from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_readings
+from cellapp.commands.init.answers import Written
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.ground.results import Record, Result
-from cellapp.interfaces.cli.command_outputs import Written
 from cellapp.interfaces.cli.job import Job
 from cellapp.interfaces.cli.options import JsonOption
 from tests.trials.command import run_trial, trial_command

@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 
 from cellapp import __version__
-from cellapp.commands.locate.request import VERB as LOCATE
-from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.commands.registry import VERBS
+from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.at_rest import at_rest
 from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
 from cellapp.interfaces.cli.check import check
@@ -79,28 +79,6 @@ def tui(
 
 for whole in (run, demo):
     app.command()(whole)
-
-
-@app.command()
-def doctor(
-    profile: ProfilePath,
-    cell: Annotated[bool, typer.Option("--cell", help="First print what the profile says of the cell.")] = False,
-    json_file: JsonOption = None,
-) -> None:
-    """What is reachable, what is missing, what would be refused; nothing moves."""
-    from cellapp.cell.profile import load_profile
-    from cellapp.commands.doctor.doctor import examine_run
-    from cellapp.commands.doctor.profile_view import profile_tables
-
-    with Job(json_file) as job:
-        described = load_profile(profile)
-        if cell:
-            job.show(profile_tables(described))
-        result = examine_run(described)
-        job.say(*(f"{finding.status:8} {finding.subject}: {finding.text}" for finding in result.findings))
-        job.result(result)
-        if result.failed:
-            raise CheckFailed(f"{len(result.failed)} of {len(result.findings)} checks failed")
 
 
 @app.command()
@@ -270,7 +248,8 @@ def discover(
         job.result(result)
 
 
-app.command(LOCATE.name)(command_of(LOCATE))
+for verb in VERBS:
+    app.command(verb.name)(command_of(verb))
 
 
 @app.command()
@@ -365,8 +344,8 @@ def emulate(
 
     from cellapp.cell.profile import load_profile
     from cellapp.commands.doctor.result import EmulateResult
-    from cellapp.commands.emulate.emulate import EmulatedArm, EmulatedTracker
-    from cellapp.commands.emulate.emulate import emulate as serve
+    from cellapp.commands.emulate.run import EmulatedArm, EmulatedTracker
+    from cellapp.commands.emulate.run import emulate as serve
 
     with Job(json_file) as job:
         trackers: list[EmulatedTracker] = []
@@ -406,7 +385,7 @@ def tracker_bridge(
 
     from cellapp.cell.profile import load_profile
     from cellapp.commands.doctor.result import TrackerBridgeResult
-    from cellapp.commands.tracker_bridge.tracker_bridge import DEFAULT_PORT, ServedTracker, serve_tracker
+    from cellapp.commands.tracker_bridge.run import DEFAULT_PORT, ServedTracker, serve_tracker
 
     with Job(json_file) as job:
         if token_file is not None and token_env is not None:

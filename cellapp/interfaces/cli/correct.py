@@ -41,7 +41,7 @@ def correct(
     Every other line stays byte for byte. Nothing is written while a target cannot be corrected, unless with --partly.
     """
     from cellapp.cell.programs.words import correct_lines, refusal
-    from cellapp.commands.correct.correct import correct_run, typed_tcp
+    from cellapp.commands.correct.run import correct_run, typed_tcp
     from cellapp.commands.correct.view import correct_table
 
     with Job(json_file) as job, open_run(folder) as opened:

@@ -6,16 +6,20 @@ import inspect
 import os
 import sys
 from collections.abc import Callable
-from typing import Annotated, Any, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import annotated_types
 import typer
 from pydantic.fields import FieldInfo
 
 from cellapp.commands.record import Asked, Verb, View, Work
+from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
+
+if TYPE_CHECKING:
+    from cellapp.ground.results import Result
 
 PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
 """Environment variable with the passphrase of a signing key, where nobody can be asked."""
@@ -28,10 +32,18 @@ def command_of(verb: Verb) -> Callable[..., None]:
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
         with Job(json_file) as job:
             request = verb.asked({name: value for name, value in given.items() if value is not None})
-            result = verb.run(request, _work(job, allowed=allow_motion))
+            announced: list[Result] = []
+
+            def announce(result: Result) -> None:
+                announced.append(result)
+                _show(job, verb.view(result, request), result)
+
+            result = verb.run(request, _work(job, announce, allowed=allow_motion))
             shown = verb.view(result, request)
-            show_view(job, shown)
-            job.result(result)
+            if result not in announced:
+                _show(job, shown, result)
+            if shown.refused:
+                raise InputError(shown.refused)
             require_none(shown.failed, verb.checks or verb.name)
 
     own = [
@@ -46,22 +58,23 @@ def command_of(verb: Verb) -> Callable[..., None]:
     return command
 
 
-def show_view(job: Job, shown: View) -> None:
-    """Print the tables and sentences of a view in their order."""
-    for part in shown.parts:
+def _show(job: Job, shown: View, result: Result) -> None:
+    """Print the tables and sentences of a view in their order, then write the JSON of its result."""
+    for part in () if shown.is_json and job.writes_json else shown.parts:
         if isinstance(part, str):
             job.say(part)
         else:
             job.show([part])
+    job.result(result)
 
 
-def _work(job: Job, *, allowed: bool) -> Work:
+def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Work:
     return Work(
         job.listen,
         job.control,
         lambda profile_name: asking(job, profile_name, allowed=allowed),
         job.outputs,
-        announce=job.result,
+        announce=announce,
         say=job.say,
         choose=_choose,
         secret=_secret,

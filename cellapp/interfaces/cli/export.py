@@ -52,7 +52,7 @@ def export(
     'cellapp docs exports' describes the formats.
     """
     from cellapp.cell.exports.words import export_lines
-    from cellapp.commands.export.run_export import export_as_run, export_run
+    from cellapp.commands.export.run import export_as_run, export_run
 
     with Job(json_file) as job, open_run(folder) as opened:
         if form is None and out is None and arm is None and stage is None:

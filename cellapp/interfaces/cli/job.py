@@ -128,6 +128,11 @@ class Job:
             else:
                 self.show([part])
 
+    @property
+    def writes_json(self) -> bool:
+        """Whether ``--json`` was given."""
+        return self._json_file is not None
+
     def result(self, result: Result) -> None:
         """Write the result as JSON if ``--json`` was given."""
         if self._json_file is not None:

@@ -47,7 +47,7 @@ def compare(
 
 
 def _compare_two(first: Path, second: Path, json_file: str | None) -> None:
-    from cellapp.commands.compare.history_compare import compare_runs
+    from cellapp.commands.compare.run import compare_runs
     from cellapp.commands.compare.view import comparison_sentences, comparison_tables
 
     with Job(json_file) as job, open_run(first) as a, open_run(second) as b:

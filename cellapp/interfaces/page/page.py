@@ -13,7 +13,7 @@ from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.calibrate.view import cooperative_noise_mm, detailed_tables, distance_mm, transform_tables
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.collect.view import collection_tables
-from cellapp.commands.export.run_export import lost_by_arm
+from cellapp.commands.export.run import lost_by_arm
 from cellapp.commands.follow.view import path_sentences, path_tables
 from cellapp.commands.locate.view import location_sentences, location_tables
 from cellapp.commands.out_of_date import data_mark

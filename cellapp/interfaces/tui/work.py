@@ -138,7 +138,7 @@ def write_plan(folder: Path, path: Path) -> Job:
     """Write the plan of a run as CSV."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.export.run_export import export_run
+        from cellapp.commands.export.run import export_run
 
         return export_run(run, None, None, path, RENEWED)
 
@@ -310,7 +310,7 @@ def export_arms(folder: Path, request: ExportRequest) -> Job:
     """Write the calibrated arms for another program."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.export.run_export import export_as_run
+        from cellapp.commands.export.run import export_as_run
 
         return export_as_run(run, request.format_name, request.out, request.arm, request.stage_name)
 
@@ -321,7 +321,7 @@ def correct(folder: Path, request: CorrectRequest) -> Job:
     """Correct the targets of a controller's program."""
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.correct.correct import correct_run, typed_tcp
+        from cellapp.commands.correct.run import correct_run, typed_tcp
 
         return correct_run(
             run,
@@ -347,18 +347,6 @@ def replay(folder: Path, speed: float) -> Job:
             return replay_run(run, listener, control, speed=speed)
 
     return Job(f"replay x{speed:g}", work, folder)
-
-
-def doctor(profile: Path) -> Job:
-    """Check what is reachable, what is missing, what would be refused; nothing moves."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.profile import load_profile
-        from cellapp.commands.doctor.doctor import examine_run
-
-        return examine_run(load_profile(profile))
-
-    return Job("doctor", work)
 
 
 def _of_run(name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result]) -> Job:
@@ -408,7 +396,7 @@ def report_data(folder: Path | None) -> ReportData | None:
 def compare(folders: Sequence[Path], *, fleet: bool = False) -> RunComparison | FleetResult:
     """Two runs compared in every value; more, or a ``fleet``, by the history of each arm. For a thread of its own."""
     from cellapp.cell.run import RunFile
-    from cellapp.commands.compare.history_compare import compare_runs
+    from cellapp.commands.compare.run import compare_runs
     from cellapp.commands.fleet.run import compare_many
     from cellapp.commands.fleet.run import fleet as fleet_of
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cellapp.commands.emulate.emulate import EmulatedArm, emulated_arms
+from cellapp.commands.emulate.run import EmulatedArm, emulated_arms
 from cellapp.ground.profile import Profile
 
 

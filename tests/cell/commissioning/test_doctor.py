@@ -15,9 +15,9 @@ import pytest
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
-from cellapp.commands.doctor.doctor import LONGEST_PROBE_S, examine, examine_run, probe_devices, repeatable_devices
 from cellapp.commands.doctor.result import DoctorResult
-from cellapp.commands.emulate.emulate import EmulatedArm, emulate, emulated_arms
+from cellapp.commands.doctor.run import LONGEST_PROBE_S, examine, examine_run, probe_devices, repeatable_devices
+from cellapp.commands.emulate.run import EmulatedArm, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
@@ -306,7 +306,7 @@ def test_two_arms_at_one_address_are_refused(real: Profile) -> None:
 
 def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     code = (
-        "import sys; from pathlib import Path; from cellapp.commands.doctor.doctor import examine;"
+        "import sys; from pathlib import Path; from cellapp.commands.doctor.run import examine;"
         f" from cellapp.cell.profile import load_profile; examine(load_profile(Path({str(PROFILES / 'twin.yaml')!r})));"
         " sys.exit(','.join({'torch', 'rtde_control', 'serial', 'clr'} & set(sys.modules)) or None)"
     )
@@ -416,7 +416,7 @@ def test_a_simulated_cell_that_fails_ends_the_emulation(twin: Profile, monkeypat
         monkeypatch.setattr(plant, "advance", failing)
         return plant
 
-    monkeypatch.setattr("cellapp.commands.emulate.emulate.build_plant", fails_once_it_runs)
+    monkeypatch.setattr("cellapp.commands.emulate.run.build_plant", fails_once_it_runs)
     before = threading.active_count()
     with pytest.raises(HardwareError, match=r"cannot go on \(FloatingPointError: no equilibrium\)"):
         emulate(twin, CancelToken(), lambda _: up.set(), on_free_ports(twin))

@@ -15,9 +15,9 @@ import pytest
 
 from cellapp.cell.driving.cell import tracker_driver
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
-from cellapp.commands.doctor.doctor import examine
-from cellapp.commands.emulate.emulate import EmulatedTracker, emulate, emulated_arms, emulated_tracker
-from cellapp.commands.tracker_bridge.tracker_bridge import ServedTracker, serve_tracker
+from cellapp.commands.doctor.run import examine
+from cellapp.commands.emulate.run import EmulatedTracker, emulate, emulated_arms, emulated_tracker
+from cellapp.commands.tracker_bridge.run import ServedTracker, serve_tracker
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken

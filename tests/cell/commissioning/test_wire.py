@@ -29,7 +29,7 @@ from cellapp.cell.profile import profile_from_json, profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.emulate.emulate import EmulatedTracker, emulate, emulated_arms
+from cellapp.commands.emulate.run import EmulatedTracker, emulate, emulated_arms
 from cellapp.commands.push.run import push_run
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.estimation.calibration.records import CalibrateResult

@@ -14,7 +14,7 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.doctor.doctor import examine
+from cellapp.commands.doctor.run import examine
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from drivers.plant import Plant

@@ -18,7 +18,7 @@ from cellapp.cell.exports.out_files import files_of_arms
 from cellapp.cell.exports.records import ExportResult
 from cellapp.cell.exports.words import export_lines
 from cellapp.cell.run import RunFile
-from cellapp.commands.export.run_export import calibrated_arms, export_as_run, sentences
+from cellapp.commands.export.run import calibrated_arms, export_as_run, sentences
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import smr_positions

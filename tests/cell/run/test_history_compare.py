@@ -9,7 +9,7 @@ import pytest
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.compare.history_compare import compare_runs
+from cellapp.commands.compare.run import compare_runs
 from cellapp.commands.compare.view import comparison_sentences, comparison_tables
 from cellapp.commands.runs.result import ArmComparison, RunComparison
 from cellapp.commands.stages import append_stage, basis_of, read_results

@@ -39,7 +39,7 @@ from cellapp.commands.discover.tables import (
     numbered_steps_table,
     parameter_table,
 )
-from cellapp.commands.export.run_export import calibrated_arms
+from cellapp.commands.export.run import calibrated_arms
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.stages import CALIBRATION_FILE, append_stage, basis_of, read_results, read_stages
 from cellapp.estimation.calibration.records import CalibrateResult

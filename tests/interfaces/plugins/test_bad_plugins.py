@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.exports.formats import format_named
 from cellapp.commands.discover.result import discover_result
-from cellapp.commands.doctor.doctor import installed_plugins
+from cellapp.commands.doctor.run import installed_plugins
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.arm_types import ARM_TYPES

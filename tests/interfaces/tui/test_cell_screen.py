@@ -114,7 +114,7 @@ async def test_devices_are_asked_again_and_again_but_not_while_a_job_runs(monkey
         link = Finding(subject="arm left: link", status="ok", text="CB3", device=UR)
         return DoctorResult(findings=(link,))
 
-    monkeypatch.setattr("cellapp.commands.doctor.doctor.probe_devices", probe)
+    monkeypatch.setattr("cellapp.commands.doctor.run.probe_devices", probe)
     app = CellApp(PROFILES)
     held = HeldJob()
     async with app.run_test(size=(120, 40)) as pilot:

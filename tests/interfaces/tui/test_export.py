@@ -11,7 +11,7 @@ from textual.widgets import Input, OptionList
 
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.run import RunFile
-from cellapp.commands.export.run_export import export_as_run
+from cellapp.commands.export.run import export_as_run
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.export_arms import ExportArms
 from cellapp.interfaces.tui.dialogs.question import Reading

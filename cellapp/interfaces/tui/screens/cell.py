@@ -15,6 +15,8 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
 
+from cellapp.commands.doctor.request import VERB as DOCTOR
+from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
@@ -212,7 +214,7 @@ class CellScreen(DayScreen):
             self.say("No profile is open: choose one in the list.", "warning")
             return
         self._asked_path = path
-        self.start(verbs.doctor(path))
+        self.start(verbs.verb_job(DOCTOR, DoctorRequest(profile=path)))
 
     def action_refresh_devices(self) -> None:
         """Ask every device for its state."""
@@ -234,7 +236,7 @@ class CellScreen(DayScreen):
         profile = self.workspace.profile
         if profile is None or self._probing or self.cell_app.jobs.running:
             return
-        from cellapp.commands.doctor.doctor import repeatable_devices
+        from cellapp.commands.doctor.run import repeatable_devices
 
         if names := repeatable_devices(profile):
             self._ask(profile, names)
@@ -245,8 +247,8 @@ class CellScreen(DayScreen):
 
     @work(thread=True, group="probe")
     def _probe(self, profile: Profile, names: Collection[str]) -> None:
-        from cellapp.commands.doctor.doctor import probe_devices
         from cellapp.commands.doctor.result import DoctorResult, Finding
+        from cellapp.commands.doctor.run import probe_devices
 
         try:
             result = probe_devices(profile, names)

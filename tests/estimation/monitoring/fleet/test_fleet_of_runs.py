@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.compare.history_compare import compare_runs
+from cellapp.commands.compare.run import compare_runs
 from cellapp.commands.fleet.run import compare_many, fleet
 from cellapp.commands.fleet.view import fleet_sentences, runs_table
 from cellapp.commands.schemas import json_schemas

@@ -14,12 +14,15 @@ import numpy as np
 
 from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
 from cellapp.cell.exports.formats import all_formats
+from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_stop, visible
 from cellapp.commands.doctor.obstacle_findings import obstacle_findings
+from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import DeviceReport, DoctorResult
 from cellapp.commands.doctor.result import Finding as ResultFinding
+from cellapp.commands.record import Work
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
@@ -40,6 +43,11 @@ _DRAWS = 2000
 _LEAST_VISIBLE = 0.002
 """Below this visible share (4 of the draws), planning may not find enough stops."""
 _OLDEST_PYTHON, _FIRST_UNTRIED_PYTHON = (3, 11), (3, 13)
+
+
+def run(request: DoctorRequest, work: Work) -> DoctorResult:
+    """Check all that the profile names."""
+    return examine_run(load_profile(request.profile))
 
 
 def examine(profile: Profile) -> list[Finding]:
