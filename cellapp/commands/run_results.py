@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, TypeVar
 
-from cellapp.cell.driving.records import ArmOrder, CollectResult
+from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.targets.path_records import PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.certificate.result import CertificateResult

@@ -30,7 +30,7 @@ from cellapp.commands.next_command import next_command
 from cellapp.commands.run_results import NextVerb, RunResults
 from cellapp.commands.stage_text import cannot_say, change_words, found_change, json_object, says_moved
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED, CheckResult
 from cellapp.estimation.readings.readings import Readings
@@ -270,7 +270,7 @@ def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
     calibrate, discover = found.get(CALIBRATE), found.get(DISCOVER)
     if isinstance(calibrate, CalibrateResult):
         if isinstance(discover, DiscoverResult) and DISCOVER not in stages.out_of_date:
-            found[CALIBRATE] = calibrate.with_effects(discover)
+            found[CALIBRATE] = with_effects(calibrate, discover)
         else:
             found[CALIBRATE] = calibrate.without_effects()
     return RunResults.model_validate({"run": str(run.folder), "out_of_date": out_of_date, **found})

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from cellapp.cell.driving.records import ArmOrder
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.in_order import read_in_order
+from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.rows import Event
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.run_results import RunResults

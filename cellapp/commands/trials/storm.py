@@ -16,11 +16,11 @@ from typing import Literal
 import numpy as np
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.records import MissingReading
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_readings
+from cellapp.cell.run.records import MissingReading
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.trials.storm_cell import emulated_cell, undisturbed_profile, wire_profile
 from cellapp.commands.trials.storm_faults import KILL, drawn_events

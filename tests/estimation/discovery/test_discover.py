@@ -20,6 +20,7 @@ from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm, discover_cell
+from cellapp.estimation.discovery.records import with_effects
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
@@ -70,7 +71,7 @@ def discovered(folder, plan, effects, **seeds):
         found = calibrated_and_searched(run)
         calibrated = read_results(run).calibrate
         assert calibrated is not None
-        return calibrated, found.arms, json.loads(calibrated.with_effects(discover_result(found)).to_json())
+        return calibrated, found.arms, json.loads(with_effects(calibrated, discover_result(found)).to_json())
 
 
 def names(discovery):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.records import ReferenceDrift
 from cellapp.cell.profile import load_profile
+from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.calibrate.charts_accuracy import (
     along_joint,
     error_histogram_chart,

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.records import ArmOrder
 from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.in_order import write_in_order
+from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.charts_accuracy import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.run import calibrate_run
