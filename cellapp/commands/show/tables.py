@@ -8,14 +8,8 @@ import math
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.in_order import order_sentences
 from cellapp.commands.calibrate.view import merged_words
-from cellapp.commands.run_results import (
-    HistoryResult,
-    LogResult,
-    OverviewResult,
-    StageState,
-    StopsResult,
-    UnseenArmState,
-)
+from cellapp.commands.plan.result import StopsResult
+from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.profile import Profile

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.run_results import RunResults
-from cellapp.commands.stages import read_results, read_stages
+from cellapp.commands.report.result import RunResults, read_results
+from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.readings import Readings

@@ -15,7 +15,8 @@ from cellapp.cell.run import RunFile, import_csv
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.result import arm_result, discover_result
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.stages import CALIBRATION_FILE, read_results
+from cellapp.commands.report.result import read_results
+from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms

@@ -8,7 +8,7 @@ from pathlib import Path
 from textual.widgets import Checkbox, Input
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.follow_path import FollowPath
 from cellapp.interfaces.tui.dialogs.question import Reading

@@ -9,7 +9,7 @@ from textual.widgets import Input
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.locate.run import POINTS as BY_COMMAND
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.locate_tracker import POINTS, LocateTracker
 from cellapp.interfaces.tui.dialogs.question import Reading

@@ -18,7 +18,7 @@ from cellapp.commands.certificate.view import certificate_sentences, certificate
 from cellapp.commands.certificate.view import check_sentences as check_file_sentences
 from cellapp.commands.check.view import check_sentences, check_tables
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.report.result import RunResults
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, Result, StageName
 from cellapp.interfaces.tui import work_acceptance
 from cellapp.interfaces.tui.dialogs.question import Reading

@@ -18,7 +18,7 @@ from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
 from cellapp.interfaces.tui.workspace import NO_RUN, NOT_CALIBRATED, Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.commands.run_results import RunResults
+    from cellapp.commands.report.result import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
     from cellapp.ground.results import Result
     from cellapp.interfaces.tui.app import CellApp
