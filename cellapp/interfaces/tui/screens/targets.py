@@ -305,7 +305,7 @@ explains frames, conditions and verdicts.
 
     def action_follow(self) -> None:
         """Ask for a path file and whether the arms follow it."""
-        offer_paths(self.cell_app)
+        offer_paths(self)
 
     def action_correct(self) -> None:
         """Ask for a program and where its corrected copy is written."""
