@@ -12,7 +12,8 @@ from pathlib import Path
 
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
-from cellapp.commands.stages import RunStages, basis_of, read_history, read_stages
+from cellapp.commands.basis import basis_of
+from cellapp.commands.stages import RunStages, read_history, read_stages
 from cellapp.ground.errors import CheckFailed
 from cellapp.ground.results import CERTIFICATE
 

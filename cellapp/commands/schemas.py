@@ -18,21 +18,17 @@ from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.path_records import PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
+from cellapp.commands.at_rest.result import AtRestResult
 from cellapp.commands.certificate.result import CertificateCheckResult, CertificateResult, SignKeyResult
+from cellapp.commands.docs.result import DocsResult
 from cellapp.commands.doctor.result import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.recalibrate.result import RecalibrateResult
-from cellapp.commands.run_results import (
-    AtRestResult,
-    DocsResult,
-    HistoryResult,
-    LogResult,
-    OverviewResult,
-    ReportResult,
-    StopsResult,
-    WholeRunResult,
-)
+from cellapp.commands.report.result import ReportResult
+from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.runs.result import RunComparison, RunsResult
+from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result

@@ -7,89 +7,43 @@ readable, is shown with the reason, and its model is not sent to the arms unless
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
-import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.rows import StageRow
-from cellapp.cell.targets.path_records import PathResult
-from cellapp.cell.targets.records import CompensateResult, VerifyResult
-from cellapp.commands.certificate.result import CertificateResult
-from cellapp.commands.locate.result import LocateResult
-from cellapp.commands.next_command import next_command
-from cellapp.commands.run_results import NextVerb, RunResults
-from cellapp.commands.stage_text import cannot_say, change_words, found_change, json_object, says_moved
-from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.discovery.records import DiscoverResult
-from cellapp.estimation.iso9283.records import Iso9283Result
-from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED, CheckResult
-from cellapp.estimation.readings.readings import Readings
+from cellapp.commands.basis import Basis, PriorBasis, ReadingsBasis, basis_of, readings_digest, sha256_of
+from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import (
     CALIBRATE,
-    CERTIFICATE,
     CHECK,
-    COMPENSATE,
     DISCOVER,
-    FOLLOW,
     ISO9283,
     LOCATE,
-    PATH,
-    PUSH,
     STAGE_NAMES,
     VERIFY,
-    Record,
     Result,
     StageName,
 )
 from cellapp.robot.model.model import MODEL_SCHEMA
 
+NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "compensate", "push", "report", ""]
+"""The verb that comes next in a run; ``push`` stands for compensated targets that are verified, ``compensate``
+stands in its place where nothing can be driven, ``plan`` for a new run of a cell that has changed, empty for none."""
+
 CALIBRATION_FILE = "calibration.json"
 """The exported model in force, for other programs; cellapp itself reads the stored stages."""
 
 NOT_RECORDED = "an older version stored it and did not record the data it rests on"
-
-UNREADABLE = "another version of cellapp stored it and this one cannot read it"
-
-
-class ReadingsBasis(Record):
-    """Number of readings of one arm, and the hash of their measured arrays and splits; empty if only counted."""
-
-    n: int
-    sha256: str
-
-    def is_same(self, other: ReadingsBasis) -> bool:
-        """Whether both are of the same readings, as far as both know them."""
-        hashes = {self.sha256, other.sha256} - {""}
-        return self.n == other.n and len(hashes) < 2
-
-
-class PriorBasis(Record):
-    """The earlier run whose calibration of one arm was taken as prior, and ``earlier_digest`` of it then."""
-
-    run: str
-    sha256: str
-
-
-class Basis(Record):
-    """SHA-256 hashes of what a stage rests on; ``stages`` maps each earlier stage that it used to its digest,
-    ``priors`` each arm to the earlier run that was its prior."""
-
-    profile: str
-    readings: Mapping[str, ReadingsBasis]
-    stages: Mapping[StageName, str] = {}
-    targets: str | None = None
-    priors: Mapping[str, PriorBasis] = {}
 
 
 @dataclass(frozen=True)
@@ -257,48 +211,6 @@ def read_stages(run: RunFile, basis_now: Callable[[RunFile], Basis] | None = Non
     return RunStages(current, {name: reason for name, reason in reasons.items() if reason}, in_force)
 
 
-def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
-    """The current results of a run as objects; those that no longer hold are listed in ``out_of_date``."""
-    stages = stages or read_stages(run)
-    out_of_date = dict(stages.out_of_date)
-    found: dict[str, Result] = {}
-    for name, stage in stages.current.items():
-        try:
-            found[name] = _RESULTS[name].from_json(stage.text, f"{run.path}: {name}")
-        except InputError:
-            out_of_date[name] = UNREADABLE
-    calibrate, discover = found.get(CALIBRATE), found.get(DISCOVER)
-    if isinstance(calibrate, CalibrateResult):
-        if isinstance(discover, DiscoverResult) and DISCOVER not in stages.out_of_date:
-            found[CALIBRATE] = calibrate.with_effects(discover)
-        else:
-            found[CALIBRATE] = calibrate.without_effects()
-    return RunResults.model_validate({"run": str(run.folder), "out_of_date": out_of_date, **found})
-
-
-def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
-    """The basis of a stage that is made now; ``stages`` maps each earlier stage that it uses to its digest."""
-    readings = {name: run.readings(name) for name in run.arms()}
-    return Basis(
-        profile=sha256_of(profile_to_json(run.profile)),
-        readings={name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm)) for name, arm in readings.items()},
-        stages=stages or {},
-    )
-
-
-def counted_basis(run: RunFile) -> Basis:
-    """As ``basis_of``, but readings are only counted, which is quick.
-
-    No verb changes readings in place: ``collect`` adds them, and splits are drawn for readings that have none yet,
-    before a calibration uses them.
-    """
-    counts = {name: sum(splits.values()) for name, splits in run.split_counts().items()}
-    return Basis(
-        profile=sha256_of(profile_to_json(run.profile)),
-        readings={name: ReadingsBasis(n=n, sha256="") for name, n in counts.items()},
-    )
-
-
 def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel] = ()) -> Basis | None:
     """The basis of a stage that uses a model for targets or paths; it rests on the readings that the model rests on.
 
@@ -314,38 +226,7 @@ def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel
     )
 
 
-def readings_digest(readings: Readings) -> str:
-    """SHA-256 of the names and numbers (little-endian) of all measured arrays of one arm, and of its splits."""
-    digest = hashlib.sha256()
-    for entry in fields(readings):
-        values = getattr(readings, entry.name)
-        if isinstance(values, np.ndarray):
-            digest.update(f"{entry.name} {values.shape}\n".encode())
-            digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
-    digest.update(json.dumps(readings.split).encode())
-    return digest.hexdigest()
-
-
-def sha256_of(text: str) -> str:
-    """SHA-256 of a text, in hexadecimal digits."""
-    return hashlib.sha256(text.encode("utf-8")).hexdigest()
-
-
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-_RESULTS: Mapping[StageName, type[Result]] = {
-    CALIBRATE: CalibrateResult,
-    DISCOVER: DiscoverResult,
-    LOCATE: LocateResult,
-    COMPENSATE: CompensateResult,
-    PUSH: VerifyResult,
-    VERIFY: VerifyResult,
-    PATH: PathResult,
-    FOLLOW: PathResult,
-    ISO9283: Iso9283Result,
-    CHECK: CheckResult,
-    CERTIFICATE: CertificateResult,
-}
 
 
 _DONE: Mapping[StageName, str] = {
@@ -489,3 +370,55 @@ def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, Readi
         return [f"{after - before} readings were added since"]
     same = then.keys() == now.keys() and all(now[name].is_same(arm) for name, arm in then.items())
     return [] if same else ["the readings or their splits were changed since"]
+
+
+def next_command(verb: NextVerb, folder: Path) -> str:
+    """The command of the verb that comes next; empty if there is none."""
+    match verb:
+        case "":
+            return ""
+        case "push":
+            return f"cellapp push {folder} TARGETS --verify"
+        case "compensate":
+            return f"cellapp compensate {folder} TARGETS"
+        case "plan":
+            return "cellapp plan PROFILE --run NEW"
+        case _:
+            return f"cellapp {verb} {folder}"
+
+
+def json_object(text: str) -> dict[str, object] | None:
+    """The JSON object that a text holds; None if it is none."""
+    try:
+        content = json.loads(text)
+    except ValueError:
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def says_moved(text: str) -> bool:
+    """Whether ``locate`` found the tracker elsewhere than where the readings were taken."""
+    content = json_object(text)
+    return content is not None and content.get("moved") is True
+
+
+def found_change(text: str) -> str:
+    """The verdict of a check that found a change; empty if it found none or could not say."""
+    verdict = _verdict(text)
+    return verdict if verdict in (TRACKER_MOVED, *CHANGES_OF_ARMS) else ""
+
+
+def cannot_say(text: str) -> bool:
+    """Whether a check came to no verdict."""
+    return _verdict(text) == "cannot say"
+
+
+def change_words(verdict: str) -> str:
+    """That a check found a change, as the reason why a model should not be used."""
+    return f"the last '{CHECK}' found: {verdict}"
+
+
+def _verdict(text: str) -> str:
+    content = json_object(text)
+    verdict = None if content is None else content.get("verdict")
+    return verdict if isinstance(verdict, str) else ""

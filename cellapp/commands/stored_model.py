@@ -1,15 +1,17 @@
-"""The models that a run stores with its stages."""
+"""The models that a run stores with its stages, and the calibration that they are of."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 from cellapp.cell.run.file import RunFile
-from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
+from cellapp.commands.basis import Basis
+from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import LOCATE, StageName
+from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, StageName
 from cellapp.robot.model.model import CellModel
 
 
@@ -70,3 +72,22 @@ def append_with_model(
 def export_model(run: RunFile, stages: RunStages) -> None:
     """Write the model in force for other programs."""
     model_of(run, stage_in_force(run, stages)).save(run.folder / CALIBRATION_FILE)
+
+
+def joined_calibration(calibrate: CalibrateResult, discover: DiscoverResult | None) -> CalibrateResult:
+    """A stored calibration with the stage ``effects`` of the discovery that holds; without that stage if none does."""
+    return calibrate.without_effects() if discover is None else with_effects(calibrate, discover)
+
+
+def read_calibration(run: RunFile, stages: RunStages) -> CalibrateResult | None:
+    """The stored calibration as ``joined_calibration``; None if there is none that this version can read."""
+    calibrated, discovered = stages.current.get(CALIBRATE), stages.current.get(DISCOVER)
+    discover = None
+    if discovered is not None and DISCOVER not in stages.out_of_date:
+        with suppress(InputError):  # another version stored it
+            discover = DiscoverResult.from_json(discovered.text, f"{run.path}: {DISCOVER}")
+    with suppress(InputError):
+        if calibrated is not None:
+            stored = CalibrateResult.from_json(calibrated.text, f"{run.path}: {CALIBRATE}")
+            return joined_calibration(stored, discover)
+    return None

@@ -33,9 +33,9 @@ from drivers.arms.ur_answers import arm_error, arm_state
 from drivers.arms.ur_checks import Check, UrExpectation, checks, load_checks
 from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, GuardedLink
 from drivers.arms.ur_motion import OPTIONAL_VARIABLES
+from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_probe import UrProbe, probe_ur
 from drivers.arms.ur_requests import checked_acceleration, checked_goal, checked_rows, checked_speed, narrower
-from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
 from drivers.patience import Patience
 
@@ -58,7 +58,7 @@ class UrArm(GuardedLink):
     """One UR arm. ``live`` and what stops may be called from any thread, the rest from one at a time."""
 
     def __init__(
-        self, name: str, settings: UrSettings, expected: UrExpectation, *, rest_s: float = LONGEST_BRAKING_S
+        self, name: str, settings: UrOptions, expected: UrExpectation, *, rest_s: float = LONGEST_BRAKING_S
     ) -> None:
         """Nothing is opened yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests."""
         super().__init__(name, settings, rest_s)

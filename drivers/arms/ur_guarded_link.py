@@ -16,8 +16,8 @@ from drivers.arms.ur_answers import arm_error
 from drivers.arms.ur_doubt import FirstDoubt
 from drivers.arms.ur_latch import StopLatch
 from drivers.arms.ur_links import cause
+from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_program import OwnProgram
-from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_stop_line import StopLine
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
 from drivers.patience import Patience
@@ -31,7 +31,7 @@ _MESSAGE_WITHIN_S = 0.3
 class GuardedLink:
     """What stops one UR arm, what doubts it, and what is asked of its worker."""
 
-    def __init__(self, name: str, settings: UrSettings, rest_s: float) -> None:
+    def __init__(self, name: str, settings: UrOptions, rest_s: float) -> None:
         self._name = name
         self._host = settings.host
         self._settings = settings

@@ -8,24 +8,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from drivers.plant.clearance import Clearance, segment_distances
-from drivers.plant.config import Array
+from drivers.plant.config import Array, PlantConfig
 from drivers.plant.lines import carry
 from drivers.plant.mechanism import Mechanism, Posture
 from drivers.plant.motion import AnyMotion
-
-if TYPE_CHECKING:
-    from drivers.plant.plant import Plant
 
 _COARSE_S = 0.1
 _FINE_S = 0.005
 """Arms travel some millimetres in this time."""
 _PAIRS_AT_ONCE = 100_000
 """Pairs of bodies per batch: some ten MB of memory."""
+
+
+class MovedArms(Protocol):
+    """A plant as far as the motions of its arms are concerned."""
+
+    config: PlantConfig
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the arms."""
+
+    def true_mechanism(self, name: str) -> Mechanism:
+        """The true mechanism of an arm."""
+
+    def true_T_C_B(self, name: str) -> Array:
+        """The true pose of an arm's base."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +60,7 @@ class _Bodies:
     movable: np.ndarray
 
 
-def executed_clearance(plant: Plant, executed: Mapping[str, Sequence[Executed]], below_m: float) -> Clearance:
+def executed_clearance(plant: MovedArms, executed: Mapping[str, Sequence[Executed]], below_m: float) -> Clearance:
     """Return the smallest distances [m] during executed motions (arm -> in order); exact where below ``below_m``."""
     clearance = Clearance()
     times = _times(executed, _COARSE_S)
@@ -103,7 +116,7 @@ def _levers(mechanism: Mechanism) -> Array:
     return levers
 
 
-def _placed(plant: Plant, name: str, executed: Sequence[Executed], times: Array) -> _Bodies:
+def _placed(plant: MovedArms, name: str, executed: Sequence[Executed], times: Array) -> _Bodies:
     mechanism, T_C_B = plant.true_mechanism(name), plant.true_T_C_B(name)
     home = next(arm.home for arm in plant.config.arms if arm.name == name)
     assert home is not None
@@ -115,7 +128,7 @@ def _placed(plant: Plant, name: str, executed: Sequence[Executed], times: Array)
 
 
 def _watch(
-    plant: Plant, executed: Mapping[str, Sequence[Executed]], times: Array, below_m: float, clearance: Clearance
+    plant: MovedArms, executed: Mapping[str, Sequence[Executed]], times: Array, below_m: float, clearance: Clearance
 ) -> np.ndarray:
     """Update ``clearance`` at ascending times (n,); return between which of them (n - 1,) it may be below."""
     bodies = [_placed(plant, name, executed[name], times) for name in plant.names]

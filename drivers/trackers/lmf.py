@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from drivers.trackers.lmf_calls import CallThread
 from drivers.trackers.lmf_finder import visible_trackers
 from drivers.trackers.lmf_objects import Lmf, describe, error_number, load_lmf, to_si, unwrap
+from drivers.trackers.lmf_options import LmfOptions
 from drivers.trackers.lmf_results import ErrorLaw, read_air, read_position, tracker_time_s
-from drivers.trackers.lmf_settings import LmfSettings
 from drivers.trackers.lmf_setup import apply_settings, laser_and_stand, set_quantity, start_level_monitoring
 from drivers.trackers.protocol import (
     Face,
@@ -73,7 +73,7 @@ class LmfTracker:
 
     def __init__(
         self,
-        settings: LmfSettings,
+        settings: LmfOptions,
         preparation: Preparation = _NO_PREPARATION,
         load: Callable[[str], Lmf] = load_lmf,
         law: ErrorLaw = _USUAL_ACCURACY,

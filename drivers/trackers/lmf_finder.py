@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from drivers.trackers.lmf_calls import CallThread
 from drivers.trackers.lmf_objects import Lmf, describe, load_lmf
-from drivers.trackers.lmf_settings import DEFAULT_LIBRARY
+from drivers.trackers.lmf_options import DEFAULT_LIBRARY
 from drivers.trackers.protocol import TrackerError
 
 FINDING_S = 30.0

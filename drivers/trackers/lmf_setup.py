@@ -9,14 +9,14 @@ import math
 from typing import Any
 
 from drivers.trackers.lmf_objects import Lmf, si_factor, unwrap
-from drivers.trackers.lmf_settings import LmfSettings
+from drivers.trackers.lmf_options import LmfOptions
 from drivers.trackers.protocol import Preparation, TrackerError
 
 _PROFILES = {"accuracy": "StationaryMeasurementProfile", "time": "CustomStationaryMeasurementProfile"}
 _MANUAL_AIR = ("ManualTemperature", "ManualPressure", "ManualHumidity")
 
 
-def apply_settings(lmf: Lmf, tracker: Any, use: LmfSettings, preparation: Preparation) -> str:
+def apply_settings(lmf: Lmf, tracker: Any, use: LmfOptions, preparation: Preparation) -> str:
     """Write all settings that LMF forgets at a connect, and the few it keeps; return the selected reflector's name.
 
     Raises ``TrackerError`` for a setting that LMF does not take, ``ValueError`` for one that the tracker does not have.

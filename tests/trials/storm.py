@@ -17,14 +17,14 @@ import numpy as np
 import typer
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.records import MissingReading
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_readings
-from cellapp.commands.init.answers import Written
+from cellapp.cell.run.records import MissingReading
 from cellapp.commands.plan.run import new_planned_run
+from cellapp.commands.record import Writes
 from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
@@ -254,7 +254,7 @@ def storm(
     keep: Annotated[
         Path | None,
         typer.Option("--keep", metavar="DIR", help="New folder that keeps the runs and what was printed."),
-        Written.OWN_FOLDER,
+        Writes.OWN_FOLDER,
     ] = None,
     json_file: JsonOption = None,
 ) -> None:

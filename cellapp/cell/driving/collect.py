@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.controllers import check_controllers
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.records import MissingReading
 from cellapp.cell.driving.session import CollectSession, End
 from cellapp.cell.driving.supervision import Opened, opening, reacting
 from cellapp.cell.driving.work import remaining_work
 from cellapp.cell.run import RunFile, SessionEnd
 from cellapp.cell.run.collected import missing_readings
+from cellapp.cell.run.records import MissingReading
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import HardwareError, InputError

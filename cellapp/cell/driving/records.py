@@ -9,6 +9,7 @@ from pydantic import Field
 
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.records import PlannedTime
+from cellapp.cell.run.records import ArmOrder, MissingReading, ReferenceDrift
 from cellapp.ground.results import Record, Result
 
 
@@ -27,23 +28,6 @@ class PlanResult(Result):
     time: PlannedTime | None = None
     notes: tuple[str, ...] = ()
     omitted_when_none = frozenset({"design", "time"})
-
-
-class MissingReading(Record):
-    """An arm has no reading at a planned stop, and why."""
-
-    stop: int
-    arm: str
-    kind: Literal["not measured", "left out", "not tried"]
-    reason: str
-
-
-class ReferenceDrift(Record):
-    """A reference measurement: distance from the first one of the same name, after a number of stops."""
-
-    name: str
-    stops_done: int
-    drift_mm: float
 
 
 class CollectResult(Result):
@@ -137,25 +121,6 @@ class RequestResult(Result):
     run: str
     request: Literal["pause", "resume", "stop", "abort"]
     answer: str
-
-
-class ArmOrder(Record):
-    """What an import in order of measurement derived for one arm.
-
-    Attributes
-    ----------
-    by : str
-        What gave the order: the rows, the column ``sequence``, or the times.
-    approach, step : int
-        Approach signs and steps of single joints that were derived from the reading before.
-    contradicted : int
-        Given approach signs that contradict the motion from the reading before; the steps there are unknown.
-    """
-
-    by: Literal["rows", "sequence", "time"]
-    approach: int
-    step: int
-    contradicted: int = 0
 
 
 class ImportResult(Result):

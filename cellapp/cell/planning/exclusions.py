@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from cellapp.cell.planning.joint_draws import joint_ranges
 from cellapp.cell.planning.usable import CEILING, FLOOR, MOUNTED, OWN_BEAM, OWN_BODIES, body_margins
 from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.gate import CellBodies, TrackerField
+from cellapp.cell.safety.gate import CellBodies
 from cellapp.cell.safety.visibility import (
     AZIMUTH,
     ELEVATION,
     FACING,
     RANGE,
     Sight,
+    TrackerField,
     sight_conditions,
     sight_of,
     usable_acceptance,

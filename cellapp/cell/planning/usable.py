@@ -19,9 +19,9 @@ from cellapp.cell.safety.bodies import (
     place,
     self_clearance,
 )
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, TrackerField, clear_alone, visible
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, visible
 from cellapp.cell.safety.obstacles import Obstacle, beam_gaps
-from cellapp.cell.safety.visibility import sight_conditions
+from cellapp.cell.safety.visibility import TrackerField, sight_conditions
 from cellapp.robot.kinematics.transforms import Array
 
 FLOOR, CEILING, OWN_BODIES = "floor", "ceiling", "own bodies"

@@ -15,8 +15,8 @@ from cellapp.cell.planning.exclusions import exclusions
 from cellapp.cell.planning.joint_draws import draw_joints, joint_ranges
 from cellapp.cell.planning.usable import usable
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.cell.safety.gate import CellBodies, TrackerField
-from cellapp.cell.safety.visibility import usable_acceptance
+from cellapp.cell.safety.gate import CellBodies
+from cellapp.cell.safety.visibility import TrackerField, usable_acceptance
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore

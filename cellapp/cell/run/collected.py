@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.records import MissingReading, ReferenceDrift
 from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.records import MissingReading, ReferenceDrift
 
 
 def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:

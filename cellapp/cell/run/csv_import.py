@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.records import ArmOrder
 from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, check_names, read_csv_table, short
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
+from cellapp.cell.run.records import ArmOrder
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, Values, beyond_limits
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
 from cellapp.ground.errors import InputError

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from cellapp.cell.driving.records import ArmOrder
 from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.records import ArmOrder
 from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.errors import InputError
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from cellapp.cell.safety.bodies import ArmBodies
 from cellapp.cell.safety.covers import cover
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, TrackerField
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies
 from cellapp.cell.safety.mesh_files import load_mesh
 from cellapp.cell.safety.obstacle_clearance import obstacle_clearances
 from cellapp.cell.safety.obstacles import Obstacle
 from cellapp.cell.safety.shapes import Cylinder, RoundedBox, Shape
+from cellapp.cell.safety.visibility import TrackerField
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.profile.obstacles import (

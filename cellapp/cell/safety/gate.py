@@ -28,7 +28,7 @@ from cellapp.cell.safety.bodies import (
 from cellapp.cell.safety.gaps_between_arms import gap_at_rest, gap_on_paths
 from cellapp.cell.safety.obstacles import Obstacle, beam_gaps, box_about
 from cellapp.cell.safety.paths import STRIDE, SampledPath, sample_path
-from cellapp.cell.safety.visibility import sight_conditions, sight_of
+from cellapp.cell.safety.visibility import TrackerField, sight_conditions, sight_of
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
 
@@ -43,19 +43,6 @@ _STEPS = (0.02, 0.04)
 """Smallest and largest spacing of samples on a path [m]; between them it is half the clearance."""
 _ROUNDING_RAD = 1e-9
 """Joint positions may exceed a limit by rounding."""
-
-
-@dataclass(frozen=True)
-class TrackerField:
-    """Field of view of the tracker at pose ``T_C_M`` (4, 4) in the cell frame C: ranges in the tracker frame.
-
-    ``azimuth`` and ``elevation`` in [rad], the azimuth range may cross the cut at pi; ``distance`` in [m].
-    """
-
-    T_C_M: Array
-    azimuth: tuple[float, float]
-    elevation: tuple[float, float]
-    distance: tuple[float, float]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from cellapp.cell.safety.bodies import Placed, beam_clearance, mounted_hides, place
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, TrackerField, visible
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, visible
 from cellapp.cell.safety.obstacles import beam_gaps
 from cellapp.cell.safety.visibility import (
     AZIMUTH,
@@ -16,6 +16,7 @@ from cellapp.cell.safety.visibility import (
     FACING,
     RANGE,
     Sight,
+    TrackerField,
     sight_conditions,
     sight_of,
     usable_acceptance,

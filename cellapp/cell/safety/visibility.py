@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.safety.bodies import Placed
 from cellapp.robot.kinematics.transforms import Array
-
-if TYPE_CHECKING:
-    from cellapp.cell.safety.gate import TrackerField
 
 _ACCEPTANCE_MARGIN = math.radians(3.0)
 """Subtracted from the SMR's acceptance angle: base and flange are not known exactly before calibration."""
@@ -82,3 +78,16 @@ def sight_conditions(field: TrackerField, acceptance: float, sight: Sight) -> It
     sine = sight.sine_of_elevation
     yield ELEVATION, (sine >= lowest) & (sine <= highest)
     yield FACING, sight.cosine > math.cos(usable_acceptance(acceptance))
+
+
+@dataclass(frozen=True)
+class TrackerField:
+    """Field of view of the tracker at pose ``T_C_M`` (4, 4) in the cell frame C: ranges in the tracker frame.
+
+    ``azimuth`` and ``elevation`` in [rad], the azimuth range may cross the cut at pi; ``distance`` in [m].
+    """
+
+    T_C_M: Array
+    azimuth: tuple[float, float]
+    elevation: tuple[float, float]
+    distance: tuple[float, float]

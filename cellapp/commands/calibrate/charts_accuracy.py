@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.calibrate.view import cooperative_noise_mm
-from cellapp.commands.report.data import HeldOutArm
 from cellapp.commands.view.camera import levelling_rotation
 from cellapp.commands.view.charts import (
     STAGE_STYLES,

@@ -16,7 +16,7 @@ from cellapp.commands.plan.charts_obstacles import (
     seen_from,
     shadow_series,
 )
-from cellapp.commands.run_results import PlannedStop
+from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Axis, Chart, Series, enumerated, series
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import smr_positions

@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from cellapp.cell.run.file import RunFile
+from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_arms, recorded_priors
 from cellapp.commands.calibrate.result import calibrate_result
-from cellapp.commands.stages import CALIBRATION_FILE, RunStages, basis_of, read_stages
+from cellapp.commands.stages import CALIBRATION_FILE, RunStages, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
 from cellapp.estimation.calibration.records import CalibrateResult

@@ -1,17 +1,12 @@
-"""Accuracy tables of calibration and verification, for terminal, TUI and page."""
+"""Accuracy tables of a calibration, for terminal, TUI and page."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 
-from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
-from cellapp.commands.compensate.words import all_measured, arms_words, shown_tolerance
-from cellapp.commands.discover.tables import discovery_tables
-from cellapp.commands.locate.view import location_tables
-from cellapp.commands.run_results import RunResults
-from cellapp.commands.view.table import Cell, Column, Interval, Table, View, most_urgent, number_column, part_table
+from cellapp.commands.view.table import Cell, Column, Interval, Table, View, number_column
 from cellapp.commands.view.words import geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult
 from cellapp.ground.results import METHODS, STAGES, ErrorSummary
@@ -19,7 +14,7 @@ from cellapp.ground.results import METHODS, STAGES, ErrorSummary
 MM = ".4f"
 """Number format of errors in mm: a tenth of a micrometre, below the tracker's resolution."""
 
-_ERROR_COLUMNS = (
+ERROR_COLUMNS = (
     *(number_column(title, MM) for title in ("mean", "rms", "std", "max")),
     number_column("n", "d"),
 )
@@ -28,40 +23,20 @@ _DETAILED_COLUMNS = (
     number_column("n", "d"),
 )
 _TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
-_PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
-
-
-def all_tables(results: RunResults) -> list[Table]:
-    """Tables of the calibration, and of a discovery, a location and a verification that are not out of date."""
-    tables: list[Table] = []
-    if results.calibrate is not None:
-        tables += calibration_tables(results.calibrate)
-    if results.discover is not None and "discover" not in results.out_of_date:
-        tables += discovery_tables(results.discover)
-    if results.locate is not None and "locate" not in results.out_of_date:
-        tables += location_tables(results.locate)
-    if results.verify is not None and "verify" not in results.out_of_date:
-        tables += verification_tables(results.verify)
-    return tables
-
-
-def out_of_date_sentences(results: RunResults) -> list[str]:
-    """One sentence for each result that no longer holds, with the reason."""
-    return [f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items()]
 
 
 def calibration_tables(result: CalibrateResult) -> list[Table]:
     """Held-out errors by stage, one table for each arm, and of the pair by method; priors and what has changed."""
     tables = []
     for name, arm in result.arms.items():
-        rows = [(label, *_error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
-        tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *_ERROR_COLUMNS), tuple(rows)))
+        rows = [(label, *error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
+        tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *ERROR_COLUMNS), tuple(rows)))
     if result.pair:
         rows = [
-            (method, *_error_cells(result.pair[method].cooperative_mm)) for method in METHODS if method in result.pair
+            (method, *error_cells(result.pair[method].cooperative_mm)) for method in METHODS if method in result.pair
         ]
-        tables.append(Table(_PAIR_TITLE, (Column("method"), *_ERROR_COLUMNS), tuple(rows)))
+        tables.append(Table(_PAIR_TITLE, (Column("method"), *ERROR_COLUMNS), tuple(rows)))
     return [*tables, *prior_tables(result)]
 
 
@@ -144,46 +119,6 @@ def merged_words(shares: Mapping[str, float]) -> str:
     return ", ".join(f"{share:+.4g} {kept}" for kept, share in shares.items()) or "nothing (no effect)"
 
 
-def verification_tables(result: VerifyResult) -> list[Table]:
-    """Errors at new targets before and after compensation, and the targets with a tolerance.
-
-    Empty if no target was measured with both commands.
-    """
-    measured = dict(result.arms) if result.cooperative is None else {**result.arms, _PAIRS: result.cooperative}
-    rows = [
-        (f"{name}, {label}", *_error_cells(summary))
-        for name, arm in measured.items()
-        for label, summary in (("uncompensated", arm.nominal_mm), ("compensated", arm.compensated_mm))
-    ]
-    if not rows:
-        return []
-    title = "Targets: measured distance from where they should be [mm]"
-    return [Table(title, (Column("arm, command"), *_ERROR_COLUMNS), tuple(rows)), *_tolerance_tables(result)]
-
-
-def _tolerance_tables(result: VerifyResult) -> list[Table]:
-    """Single and cooperative targets with a tolerance; where these are many, those with the largest share of it."""
-    judged = [one for one in all_measured(result) if one.tolerance_mm is not None]
-    rows: list[tuple[Cell, ...]] = [
-        (
-            one.name,
-            one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms),
-            one.final_mm,
-            shown_tolerance(one.tolerance_mm),
-            one.verdict,
-        )
-        for one in most_urgent(judged, lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf))
-    ]
-    columns = (
-        Column("target"),
-        Column("arm"),
-        number_column("compensated", MM),
-        number_column("tolerance", "g"),
-        Column("tolerance met"),
-    )
-    return [part_table("Targets with a tolerance [mm]", columns, rows, len(judged))] if rows else []
-
-
 def tracker_sentences(result: CalibrateResult) -> list[str]:
     """Compare the error of each arm's last stage with the stated uncertainty of the tracker; where priors come from."""
     sentences = []
@@ -230,7 +165,8 @@ def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSum
     return found
 
 
-def _error_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
+def error_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
+    """Cells of ``ERROR_COLUMNS``."""
     return summary.mean, summary.rms, summary.std, summary.max, summary.n
 
 

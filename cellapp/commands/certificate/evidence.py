@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_results import StageResults
 from cellapp.estimation.uncertainty.budget import Evidence
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.ground.results import COMPENSATE, DISCOVER, LOCATE, VERIFY
 
 
-def evidence_of(results: RunResults, arm: str, measured: MeasuredConditions | None = None) -> Evidence:
+def evidence_of(results: StageResults, arm: str, measured: MeasuredConditions | None = None) -> Evidence:
     """What is known of one arm; ``measured`` are the conditions of its readings."""
     outdated = results.out_of_date
     discovered = None if DISCOVER in outdated else results.discover

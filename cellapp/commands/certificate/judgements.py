@@ -21,7 +21,7 @@ from cellapp.cell.driving.iso9283.programme import NORM_CYCLES
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_results import StageResults
 from cellapp.estimation.uncertainty.budget import distance_budget, expanded_mm, not_given, position_budget
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.decision import conformity
@@ -56,7 +56,7 @@ class _Measured:
 
 
 def judge_run(
-    profile: Profile, results: RunResults, measured: Mapping[str, MeasuredConditions] | None = None
+    profile: Profile, results: StageResults, measured: Mapping[str, MeasuredConditions] | None = None
 ) -> tuple[Judgement, ...]:
     """Judge the results of a run by the tolerances of a profile; empty if it gives none.
 
@@ -84,7 +84,7 @@ def judge_run(
 # -- what was measured ------------------------------------------------------------------------------------------------
 
 
-def _position(results: RunResults, arm: str, budget: Budget) -> _Measured:
+def _position(results: StageResults, arm: str, budget: Budget) -> _Measured:
     verify = held_verification(results)
     targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
     errors = [one.final_mm for one in targets if one.final_mm is not None]
@@ -93,7 +93,7 @@ def _position(results: RunResults, arm: str, budget: Budget) -> _Measured:
     return _Measured("position", arm, errors, _verified(verify, len(errors), len(targets), "targets"), budget)
 
 
-def _distance(results: RunResults, arm: str, budget: Budget) -> _Measured:
+def _distance(results: StageResults, arm: str, budget: Budget) -> _Measured:
     """All pairs of verified targets with the compensated commands: a corrected one has no measured position."""
     verify = held_verification(results)
     targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
@@ -105,7 +105,7 @@ def _distance(results: RunResults, arm: str, budget: Budget) -> _Measured:
     return _Measured("distance", arm, errors, source, distance_budget(budget))
 
 
-def _cooperative(tolerances: Tolerances, results: RunResults, budgets: Mapping[str, Budget]) -> list[_Measured]:
+def _cooperative(tolerances: Tolerances, results: StageResults, budgets: Mapping[str, Budget]) -> list[_Measured]:
     """Every pair of arms that has verified cooperative targets; the only two arms of a cell also without."""
     verify = held_verification(results)
     pairs = () if verify is None else verify.pairs
@@ -133,7 +133,7 @@ def _cooperative(tolerances: Tolerances, results: RunResults, budgets: Mapping[s
     return [_Measured("cooperative", _both(list(budgets)), (), _unverified(results, "cooperative", best))]
 
 
-def _iso(profile: Profile, results: RunResults) -> list[Judgement | None]:
+def _iso(profile: Profile, results: StageResults) -> list[Judgement | None]:
     """What the test measured, and what it did not measure although it has a tolerance."""
     held = _held_iso(profile.tolerances, results)
     why = _outdated(results, ISO9283, "the test by ISO 9283") or "not measured (cellapp iso9283)"
@@ -180,7 +180,7 @@ def _undecided(one: Judgement, why: str) -> Judgement:
     return one.model_copy(update={"conformity": "cannot say", "source": f"{one.source}; {why}"})
 
 
-def _held_iso(tolerances: Tolerances, results: RunResults) -> tuple[Judgement, ...]:
+def _held_iso(tolerances: Tolerances, results: StageResults) -> tuple[Judgement, ...]:
     """What the test by ISO 9283 measured, while it holds, judged by these tolerances."""
     stored = None if ISO9283 in results.out_of_date else results.iso9283
     if stored is None:
@@ -189,19 +189,19 @@ def _held_iso(tolerances: Tolerances, results: RunResults) -> tuple[Judgement, .
     return judge_characteristics(tolerances, stored.arms, stored.pairs, cycles)
 
 
-def held_verification(results: RunResults) -> VerifyResult | None:
+def held_verification(results: StageResults) -> VerifyResult | None:
     """The newest verification while it holds; None if no target was measured."""
     verify = None if VERIFY in results.out_of_date else results.verify
     return None if verify is None or not verify.arms else verify
 
 
-def other_arms_found(results: RunResults) -> str:
+def other_arms_found(results: StageResults) -> str:
     """What the last check found of the arms, while it holds; empty if nothing."""
     checked = results.held_check
     return f"a later check found: {checked.verdict}" if checked is not None and checked.found_other_arms else ""
 
 
-def _outdated(results: RunResults, name: StageName, what: str) -> str:
+def _outdated(results: StageResults, name: StageName, what: str) -> str:
     reason = results.out_of_date.get(name)
     return f"{what} is out of date ({reason})" if reason else ""
 
@@ -211,7 +211,7 @@ def _verified(verify: VerifyResult, measured: int, asked: int, what: str) -> str
     return f"verification, {count}" + (f" ({verify.stopped})" if verify.stopped else "")
 
 
-def _unverified(results: RunResults, characteristic: Characteristic, held_out: ErrorSummary | None) -> str:
+def _unverified(results: StageResults, characteristic: Characteristic, held_out: ErrorSummary | None) -> str:
     """Why nothing was verified, and the error of the calibration at stops that it did not use."""
     verify = results.verify
     if (reason := _outdated(results, VERIFY, "the verification")) == "":
@@ -222,7 +222,7 @@ def _unverified(results: RunResults, characteristic: Characteristic, held_out: E
     return f"{reason}; predicted at {held_out.n} held-out values: {p95}largest {held_out.max:.3f} mm"
 
 
-def _held_out(results: RunResults, arm: str, error: Literal["position_mm", "distance_mm"]) -> ErrorSummary | None:
+def _held_out(results: StageResults, arm: str, error: Literal["position_mm", "distance_mm"]) -> ErrorSummary | None:
     calibrate = None if CALIBRATE in results.out_of_date else results.calibrate
     found = None if calibrate is None else calibrate.arms.get(arm)
     if found is None:

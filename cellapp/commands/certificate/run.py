@@ -19,20 +19,13 @@ from cellapp.cell.driving.controllers import recorded_controllers
 from cellapp.cell.profile.files import path_exists
 from cellapp.cell.profile.loader import with_sections
 from cellapp.cell.run import RunFile
+from cellapp.commands.basis import Basis, basis_of
 from cellapp.commands.certificate.minisign import FormatError, PublicKey, Signature, sign
 from cellapp.commands.certificate.result import CertificateCheckResult, CertificateResult, CertifiedData, DocumentState
 from cellapp.commands.certificate.statement import CertificateInput, Controller, certificate_of
 from cellapp.commands.out_of_date import CERTIFICATE_FILE
-from cellapp.commands.stages import (
-    STORED_OTHERWISE,
-    Basis,
-    RunStages,
-    append_stage,
-    basis_of,
-    read_history,
-    read_results,
-    read_stages,
-)
+from cellapp.commands.run_results import read_stage_results
+from cellapp.commands.stages import STORED_OTHERWISE, RunStages, append_stage, read_history, read_stages
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.ground.chromium import find_chromium, print_pdf
 from cellapp.ground.errors import InputError
@@ -217,7 +210,7 @@ def _input(run: RunFile, profile: Profile, basis: Basis, stages: RunStages, aske
         issued=asked.written.astimezone(UTC).isoformat(timespec="seconds"),
         program=program_of(profile),
         profile=profile,
-        results=read_results(run, stages),
+        results=read_stage_results(run, stages),
         conditions=measured_conditions(readings),
         controllers={
             name: Controller(one.model, one.serial, one.software) for name, one in recorded_controllers(run).items()

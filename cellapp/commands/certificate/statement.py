@@ -18,7 +18,7 @@ from cellapp.commands.certificate.result import (
     CertifiedTarget,
     CertifiedTests,
 )
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_results import StageResults
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import expanded_mm, position_budget
@@ -62,7 +62,7 @@ class CertificateInput:
     issued: str
     program: str
     profile: Profile
-    results: RunResults
+    results: StageResults
     conditions: Mapping[str, MeasuredConditions]
     controllers: Mapping[str, Controller]
     measured: tuple[str, ...]
@@ -140,7 +140,7 @@ def _arm(given: CertificateInput, arm: str, expanded: float | None) -> Certified
     )
 
 
-def _errors(results: RunResults, arm: str) -> CertifiedErrors:
+def _errors(results: StageResults, arm: str) -> CertifiedErrors:
     verify, calibrate = held_verification(results), _calibration(results)
     calibrated = None if calibrate is None else calibrate.arms.get(arm)
     predicted = {} if calibrated is None else calibrated.validate_
@@ -152,7 +152,7 @@ def _errors(results: RunResults, arm: str) -> CertifiedErrors:
     )
 
 
-def _pair(results: RunResults) -> CertifiedErrors:
+def _pair(results: StageResults) -> CertifiedErrors:
     verify, calibrate = held_verification(results), _calibration(results)
     predicted = {} if calibrate is None else calibrate.pair
     best = next((predicted[method].cooperative_mm for method in BEST_METHODS if method in predicted), None)
@@ -183,7 +183,7 @@ def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
     )
 
 
-def _tests(results: RunResults) -> CertifiedTests | None:
+def _tests(results: StageResults) -> CertifiedTests | None:
     """The largest value of each characteristic that the test by ISO 9283 measured, while it holds."""
     tested = None if ISO9283 in results.out_of_date else results.iso9283
     if tested is None:
@@ -223,7 +223,7 @@ def _largest(tests: CommandedTests) -> dict[Characteristic, IsoValue]:
     return {name: max(found, key=lambda one: abs(one.value_mm)) for name, found in measured.items() if found}
 
 
-def _calibration(results: RunResults) -> CalibrateResult | None:
+def _calibration(results: StageResults) -> CalibrateResult | None:
     return None if CALIBRATE in results.out_of_date else results.calibrate
 
 
@@ -236,7 +236,7 @@ def _simulated(profile: Profile) -> list[str]:
     return ["simulated cell: no real arm and no real tracker was measured"] if "simulated" in kinds else []
 
 
-def _unverified(profile: Profile, results: RunResults) -> list[str]:
+def _unverified(profile: Profile, results: StageResults) -> list[str]:
     if VERIFY in results.out_of_date:
         why = results.out_of_date[VERIFY]
         return [f"not verified: the verification is out of date ({why}); its figures are left out"]
@@ -249,7 +249,7 @@ def _unverified(profile: Profile, results: RunResults) -> list[str]:
     ]
 
 
-def _limits(results: RunResults, verify: VerifyResult | None) -> list[str]:
+def _limits(results: StageResults, verify: VerifyResult | None) -> list[str]:
     """What the as-left figures hold for, and what they do not cover."""
     if verify is None:
         return []
@@ -274,7 +274,7 @@ def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
     return [f"Arm {arm}: {len(names)} of {count} targets were not measured: {', '.join(names[:_MOST_NAMED])}{more}."]
 
 
-def _conditions(results: RunResults, arm: str) -> list[str]:
+def _conditions(results: StageResults, arm: str) -> list[str]:
     """Working conditions that the commands were made for, and by how much others move the SMR."""
     if results.compensate is None or COMPENSATE in results.out_of_date:
         return []

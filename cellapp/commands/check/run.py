@@ -20,8 +20,8 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.locate.station import excess_of_readings, profile_at_station
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
-from cellapp.commands.station import excess_of_readings, profile_at_station
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import displacement_m, predicted_points
 from cellapp.estimation.monitoring.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops

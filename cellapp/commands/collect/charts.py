@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from cellapp.cell.driving.records import ReferenceDrift
+from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series, styles
 from cellapp.ground.progress import ReferenceReport, StopReport
 

@@ -8,7 +8,7 @@ from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_share, reference_drifts
 from cellapp.commands.confirm import Ask, confirmation
-from cellapp.commands.station import refuse_second_station
+from cellapp.commands.locate.station import refuse_second_station
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.threads import one_blas_thread

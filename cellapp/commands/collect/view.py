@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.driving.records import CollectionResult, CollectResult, MissingReading, ReplayResult
+from cellapp.cell.driving.records import CollectionResult, CollectResult, ReplayResult
+from cellapp.cell.run.records import MissingReading
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.times import second_of
 

@@ -13,7 +13,7 @@ from cellapp.cell.profile.messages import KeyPath, dotted
 from cellapp.cell.run.arm_identity import arm_identities
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.targets.records import ArmVerification
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.runs.result import (
     ArmComparison,
     EffectComparison,
@@ -23,7 +23,6 @@ from cellapp.commands.runs.result import (
     RunComparison,
     ValueComparison,
 )
-from cellapp.commands.stages import read_results
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect
 from cellapp.ground.errors import InputError

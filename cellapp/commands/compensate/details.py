@@ -12,7 +12,7 @@ from cellapp.cell.targets.targets import Target, WorkingConditions
 from cellapp.commands.compensate.charts import parts_chart
 from cellapp.commands.compensate.target_list import TargetState
 from cellapp.commands.compensate.words import advice, shown_tolerance, unknown_lines
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_results import StageResults
 from cellapp.commands.view.charts import Chart, enumerated
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 
@@ -59,7 +59,7 @@ def details_tables(details: TargetDetails) -> list[Table]:
     return [*parts, *details.tables]
 
 
-def stored_state(results: RunResults, name: str) -> TargetState | None:
+def stored_state(results: StageResults, name: str) -> TargetState | None:
     """What a run stored last about the target of a name; None if it knows none of that name."""
     commands = () if results.compensate is None else _named(results.compensate.targets, name)
     pushed = results.verify or results.push

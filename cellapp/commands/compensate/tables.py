@@ -8,8 +8,15 @@ from __future__ import annotations
 import math
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredTarget, TargetCommand, VerifyResult
-from cellapp.commands.calibrate.view import MM, verification_tables
-from cellapp.commands.compensate.words import PART_WORDS, advice, arms_words, shown_tolerance, unknown_conditions
+from cellapp.commands.calibrate.view import ERROR_COLUMNS, MM, error_cells
+from cellapp.commands.compensate.words import (
+    PART_WORDS,
+    advice,
+    all_measured,
+    arms_words,
+    shown_tolerance,
+    unknown_conditions,
+)
 from cellapp.commands.view.table import (
     MOST_ROWS,
     Cell,
@@ -20,6 +27,8 @@ from cellapp.commands.view.table import (
     part_table,
     without_empty,
 )
+
+_PAIRS = "between arms"
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
@@ -235,3 +244,43 @@ def _prediction_urgency(target: TargetCommand) -> float:
 
 def _measured(target: MeasuredTarget) -> bool:
     return target.nominal_mm is not None and target.compensated_mm is not None
+
+
+def verification_tables(result: VerifyResult) -> list[Table]:
+    """Errors at new targets before and after compensation, and the targets with a tolerance.
+
+    Empty if no target was measured with both commands.
+    """
+    measured = dict(result.arms) if result.cooperative is None else {**result.arms, _PAIRS: result.cooperative}
+    rows = [
+        (f"{name}, {label}", *error_cells(summary))
+        for name, arm in measured.items()
+        for label, summary in (("uncompensated", arm.nominal_mm), ("compensated", arm.compensated_mm))
+    ]
+    if not rows:
+        return []
+    title = "Targets: measured distance from where they should be [mm]"
+    return [Table(title, (Column("arm, command"), *ERROR_COLUMNS), tuple(rows)), *_tolerance_tables(result)]
+
+
+def _tolerance_tables(result: VerifyResult) -> list[Table]:
+    """Single and cooperative targets with a tolerance; where these are many, those with the largest share of it."""
+    judged = [one for one in all_measured(result) if one.tolerance_mm is not None]
+    rows: list[tuple[Cell, ...]] = [
+        (
+            one.name,
+            one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms),
+            one.final_mm,
+            shown_tolerance(one.tolerance_mm),
+            one.verdict,
+        )
+        for one in most_urgent(judged, lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf))
+    ]
+    columns = (
+        Column("target"),
+        Column("arm"),
+        number_column("compensated", MM),
+        number_column("tolerance", "g"),
+        Column("tolerance met"),
+    )
+    return [part_table("Targets with a tolerance [mm]", columns, rows, len(judged))] if rows else []

@@ -10,8 +10,8 @@ from typing import TypeVar
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, TargetCommand, TargetRecord
 from cellapp.cell.targets.targets import Target, same_target
 from cellapp.commands.compensate.words import Measured, arms_words, shown_tolerance
-from cellapp.commands.run_results import RunResults
-from cellapp.commands.stage_text import change_words
+from cellapp.commands.run_results import StageResults
+from cellapp.commands.stages import change_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE
 
@@ -89,12 +89,12 @@ class TargetState:
         return bool(self.refusals or self.notes) or self.verdict in ("out", "cannot say")
 
 
-def target_state(target: Target, results: RunResults | None) -> TargetState:
+def target_state(target: Target, results: StageResults | None) -> TargetState:
     """What the run says about one target."""
     return target_states((target,), results)[0]
 
 
-def target_states(targets: Sequence[Target], results: RunResults | None) -> list[TargetState]:
+def target_states(targets: Sequence[Target], results: StageResults | None) -> list[TargetState]:
     """What the run says about each target. A result counts while the target is as it was when the result was made.
 
     Of measurements and motions the last measurement counts; without one, the last motion.
@@ -117,12 +117,12 @@ def target_states(targets: Sequence[Target], results: RunResults | None) -> list
     return states
 
 
-def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
+def target_list(targets: Sequence[Target], results: StageResults | None) -> Table:
     """Each target with its state."""
     return Table("Targets", _COLUMNS, tuple(map(_row, targets, target_states(targets, results))))
 
 
-def target_words(target: Target, results: RunResults | None) -> str:
+def target_words(target: Target, results: StageResults | None) -> str:
     """What the run says about one target, and where it is."""
     x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
     rotation = "any rotation"
@@ -133,7 +133,7 @@ def target_words(target: Target, results: RunResults | None) -> str:
     return f"{target.name}: {state}.\nx {x}, y {y}, z {z} mm{frame}; {rotation}"
 
 
-def stale_model(results: RunResults) -> str:
+def stale_model(results: StageResults) -> str:
     """Why the model in force should not be used as it is; empty if it holds."""
     located = results.locate
     if located is not None and located.verdict != "located":

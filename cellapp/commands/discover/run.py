@@ -9,9 +9,10 @@ from cellapp.cell.planning.proposal.candidate_poses import Effort
 from cellapp.cell.planning.proposal.propose import propose_stops
 from cellapp.cell.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.cell.run import RunFile
+from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
 from cellapp.commands.discover.result import discover_result, proposal_result
-from cellapp.commands.stages import basis_of, read_stages
+from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import append_with_model, export_model, model_of
 from cellapp.estimation.calibration.calibrate import provenance_of
 from cellapp.estimation.discovery.discover import discover_cell

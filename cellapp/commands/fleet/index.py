@@ -18,9 +18,9 @@ from pydantic import ValidationError
 
 from cellapp import __version__
 from cellapp.cell.run.sqlite_file import FILE_NAME, connect
+from cellapp.commands.basis import sha256_of
 from cellapp.commands.fleet.reading import read_record
 from cellapp.commands.runs.history import run_folders
-from cellapp.commands.stages import sha256_of
 from cellapp.estimation.monitoring.fleet.record import RunRecord
 
 INDEX_FILE = ".cellapp-index.sqlite"

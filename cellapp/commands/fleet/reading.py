@@ -15,7 +15,9 @@ from pydantic import ValidationError
 from cellapp.cell.run.arm_identity import ArmIdentity, arm_identities
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import FILE_NAME
-from cellapp.commands.stages import UNREADABLE, RunStages, StoredStage, counted_basis, read_history, read_stages
+from cellapp.commands.basis import counted_basis
+from cellapp.commands.run_results import UNREADABLE
+from cellapp.commands.stages import RunStages, StoredStage, read_history, read_stages
 from cellapp.estimation.discovery.records import Place
 from cellapp.estimation.iso9283.records import ISO_COMMANDS
 from cellapp.estimation.monitoring.fleet.record import ArmRecord, EffectRecord, GeometryRecord, RunRecord

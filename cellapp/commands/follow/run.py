@@ -17,9 +17,9 @@ from cellapp.cell.targets.path_records import DrivenPath, PathResult
 from cellapp.cell.targets.path_result import path_csv, path_result
 from cellapp.cell.targets.plan_path import PathPlan, plan_path
 from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.locate.station import profile_at_station
 from cellapp.commands.push.run import judge_of
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
-from cellapp.commands.station import profile_at_station
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force, stale_notes
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from cellapp.cell.targets.path_records import PathRecord, PathResult
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_results import StageResults
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.results import FOLLOW, PATH, ErrorSummary
 
 
-def stored_paths(results: RunResults) -> PathResult | None:
+def stored_paths(results: StageResults) -> PathResult | None:
     """The paths that were measured last; without them those that were planned or driven. None where neither holds."""
     for name, stored in ((FOLLOW, results.follow), (PATH, results.path)):
         if stored is not None and name not in results.out_of_date:

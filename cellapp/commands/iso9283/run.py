@@ -17,10 +17,11 @@ from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
+from cellapp.commands.basis import basis_of
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.commands.confirm import Ask, confirmation
-from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_of, basis_on_model, read_stages
-from cellapp.commands.station import profile_at_station
+from cellapp.commands.locate.station import profile_at_station
+from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
 from cellapp.estimation.iso9283.records import (
     ISO_COMMANDS,

@@ -15,9 +15,9 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.locate.result import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
+from cellapp.commands.locate.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
-from cellapp.commands.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.stored_model import arms_stage, model_of
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS, Cause, displacement_m, twist_columns
 from cellapp.ground.control import JobControl

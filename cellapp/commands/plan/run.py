@@ -25,9 +25,8 @@ from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
 from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
 from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
+from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.plan.view import file_refusal_sentence
-from cellapp.commands.run_results import StopsResult
-from cellapp.commands.show.overview import planned_stops
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
@@ -87,6 +86,23 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
         design=read_plan_design(run),
         time=planned_time(run.profile, visited),
         notes=tuple(notes),
+    )
+
+
+def planned_stops(run: RunFile) -> StopsResult:
+    """Every planned stop, and whether it was measured."""
+    plan, done = run.read_plan(), run.stops_done()
+    count = max((len(q) for q in plan.values()), default=0)
+    return StopsResult(
+        run=str(run.folder),
+        stops=tuple(
+            PlannedStop(
+                configuration=stop,
+                measured=stop in done,
+                q={name: tuple(np.asarray(q[stop]).tolist()) for name, q in plan.items()},
+            )
+            for stop in range(count)
+        ),
     )
 
 

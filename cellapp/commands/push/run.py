@@ -18,8 +18,9 @@ from cellapp.cell.targets.targets import Target
 from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.compensate.run import compensated_commands
 from cellapp.commands.confirm import Ask, confirmation
-from cellapp.commands.stages import StoredStage, append_stage, basis_on_model, read_results, read_stages
-from cellapp.commands.station import profile_at_station
+from cellapp.commands.locate.station import profile_at_station
+from cellapp.commands.run_results import read_stage_results
+from cellapp.commands.stages import StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.judging import Judge
@@ -167,7 +168,7 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
 
 def judge_of(run: RunFile, profile: Profile) -> Judge:
     """Who decides on tolerances in a run: with the uncertainty that its results and readings give."""
-    results = read_results(run)
+    results = read_stage_results(run)
     measured = measured_conditions({name: run.readings(name) for name in run.arms()})
     return Judge(profile, {name: evidence_of(results, name, measured.get(name)) for name in profile.arms})
 
@@ -184,7 +185,7 @@ def _store(job: PushJob, judge: Judge, pushed: VerifyResult, notes: list[str]) -
 
 def _repeatability_m(run: RunFile) -> dict[str, float]:
     """Standard deviation of a coordinate over repeated stops of each arm [m], tracker included; only where known."""
-    calibrated = read_results(run).calibrate
+    calibrated = read_stage_results(run).calibrate
     if calibrated is None:
         return {}
     return {

@@ -6,28 +6,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
-from cellapp.cell.driving.records import ArmOrder
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.in_order import read_in_order
+from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.rows import Event
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.commands.run_results import RunResults
-from cellapp.commands.show.overview import arm_states, next_step
-from cellapp.commands.stages import RunStages, read_results, read_stages
-from cellapp.estimation.calibration.evaluation import position_errors
+from cellapp.commands.calibrate.held_out import HeldOutArm
+from cellapp.commands.next_step import arm_states, next_step
+from cellapp.commands.report.result import RunResults, read_results
+from cellapp.commands.stages import RunStages, read_stages
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
-from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult
+from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, StageName
+from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY, StageName
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model import CellModel
 
 
 @dataclass(frozen=True)
@@ -106,70 +103,6 @@ class ReportData:
             self.calibrated.arms[name],
             None if self.discovered is None else self.discovered.arms[name],
         )
-
-
-@dataclass(frozen=True)
-class HeldOutArm:
-    """Held-out readings of one arm and the models that predict them."""
-
-    readings: Readings
-    conditions: MeasurementConditions
-    calibrated: ArmModel
-    discovered: ArmModel | None
-
-    @classmethod
-    def of(
-        cls,
-        readings: Readings,
-        conditions: MeasurementConditions,
-        result: ArmCalibrationResult,
-        calibrated: ArmModel,
-        discovered: ArmModel | None,
-    ) -> HeldOutArm:
-        """Those of all readings of an arm, and of their conditions, that are held out and have no gross error."""
-        rows = readings.in_split("validate")
-        rows = rows[~np.isin(readings.configuration[rows], result.left_out_configurations)]
-        return cls(readings.take(rows), conditions.take(rows), calibrated, discovered)
-
-    @cached_property
-    def computed_M(self) -> Mapping[str, Array]:
-        """Computed SMR positions (n, 3) [m] by stage.
-
-        A calibration with an earlier one as prior, or one that an older version stored, has its effects in its only
-        model: there is no stage ``geometry`` then.
-        """
-        model, q = self.calibrated, self.readings.q
-        computed: dict[str, Array] = {"nominal": smr_positions(model.nominal, q)}
-        if not model.effects:
-            computed["geometry"] = smr_positions(model.geometry, q)
-            if model.network is not None:
-                computed["network"] = self._predict(model)
-        newest = model if self.discovered is None else self.discovered
-        if newest.effects:
-            computed["effects"] = self._predict(newest)
-        return {stage: computed[stage] for stage in STAGES if stage in computed}
-
-    @cached_property
-    def errors_mm(self) -> Mapping[str, Array]:
-        """Position errors (n,) [mm] by stage; the stages are those of ``computed_M``."""
-        measured = self.readings.p_M
-        return {stage: position_errors(measured, computed) * 1e3 for stage, computed in self.computed_M.items()}
-
-    @cached_property
-    def prediction(self) -> tuple[Array, Array, float] | None:
-        """Predicted standard deviation of a coordinate and position error (n,) [mm] with the newest model, and noise.
-
-        The noise is that of a measured coordinate [mm]. None if that model predicts no uncertainty.
-        """
-        model = self.discovered or self.calibrated
-        predicted = model.uncertainty(self.readings.q) * 1e3
-        if not predicted.any():
-            return None
-        noise_mm = 0.0 if model.posterior is None else model.posterior.noise_m * 1e3
-        return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3, noise_mm
-
-    def _predict(self, model: ArmModel) -> Array:
-        return model.predict(self.readings.q, conditions=self.conditions)
 
 
 def read_report_data(run: RunFile) -> ReportData:

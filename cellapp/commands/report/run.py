@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.run_results import ReportResult, shown_by
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import ReportResult, read_results, shown_by
 from cellapp.ground.chromium import print_pdf
 from cellapp.ground.outputs import RENEWED, Outputs
 

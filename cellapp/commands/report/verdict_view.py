@@ -8,8 +8,8 @@ from datetime import date
 from cellapp.cell.run import RunFile
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.report.data import ReportData, read_report_data
+from cellapp.commands.report.result import read_results
 from cellapp.commands.report.summary import Summary, summary
-from cellapp.commands.stages import read_results
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.uncertainty.conditions import measured_conditions

@@ -13,9 +13,9 @@ from cellapp.commands.confirm import Ask, asked_once, require_permission
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import default_folder, new_planned_run
 from cellapp.commands.push.run import push_targets
+from cellapp.commands.report.result import read_results, shown_by
 from cellapp.commands.report.run import PageWriter
-from cellapp.commands.run_results import WholeRunResult, shown_by
-from cellapp.commands.stages import read_results
+from cellapp.commands.run.result import WholeRunResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Listener, ignore
 

@@ -12,10 +12,11 @@ from pydantic import ValidationError
 from cellapp.cell.run.collection_rows import Session
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import FILE_NAME
+from cellapp.commands.basis import counted_basis
+from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.runs.history_figures import run_figures
 from cellapp.commands.runs.result import CellKind, LastSession, RunsResult, RunSummary, StageSummary
-from cellapp.commands.show.overview import arm_states, next_step
-from cellapp.commands.stages import counted_basis, read_stages
+from cellapp.commands.stages import read_stages
 from cellapp.ground.asking import RUNS_NOW, who_uses
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile

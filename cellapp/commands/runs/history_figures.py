@@ -10,8 +10,9 @@ from typing import TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from cellapp.commands.run_results import UNREADABLE
 from cellapp.commands.runs.result import ArmFigures
-from cellapp.commands.stages import UNREADABLE, RunStages
+from cellapp.commands.stages import RunStages
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, Stage, StageName, Verdict
 

@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.commands.run_results import ArmState, NextVerb
+from cellapp.commands.next_step import ArmState
+from cellapp.commands.stages import NextVerb
 from cellapp.estimation.discovery.records import BeforeAfter, Place
 from cellapp.ground.results import Method, Record, Result, Stage, StageName, Verdict
 

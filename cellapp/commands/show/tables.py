@@ -7,14 +7,8 @@ import math
 
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.in_order import order_sentences
-from cellapp.commands.run_results import (
-    HistoryResult,
-    LogResult,
-    OverviewResult,
-    StageState,
-    StopsResult,
-    UnseenArmState,
-)
+from cellapp.commands.plan.result import StopsResult
+from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.ground.profile import Profile
 from cellapp.ground.times import second_of

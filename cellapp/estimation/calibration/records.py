@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from cellapp.ground.results import (
     STAGES,
@@ -17,9 +17,6 @@ from cellapp.ground.results import (
     Stage,
     StageErrors,
 )
-
-if TYPE_CHECKING:
-    from cellapp.estimation.discovery.records import DiscoverResult  # which imports this module
 
 
 class Scatter(Record):
@@ -201,16 +198,6 @@ class CalibrateResult(Result):
     pair: Mapping[Method, PairMethodResult]
     notes: tuple[str, ...]
     provenance: Provenance
-
-    def with_effects(self, found: DiscoverResult) -> CalibrateResult:
-        """This result with the stage ``effects`` of a discovery beside the others, for showing them together."""
-        arms = {
-            name: arm
-            if name not in found.arms
-            else arm.model_copy(update={"validate_": {**arm.validate_, **found.arms[name].validate_}})
-            for name, arm in self.arms.items()
-        }
-        return self.model_copy(update={"arms": arms, "pair": {**self.pair, **found.pair}})
 
     def without_effects(self) -> CalibrateResult:
         """This result without the stage ``effects``, which older versions wrote into it; with it where it is that of an

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import AliasChoices, Field
 
-from cellapp.estimation.calibration.records import PairMethodResult
+from cellapp.estimation.calibration.records import CalibrateResult, PairMethodResult
 from cellapp.ground.results import Estimate, Method, Record, Result, Stage, StageErrors, Verdict
 
 SizeSource = Literal["sourced", "computed", "estimate", "none"]
@@ -345,6 +345,17 @@ class DiscoverResult(Result):
     proposal: Proposal | None = None
     notes: tuple[str, ...] | None = None
     omitted_when_none = frozenset({"proposal", "notes"})
+
+
+def with_effects(calibrated: CalibrateResult, found: DiscoverResult) -> CalibrateResult:
+    """A calibration with the stage ``effects`` of a discovery beside the others, for showing them together."""
+    arms = {
+        name: arm
+        if name not in found.arms
+        else arm.model_copy(update={"validate_": {**arm.validate_, **found.arms[name].validate_}})
+        for name, arm in calibrated.arms.items()
+    }
+    return calibrated.model_copy(update={"arms": arms, "pair": {**calibrated.pair, **found.pair}})
 
 
 class PlannedAccuracy(Record):

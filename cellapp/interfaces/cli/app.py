@@ -282,7 +282,7 @@ def push(
 ) -> None:
     """Move the arms to compensated targets; with --verify, measure them before and after compensation."""
     from cellapp.cell.targets.targets import load_targets
-    from cellapp.commands.calibrate.view import verification_tables
+    from cellapp.commands.compensate.tables import verification_tables
     from cellapp.commands.compensate.words import push_lines
     from cellapp.commands.push.run import push_run
 

@@ -17,7 +17,7 @@ def at_rest(
 ) -> None:
     """Say that you have seen an arm at rest that a run counts as moving since its stop was not confirmed."""
     from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest
-    from cellapp.commands.run_results import AtRestResult
+    from cellapp.commands.at_rest.result import AtRestResult
 
     with Job(json_file) as job, open_run(folder, write=True) as run:
         counted = note_at_rest(run, arm, BY_PERSON)

@@ -42,7 +42,7 @@ def docs(
 ) -> None:
     """Print the handbook: a chapter, or the section of one effect; or draw effects, screens, pages of a run."""
     from cellapp.commands.docs.handbook import CHAPTERS, effect_sections, topic_text
-    from cellapp.commands.run_results import DocsResult
+    from cellapp.commands.docs.result import DocsResult
 
     if out is not None and topic not in (FIGURES, SCREENS, PAGES):
         raise InputError(f"docs: --out belongs to '{FIGURES}', '{SCREENS}' and '{PAGES}'")
@@ -71,8 +71,8 @@ def docs(
 
 
 def _search(job: Job, words: str) -> None:
+    from cellapp.commands.docs.result import DocsResult
     from cellapp.commands.docs.sections import search
-    from cellapp.commands.run_results import DocsResult
 
     lines = [f"{hit.section.address}\n  {hit.line}" for hit in search(words)]
     text = "\n".join(lines) or f"no section has all of these words: {words}"
@@ -82,7 +82,7 @@ def _search(job: Job, words: str) -> None:
 
 def _draw(job: Job, topic: str, profile: Path, run: Path | None, out: Path | None) -> None:
     from cellapp.cell.profile import load_profile
-    from cellapp.commands.run_results import DocsResult
+    from cellapp.commands.docs.result import DocsResult
     from cellapp.interfaces.tui.pictures import write_screens
     from tests.handbook.figure_files import write_figures
     from tests.handbook.page_pictures import write_pictures

@@ -28,9 +28,9 @@ def report(
     json_file: JsonOption = None,
 ) -> None:
     """Write report.html, one self-contained page, into the run's folder."""
-    from cellapp.commands.calibrate.view import all_tables, out_of_date_sentences
     from cellapp.commands.out_of_date import check_nothing_out_of_date
     from cellapp.commands.report.run import report_run
+    from cellapp.commands.report.tables import all_tables, out_of_date_sentences
     from cellapp.interfaces.page.page import write_page
 
     if out is not None and not pdf:

@@ -14,7 +14,7 @@ from cellapp.interfaces.cli.plan import state_check
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
-    from cellapp.commands.run_results import RunResults
+    from cellapp.commands.report.result import RunResults
     from cellapp.estimation.discovery.records import DiscoverResult
 
 
@@ -216,7 +216,7 @@ def _show_collection(job: Job, run: RunFile) -> None:
 def _show_target(job: Job, run: RunFile, name: str) -> None:
     """Print all that the last results say about one target; the JSON is that of ``compensate``, with it alone."""
     from cellapp.commands.compensate.details import details_tables, stored_state, target_details
-    from cellapp.commands.stages import read_results
+    from cellapp.commands.report.result import read_results
 
     results = read_results(run)
     state = stored_state(results, name)
@@ -232,7 +232,7 @@ def _show_target(job: Job, run: RunFile, name: str) -> None:
 
 def _show_result(job: Job, run: RunFile, part: Part) -> None:
     """Print the stored result of one verb, and whether it still holds."""
-    from cellapp.commands.stages import read_results
+    from cellapp.commands.report.result import read_results
 
     results = read_results(run)
     name, make, print_result = {

@@ -50,8 +50,9 @@ def demo(
 
 def _run_whole(job: Job, profile: Path, folder: Path | None, *, allowed: bool) -> None:
     from cellapp.cell.profile import load_profile
-    from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences, verification_tables
+    from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
     from cellapp.commands.collect.view import collect_lines, other_notes
+    from cellapp.commands.compensate.tables import verification_tables
     from cellapp.commands.run.run import run_whole
     from cellapp.interfaces.page.page import write_page
 

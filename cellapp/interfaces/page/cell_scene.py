@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.commands.calibrate.charts_vectors import scale_length_mm
+from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.plan.charts_obstacles import placed_obstacles
-from cellapp.commands.report.data import HeldOutArm, ReportData
+from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.camera import evenly_spread, levelling_rotation
 from cellapp.commands.view.charts import mm
 from cellapp.commands.view.words import STAGE_WORDS

@@ -10,7 +10,7 @@ from cellapp.cell.planning.duration import planned_time
 from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.design_view import design_sentences, gaps_table, indices_table, quality_table
-from cellapp.commands.show.overview import planned_stops
+from cellapp.commands.plan.run import planned_stops
 from cellapp.commands.view.table import Table
 from cellapp.interfaces.page.captioned import CaptionedFigure
 from cellapp.interfaces.page.chart_figure import chart_figure
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cellapp.cell.planning.design_records import PlanDesignResult
     from cellapp.cell.planning.planned_stops import PlannedStops
     from cellapp.cell.planning.records import PlannedTime
-    from cellapp.commands.run_results import PlannedStop
+    from cellapp.commands.plan.result import PlannedStop
     from cellapp.commands.view.charts import Chart
     from cellapp.ground.profile import Profile
 

@@ -9,8 +9,9 @@ import numpy as np
 import cellapp
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.in_order import order_sentences
+from cellapp.commands.basis import readings_digest, sha256_of
 from cellapp.commands.report.data import ReportData
-from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
+from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Provenance
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cellapp.cell.targets.records import CompensateResult
-from cellapp.commands.calibrate.view import verification_tables
 from cellapp.commands.compensate.charts import parts_chart, target_charts
 from cellapp.commands.compensate.tables import (
     measured_tables,
@@ -15,6 +14,7 @@ from cellapp.commands.compensate.tables import (
     refusal_tables,
     uncertainty_tables,
     unknown_tables,
+    verification_tables,
 )
 from cellapp.commands.compensate.words import compensate_summary, verify_message, verify_summary
 from cellapp.commands.report.data import ReportData

@@ -18,9 +18,9 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.calibrate.view import all_tables, out_of_date_sentences
-from cellapp.commands.run_results import RunResults
-from cellapp.commands.stages import read_results, read_stages
+from cellapp.commands.report.result import RunResults, read_results
+from cellapp.commands.report.tables import all_tables, out_of_date_sentences
+from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
 from cellapp.commands.view.table import View
 from cellapp.estimation.readings import Readings

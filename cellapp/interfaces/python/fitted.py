@@ -20,6 +20,7 @@ from cellapp.commands.calibrate.charts_accuracy import (
     stage_chart,
     stop_error_chart,
 )
+from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.calibrate.view import calibration_view, parameters_view
 from cellapp.commands.compensate.run import compensate_targets
 from cellapp.commands.compensate.view import compensation_view
@@ -27,7 +28,6 @@ from cellapp.commands.compensate.words import compensate_summary
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.run import discover_effects
 from cellapp.commands.discover.view import discovery_view
-from cellapp.commands.report.data import HeldOutArm
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.table import View
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms

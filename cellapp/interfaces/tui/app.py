@@ -17,7 +17,7 @@ from typing import ClassVar
 
 from rich.text import Text
 from textual import on, work
-from textual.app import App, SystemCommand
+from textual.app import SystemCommand
 from textual.binding import Binding, BindingType
 from textual.css.query import NoMatches
 from textual.driver import Driver
@@ -25,7 +25,6 @@ from textual.screen import Screen
 from textual.widgets import Static
 
 from cellapp.cell.driving.requests.attaching import Detached
-from cellapp.ground.progress import CellLive
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.attached import LOOK_EVERY_S, JobsOfOthers
 from cellapp.interfaces.tui.dialogs.handbook import Handbook
@@ -34,8 +33,8 @@ from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
 from cellapp.interfaces.tui.dialogs.palette import Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.endings import UNEXPECTED, ending_of, left_behind
-from cellapp.interfaces.tui.job_record import JobRecord
-from cellapp.interfaces.tui.jobs import Job, JobEnded, JobRunner, MotionAsked
+from cellapp.interfaces.tui.host import Host
+from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
 from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
 from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, StopGiven, WorkspaceLoaded
 from cellapp.interfaces.tui.offers import (
@@ -46,13 +45,13 @@ from cellapp.interfaces.tui.offers import (
     offer_whole_day,
     show_paths,
 )
-from cellapp.interfaces.tui.presses import StopPresses, driver_that_stops
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.slow_passes import SlowPasses
+from cellapp.interfaces.tui.terminal_driver import driver_that_stops
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine, StepTab
-from cellapp.interfaces.tui.workspace import Step, Workspace, holds_run, load_workspace
+from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
 
 _REQUESTS = ("stop", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
@@ -76,7 +75,7 @@ _MOST_TAKEN = 300
 """Events that are taken in at a time: each takes some microseconds."""
 
 
-class CellApp(App[None]):
+class CellApp(Host):
     """The application.
 
     Parameters
@@ -115,17 +114,10 @@ class CellApp(App[None]):
     def __init__(
         self, profiles: Path, logs: Path = Path("logs"), patience_s: float = 60.0, *, ends_process: bool = False
     ) -> None:
-        super().__init__()
-        self.profiles, self.logs = profiles, logs
-        self.workspace = Workspace()
-        self.record = JobRecord()
-        self.jobs = JobRunner(self.post_message)
-        self.presses = StopPresses(self.jobs)
+        super().__init__(profiles, logs)
         self.passes = SlowPasses()
         self.leaving = Leaving(self, ends_process=ends_process)
         self.others = JobsOfOthers(self)
-        self.asked_by: DayScreen | None = None
-        """The screen that asked for the present job; it gets the result, whichever screen is shown then."""
         self.message = ""
         self._severity: Severity = "information"
         self._screens: dict[Step, DayScreen] = {}
@@ -135,8 +127,10 @@ class CellApp(App[None]):
         self._patience_s = patience_s
         self._leaving = False
         self._ended: str | None = None
-        self.code = 0
-        """Exit code of the last job."""
+
+    def close_terminal(self) -> None:
+        """Leave because the terminal is gone; from any thread."""
+        self.leaving.close_terminal()
 
     def get_driver_class(self) -> type[Driver]:
         """The driver that stops before the event loop gets a key, where there is one."""
@@ -223,8 +217,9 @@ class CellApp(App[None]):
 
     def _screen_of(self, step: Step) -> DayScreen:
         if step not in self._screens:
-            entry = next(entry for entry in SCREENS if entry.step == step)
-            self._screens[step] = entry.make()
+            screen = next(entry for entry in SCREENS if entry.step == step).make()
+            assert isinstance(screen, DayScreen)
+            self._screens[step] = screen
             self.install_screen(self._screens[step], step)
         return self._screens[step]
 
@@ -267,7 +262,9 @@ class CellApp(App[None]):
     def get_system_commands(self, screen: Screen[object]) -> Iterable[SystemCommand]:
         """Every action for the command palette: those of the application and of the screen below it."""
         yield from self._commands
-        yield SystemCommand("Paths", "plan, drive or verify paths of lines and arcs", partial(offer_paths, self))
+        yield SystemCommand(
+            "Paths", "plan, drive or verify paths of lines and arcs", partial(offer_paths, self.day_screen)
+        )
         for arm in self.workspace.unseen:
             seen = partial(offer_at_rest, self, arm)
             yield SystemCommand(f"Arm {arm} is at rest", "a person has seen it: it no longer counts as moving", seen)
@@ -337,19 +334,6 @@ class CellApp(App[None]):
         self.draw_all()
 
     # -- the job -------------------------------------------------------------------------------------------------------
-
-    def start_job(self, job: Job, cell: Workspace | None = None) -> bool:
-        """Start a job, which uses ``cell`` where that is not what is open; whether it was started."""
-        if self.jobs.running:
-            self.say(f"'{self.record.name}' is still running; stop it or wait for its end.", "warning")
-            return False
-        self.asked_by = None
-        self.workspace = cell or self.workspace
-        self.record.begin(job.name)
-        self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
-        self.jobs.start(job)
-        self.draw_all()
-        return True
 
     def action_whole_day(self) -> None:
         """Ask, then plan, collect, calibrate, discover, push and verify in a new run."""
@@ -495,10 +479,6 @@ class CellApp(App[None]):
             screen.show_job(self.record)
         if self.record.state != state:
             self._say_state()
-
-    def live(self) -> CellLive | None:
-        """What is known now of the cell that the present job has open; None without one."""
-        return self.jobs.control.live() if self.jobs.running else None
 
     def _say_state(self) -> None:
         """A new state of the job in the message line; what a replay plays back is no state of these arms."""

@@ -10,11 +10,11 @@ from cellapp.ground.asking import JOB_FILE, NoJob, address_of_job
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CellappError
 from cellapp.ground.progress import Listener
+from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
     from cellapp.cell.driving.requests.attaching import RemoteControl
-    from cellapp.interfaces.tui.app import CellApp
 
 LOOK_EVERY_S = 1.0
 """Somebody may start a job in another window at any time."""
@@ -23,7 +23,7 @@ LOOK_EVERY_S = 1.0
 class JobsOfOthers:
     """Looks for jobs of other processes, and attaches the application to them."""
 
-    def __init__(self, app: CellApp) -> None:
+    def __init__(self, app: Host) -> None:
         self._app = app
         self._looking = threading.Lock()
         self._said = ""

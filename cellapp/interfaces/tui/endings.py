@@ -63,7 +63,7 @@ def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
 
 def _done(job: Job, result: Result | None) -> Ending:
     """The end of a job that did all it was to do; with the exit code of the command where a check did not hold."""
-    from cellapp.commands.run_results import WholeRunResult  # 0.1 s, which a start need not wait for
+    from cellapp.commands.run.result import WholeRunResult
 
     where = "" if job.folder is None else f"; the run is in {job.folder}"
     complaints, held = _checks(result, verifies=job.name == VERIFY)
@@ -81,7 +81,7 @@ def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
     from cellapp.cell.targets.records import VerifyResult
     from cellapp.commands.certificate.result import CertificateCheckResult, CertificateResult
     from cellapp.commands.locate.result import LocateResult
-    from cellapp.commands.run_results import WholeRunResult
+    from cellapp.commands.run.result import WholeRunResult
     from cellapp.estimation.iso9283.records import Iso9283Result
     from cellapp.estimation.monitoring.check.records import CheckResult
 

@@ -6,14 +6,11 @@ import contextlib
 import os
 import threading
 import time
-from typing import TYPE_CHECKING
 
 from cellapp.ground.signals import TERMINAL_CLOSED, available, ended_by, watch_signals
 from cellapp.interfaces.tui.endings import STOPPED, forget_terminal
+from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.messages import LeaveAsked
-
-if TYPE_CHECKING:
-    from cellapp.interfaces.tui.app import CellApp
 
 LEFT = "a person left the application"
 ENDED = "the terminal application ended"
@@ -32,12 +29,12 @@ class Leaving:
 
     Parameters
     ----------
-    app : CellApp
+    app : Host
     ends_process : bool
         Whether a signal that ends the program ends the process even where the screen cannot be left.
     """
 
-    def __init__(self, app: CellApp, *, ends_process: bool) -> None:
+    def __init__(self, app: Host, *, ends_process: bool) -> None:
         self._app, self._ends_process = app, ends_process
         self._signals = contextlib.ExitStack()
 

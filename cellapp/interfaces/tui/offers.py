@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.follow_path import FollowPath, FollowRequest
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
+from cellapp.interfaces.tui.host import Host
+from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
-    from cellapp.interfaces.tui.app import CellApp
 
 BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
 USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
@@ -27,7 +28,7 @@ def arms_words(workspace: Workspace) -> str:
     return "REAL ARMS WILL MOVE" if workspace.kind == "real" else f"the arms are {workspace.kind}"
 
 
-def offer_whole_day(app: CellApp) -> None:
+def offer_whole_day(app: Host) -> None:
     """Plan, collect, calibrate, discover, push and verify in a new run."""
     profile, path = app.workspace.file_profile, app.workspace.profile_path
     if profile is None or path is None:
@@ -44,11 +45,12 @@ def offer_whole_day(app: CellApp) -> None:
     app.push_screen(Choice("Everything, unattended?", text, BEGIN), begin)
 
 
-def offer_paths(app: CellApp) -> None:
+def offer_paths(screen: DayScreen) -> None:
     """Plan paths of lines and arcs for the run that is open; drive and measure them where a person asks for that."""
     from cellapp.commands.compensate.target_list import stale_model
 
-    calibrated, profile = app.day_screen.calibrated_run(), app.workspace.profile
+    app, profile = screen.cell_app, screen.workspace.profile
+    calibrated = screen.calibrated_run()
     if calibrated is None or profile is None:
         return
     folder, results, _ = calibrated
@@ -63,7 +65,7 @@ def offer_paths(app: CellApp) -> None:
     app.push_screen(FollowPath(proposed, tuple(profile.arms), arms_words(app.workspace), stale), begin)
 
 
-def show_paths(app: CellApp, result: object) -> None:
+def show_paths(app: Host, result: object) -> None:
     """Show the tables of paths that were planned or followed; anything else is shown by its screen."""
     from cellapp.cell.targets.path_records import PathResult
     from cellapp.commands.follow.view import path_sentences, path_tables
@@ -73,7 +75,7 @@ def show_paths(app: CellApp, result: object) -> None:
         app.push_screen(Reading(markdown(path_tables(result), path_sentences(result))))
 
 
-def offer_to_quit(app: CellApp, leave: Callable[[bool], None]) -> None:
+def offer_to_quit(app: Host, leave: Callable[[bool], None]) -> None:
     """Ask whether to stop the job that is in progress and quit; ``leave`` takes the answer."""
     if app.jobs.attached:
         text = f"'{app.record.name}' runs in another process and goes on; quitting here does not stop its arms."
@@ -86,7 +88,7 @@ def offer_to_quit(app: CellApp, leave: Callable[[bool], None]) -> None:
     app.push_screen(question, lambda answer: leave(answer == "leave"))
 
 
-def offer_to_resume(app: CellApp, run: RunSummary) -> None:
+def offer_to_resume(app: Host, run: RunSummary) -> None:
     """Open a run that was interrupted while collecting, or one in which another process works now."""
     folder, title = Path(run.run), "Go on with the last run?"
     text = f"{folder} was interrupted with {run.stops_left} stops left. Open it? Nothing moves yet."
@@ -103,7 +105,7 @@ def offer_to_resume(app: CellApp, run: RunSummary) -> None:
     app.push_screen(Choice(title, text, answers), open_it)
 
 
-def offer_at_rest(app: CellApp, arm: str) -> None:
+def offer_at_rest(app: Host, arm: str) -> None:
     """Record that a person has seen an arm at rest that counts as moving."""
     folder = app.workspace.folder
     if folder is None:
@@ -118,7 +120,7 @@ def offer_at_rest(app: CellApp, arm: str) -> None:
     app.push_screen(Choice(f"Is arm {arm} at rest?", text, answers), record)
 
 
-def offer_replay(app: CellApp, folder: Path) -> None:
+def offer_replay(app: Host, folder: Path) -> None:
     """Play back a run through the screen Collect."""
 
     def play(answer: str | None) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from typing import TYPE_CHECKING
 
-from textual.driver import Driver
 from textual.geometry import Region
 
 from cellapp.interfaces.tui.messages import StopGiven
@@ -52,14 +50,3 @@ class StopPresses:
     def just_given(self) -> bool:
         """Whether what is handled now may have been pressed before the last STOP."""
         return self._given != self._said or time.monotonic() < self._said_s + _RESUME_AFTER_S
-
-
-def driver_that_stops(usual: type[Driver]) -> type[Driver]:
-    """The driver whose thread gives a stop itself, in place of the usual one of a POSIX terminal."""
-    if sys.platform == "win32":
-        return usual
-    from textual.drivers.linux_driver import LinuxDriver
-
-    from cellapp.interfaces.tui.urgent_keys import UrgentDriver
-
-    return UrgentDriver if usual is LinuxDriver else usual

@@ -10,17 +10,15 @@ import os
 import select
 import time
 from codecs import getincrementaldecoder
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from textual import constants, events
 from textual._xterm_parser import BRACKETED_PASTE_END, BRACKETED_PASTE_START, XTermParser
 from textual.drivers.linux_driver import LinuxDriver
 from textual.message import Message
 
+from cellapp.interfaces.tui.host import Host
 from drivers.priority import run_first
-
-if TYPE_CHECKING:
-    from cellapp.interfaces.tui.app import CellApp
 
 _POLL_S = 0.1
 """How soon the thread notices that the application ends."""
@@ -56,7 +54,7 @@ class UrgentDriver(LinuxDriver):
             if select.select([self.fileno], [], [], wait_s)[0]:
                 data = self._read()
                 if not data:
-                    cast("CellApp", self._app).leaving.close_terminal()
+                    cast(Host, self._app).close_terminal()
                     return
                 self._parse(parser, decode(data))
                 wait_s, read_s = constants.ESCAPE_DELAY, time.monotonic()
@@ -88,7 +86,7 @@ class UrgentDriver(LinuxDriver):
         if self._pasting and isinstance(message, events.Key):
             return  # an escape sequence in a pasted text, which is in the event of the paste as well
         if self._presses_stop(message):
-            given = cast("CellApp", self._app).presses.give()
+            given = cast(Host, self._app).presses.give()
             message = message if given is None else given
         super().process_message(message)
 
@@ -96,7 +94,7 @@ class UrgentDriver(LinuxDriver):
         if isinstance(message, events.Key):
             return presses_stop(message.key)
         if isinstance(message, events.MouseDown) and message.button == _LEFT_BUTTON:
-            return cast("CellApp", self._app).presses.region.contains(int(message.screen_x), int(message.screen_y))
+            return cast(Host, self._app).presses.region.contains(int(message.screen_x), int(message.screen_y))
         return False
 
 

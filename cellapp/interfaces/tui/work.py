@@ -93,7 +93,7 @@ def at_rest(folder: Path, arm: str) -> Job:
 
     def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest
-        from cellapp.commands.run_results import AtRestResult
+        from cellapp.commands.at_rest.result import AtRestResult
 
         return AtRestResult(run=str(folder), arm=arm, counted_as_moving=note_at_rest(run, arm, BY_PERSON))
 

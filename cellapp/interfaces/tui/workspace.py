@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from cellapp.cell.driving.records import CollectionResult
     from cellapp.cell.planning.design_records import PlanDesignResult
     from cellapp.cell.planning.planned_stops import PlannedStops
-    from cellapp.commands.run_results import OverviewResult, RunResults, StopsResult
+    from cellapp.commands.plan.result import StopsResult
+    from cellapp.commands.report.result import RunResults
     from cellapp.commands.runs.result import CellKind
+    from cellapp.commands.show.result import OverviewResult
     from cellapp.ground.profile import Profile
 
 Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs"]
@@ -159,8 +161,9 @@ def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
 def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) -> Workspace:
     from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops
     from cellapp.cell.run import RunFile
-    from cellapp.commands.show.overview import planned_stops, run_overview
-    from cellapp.commands.stages import read_results
+    from cellapp.commands.plan.run import planned_stops
+    from cellapp.commands.report.result import read_results
+    from cellapp.commands.show.overview import run_overview
     from cellapp.interfaces.page.collection_section import collection_state
 
     with RunFile.open(folder) as run:

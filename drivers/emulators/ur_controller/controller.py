@@ -78,14 +78,14 @@ class Controller:
         self.gravity: Values = (0.0, 0.0, 9.82)
         self.slider = SpeedSlider()
         self.brakes = Brakes(config.name, motions, config.braking, config.speed, config.acceleration, clock)
-        self.program: Program | None = None
+        self.program: Program[Controller] | None = None
         self.log: deque[str] = deque(maxlen=200)
         self.moves = 0
         self.began_s: deque[float] = deque(maxlen=_MOST_STARTS)
         self.journal = Journal(clock)
         self._monotonic = clock
         self.now_s = 0.0
-        self._uploaded: tuple[float, Program] | None = None
+        self._uploaded: tuple[float, Program[Controller]] | None = None
         self._was_moving = False
         self._goal: tuple[Array, Array, Array] | None = None
         self._protective_stop_s = -math.inf
@@ -237,7 +237,7 @@ class Controller:
 
     # -- program -----------------------------------------------------------------------------------------------------
 
-    def upload(self, program: Program) -> bool:
+    def upload(self, program: Program[Controller]) -> bool:
         """Accept an uploaded program, which replaces a running one after a delay; return whether it was accepted."""
         if not self.accepts_commands:
             self.log.append(f"program {program.name} ignored: not in remote control")
@@ -249,7 +249,7 @@ class Controller:
         self._uploaded = (self.now_s + self.start_delay_s, program)
         return True
 
-    def start_locally(self, program: Program) -> None:
+    def start_locally(self, program: Program[Controller]) -> None:
         """Start a program as a person does on the pendant. Raises ``ValueError`` if one runs, or without power."""
         if self.runtime is not Runtime.STOPPED or not self._can_move():
             raise ValueError(f"arm {self.name}: {self.runtime.name}, {self.robot_mode.name}: no program can start")

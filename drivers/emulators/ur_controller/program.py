@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol, TypeVar
 
-if TYPE_CHECKING:
-    from drivers.emulators.ur_controller.controller import Controller
+C = TypeVar("C", contravariant=True)
+"""The controller that executes a program."""
 
 
 class ScriptError(Exception):
     """A program requests something impossible; the program ends."""
 
 
-class Program(Protocol):
+class Program(Protocol[C]):
     """A program on a controller, executed one cycle at a time."""
 
     name: str
 
-    def begin(self, controller: Controller) -> None:
+    def begin(self, controller: C) -> None:
         """Execute the first step. Raises ``ScriptError``."""
 
-    def cycle(self, controller: Controller) -> bool:
+    def cycle(self, controller: C) -> bool:
         """Execute one control cycle; return whether the program continues. Raises ``ScriptError``."""

@@ -49,7 +49,7 @@ class ForeignProgram:
         return True
 
 
-def program_of(name: str, block: bytes) -> Program:
+def program_of(name: str, block: bytes) -> Program[Controller]:
     """Return the program of a block of text."""
     offsets = [pattern.search(block) for pattern in (_INT_OFFSET, _FLOAT_OFFSET)]
     numbers = [int(found.group(1)) for found in offsets if found is not None]
@@ -64,10 +64,10 @@ class Upload:
     def __init__(self) -> None:
         self._received = bytearray()
 
-    def take(self, data: bytes) -> list[Program]:
+    def take(self, data: bytes) -> list[Program[Controller]]:
         """Return the programs that ``data`` completes, in order; text outside a program is discarded."""
         self._received += data
-        found: list[Program] = []
+        found: list[Program[Controller]] = []
         while (head := _HEAD.search(self._received)) is not None:
             tail = _TAIL.search(self._received, head.end())
             if tail is None:

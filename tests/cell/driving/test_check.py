@@ -18,8 +18,8 @@ from cellapp.cell.driving.smr_search import APART_M
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion, refuse_stop
+from cellapp.commands.locate.station import excess_of_readings
 from cellapp.commands.stages import read_stages
-from cellapp.commands.station import excess_of_readings
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.monitoring.check import SequentialState
 from cellapp.estimation.readings import Readings

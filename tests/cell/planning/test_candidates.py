@@ -18,8 +18,8 @@ from cellapp.cell.planning.joint_draws import draw_joints, joint_ranges
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import ArmBodies, place
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.cell.safety.gate import CellBodies, TrackerField, clear_alone, visible
-from cellapp.cell.safety.visibility import sight_of
+from cellapp.cell.safety.gate import CellBodies, clear_alone, visible
+from cellapp.cell.safety.visibility import TrackerField, sight_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.obstacles import BoxObstacle, Placement

@@ -10,7 +10,8 @@ import pytest
 
 from cellapp.cell.safety.bodies import ArmBodies, place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, TrackerField, predicted_smr, refuse_motion, refuse_stop, visible
+from cellapp.cell.safety.gate import CellBodies, predicted_smr, refuse_motion, refuse_stop, visible
+from cellapp.cell.safety.visibility import TrackerField
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import transform
 from drivers.plant.clearance import segment_distances

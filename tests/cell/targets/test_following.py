@@ -17,7 +17,7 @@ from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.path_records import PathResult
 from cellapp.commands.follow.run import follow_run
 from cellapp.commands.follow.view import path_sentences, path_tables
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Cancelled, Progress

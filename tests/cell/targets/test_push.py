@@ -19,10 +19,9 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.compensate import Command, compensate, compensate_result
 from cellapp.cell.targets.records import ArmVerification, CompensateResult, MeasuredTarget, VerifyResult
 from cellapp.cell.targets.targets import Target, load_targets, same_target
-from cellapp.commands.calibrate.view import verification_tables
-from cellapp.commands.compensate.tables import predicted_tables
+from cellapp.commands.compensate.tables import predicted_tables, verification_tables
 from cellapp.commands.push.run import judge_of, push_run
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError

@@ -19,7 +19,7 @@ from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import WorkingConditions, load_targets
 from cellapp.commands.push.run import push_run
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Cancelled

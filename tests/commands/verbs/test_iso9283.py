@@ -16,7 +16,8 @@ from cellapp.commands.iso9283 import run as verb
 from cellapp.commands.iso9283.run import iso9283_folder, iso9283_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
 from cellapp.commands.report.data import read_report_data
-from cellapp.commands.stages import read_results, read_stages
+from cellapp.commands.report.result import read_results
+from cellapp.commands.stages import read_stages
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile

@@ -15,11 +15,13 @@ from cellapp.cell.run import RunFile, import_csv
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.result import arm_result, discover_result
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.stages import CALIBRATION_FILE, read_results
+from cellapp.commands.report.result import read_results
+from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm, discover_cell
+from cellapp.estimation.discovery.records import with_effects
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
@@ -70,7 +72,7 @@ def discovered(folder, plan, effects, **seeds):
         found = calibrated_and_searched(run)
         calibrated = read_results(run).calibrate
         assert calibrated is not None
-        return calibrated, found.arms, json.loads(calibrated.with_effects(discover_result(found)).to_json())
+        return calibrated, found.arms, json.loads(with_effects(calibrated, discover_result(found)).to_json())
 
 
 def names(discovery):

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.commands.certificate.evidence import evidence_of
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.report.result import RunResults
 from cellapp.estimation.calibration.records import Repeatability
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.uncertainty.budget import (

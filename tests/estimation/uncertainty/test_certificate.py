@@ -9,7 +9,7 @@ import pytest
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, UnknownCondition
 from cellapp.commands.certificate.result import CertificateResult, CertifiedCharacteristic, CertifiedData
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.report.result import RunResults
 from cellapp.ground.results import CERTIFICATE, ISO9283, VERIFY
 from tests.estimation.uncertainty.cases import measured, pose_test, profile_with, results, verification
 

@@ -6,7 +6,7 @@ import pytest
 
 from cellapp.cell.targets.records import CompensateResult, TargetCommand
 from cellapp.commands.certificate.judgements import judge_run
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.report.result import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.monitoring.check.records import CheckResult, CheckVerdict
 from cellapp.estimation.uncertainty.decision import conformity

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.records import ReferenceDrift
 from cellapp.cell.profile import load_profile
+from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.calibrate.charts_accuracy import (
     along_joint,
     error_histogram_chart,
@@ -23,7 +23,7 @@ from cellapp.commands.collect.charts import (
     standard_error_chart,
 )
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
-from cellapp.commands.run_results import PlannedStop
+from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Axis, Chart, Series, bar_chart, enumerated, mm
 from cellapp.estimation.calibration.records import PairHeldOut, PairMethodResult
 from cellapp.estimation.discovery.records import BeforeAfter, GapStep

@@ -7,7 +7,8 @@ import pytest
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.charts_accuracy import error_histogram_chart, residual_joint_chart, residual_space_chart
-from cellapp.commands.report.data import HeldOutArm, ReportData, read_report_data
+from cellapp.commands.calibrate.held_out import HeldOutArm
+from cellapp.commands.report.data import ReportData, read_report_data
 
 
 @pytest.fixture

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.records import CollectResult, MissingReading
+from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.run import Outcome, ReferenceRow, RunFile
+from cellapp.cell.run.records import MissingReading
 from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.collect.view import collect_lines, collection_tables, other_notes
 from cellapp.commands.plan.run import plan_new_run

@@ -12,9 +12,10 @@ import pytest
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.calibrate.view import all_tables, out_of_date_sentences
-from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_results
-from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.commands.report.result import read_results
+from cellapp.commands.report.tables import all_tables, out_of_date_sentences
+from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED
+from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY
 from tests.interfaces.page.cases import discovery, unknown_effect
 from tests.interfaces.page.parsed_page import Page, page_of
@@ -93,11 +94,11 @@ def test_effects_that_an_older_version_wrote_into_the_calibration_are_not_shown(
 ) -> None:
     result = read_results(single).calibrate
     assert result is not None
-    with_effects = result.with_effects(DiscoverResult(arms={"only": unknown_effect("only")}))
+    both = with_effects(result, DiscoverResult(arms={"only": unknown_effect("only")}))
     with RunFile.create(tmp_path / "old", single.profile) as old:
         fill(old)
         old.assign_splits("only", list(single.readings("only").split or ()))
-        old.write_result(CALIBRATE, with_effects.to_json())
+        old.write_result(CALIBRATE, both.to_json())
         shutil.copy(single.folder / CALIBRATION_FILE, old.folder)
         page = page_of(old)
     assert "geometry, position" in page.texts

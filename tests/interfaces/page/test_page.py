@@ -13,24 +13,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.records import ArmOrder
 from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.in_order import write_in_order
+from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.targets.records import VerifyResult
+from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.charts_accuracy import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import (
-    all_tables,
     calibration_tables,
     detailed_tables,
     distance_mm,
     parameter_tables,
     transform_tables,
-    verification_tables,
 )
+from cellapp.commands.compensate.tables import verification_tables
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.discover.tables import (
     accepted_table,
@@ -41,7 +41,9 @@ from cellapp.commands.discover.tables import (
 )
 from cellapp.commands.export.run import calibrated_arms
 from cellapp.commands.report.data import read_report_data
-from cellapp.commands.stages import CALIBRATION_FILE, append_stage, basis_of, read_results, read_stages
+from cellapp.commands.report.result import read_results
+from cellapp.commands.report.tables import all_tables
+from cellapp.commands.stages import CALIBRATION_FILE, append_stage, read_stages
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.errors import InputError

@@ -16,8 +16,8 @@ from cellapp.cell.planning.stored_stops import (
 )
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.design_view import design_sentences, design_tables, plan_lines, plan_result_tables
+from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.plan.run import new_planned_run, plan_result, stored_plan
-from cellapp.commands.run_results import StopsResult
 from cellapp.ground.errors import InputError
 from tests.interfaces.page.plan_cases import TIME, plan_design
 from tests.twin import small_twin

@@ -18,7 +18,6 @@ from cellapp.cell.targets.records import (
     VerifyResult,
 )
 from cellapp.cell.targets.targets import FramePoint, Partner, Target, WorkFrame, WorkingConditions
-from cellapp.commands.calibrate.view import verification_tables
 from cellapp.commands.compensate.charts import bound_chart, pair_chart, parts_chart, rounds_chart, target_chart
 from cellapp.commands.compensate.charts import target_charts as all_charts
 from cellapp.commands.compensate.details import place_lines, side_words, stored_state, target_details
@@ -30,10 +29,11 @@ from cellapp.commands.compensate.tables import (
     stored_tables,
     uncertainty_tables,
     unknown_tables,
+    verification_tables,
 )
 from cellapp.commands.compensate.target_list import target_list, target_state, target_words
 from cellapp.commands.compensate.words import compensate_lines, push_lines, verify_lines, verify_message
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.report.result import RunResults
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.table import most_urgent, part_table
 from cellapp.estimation.uncertainty.records import UncertaintyParts

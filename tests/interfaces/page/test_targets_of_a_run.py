@@ -11,7 +11,7 @@ from cellapp.commands.compensate.tables import measured_tables, refusal_tables, 
 from cellapp.commands.compensate.target_list import target_list
 from cellapp.commands.compensate.words import PART_WORDS, compensate_lines, verify_message
 from cellapp.commands.report.data import read_report_data
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.interfaces.page.targets_section import targets_section
 from tests.interfaces.page.runs import LEFT, RIGHT, TARGET, UNREACHABLE, targets_of
 

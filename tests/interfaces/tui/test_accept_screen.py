@@ -17,8 +17,8 @@ from textual.widgets import Checkbox, Input, Static, TabbedContent
 from cellapp.cell.run import RunFile
 from cellapp.commands.check import run as check_verb
 from cellapp.commands.iso9283 import run as iso_verb
-from cellapp.commands.run_results import ReportResult
-from cellapp.commands.stages import append_stage, basis_on_model, read_results, read_stages
+from cellapp.commands.report.result import ReportResult, read_results
+from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckResult
 from cellapp.ground.control import JobControl

@@ -9,8 +9,8 @@ import pytest
 from textual.pilot import Pilot
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.report.result import read_results
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.stages import read_results
 from cellapp.interfaces.tui.app import CellApp
 from tests.interfaces.tui.pilot import SMALL, WAIT_S, shown_text, until
 from tests.twin import write_profile

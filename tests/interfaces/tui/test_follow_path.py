@@ -8,7 +8,7 @@ from pathlib import Path
 from textual.widgets import Checkbox, Input
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.follow_path import FollowPath
 from cellapp.interfaces.tui.dialogs.question import Reading
@@ -36,11 +36,11 @@ async def test_paths_are_driven_and_shown(finished_run: Path) -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
-        offer_paths(app)
+        offer_paths(app.day_screen)
         assert "No run is open" in app.message
         app.open_run(DAY)
         await until(pilot, lambda: app.workspace.results is not None, "the run")
-        offer_paths(app)
+        offer_paths(app.day_screen)
         await until(pilot, lambda: isinstance(app.screen, FollowPath) and shown_text(app), "the dialog")
         assert "Begin (Ctrl+S)" in shown_text(app), "all of the dialog fits into the smallest terminal"
         app.screen.query_one("#path", Input).value = "short.yaml"

@@ -9,7 +9,7 @@ from textual.widgets import Input
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.locate.request import LocateRequest
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion

@@ -11,7 +11,7 @@ from textual.widgets import Input
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, until

@@ -12,7 +12,7 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.run_results import ReportResult
+from cellapp.commands.report.result import ReportResult
 from cellapp.commands.runs import history
 from cellapp.commands.runs.result import RunsResult
 from cellapp.interfaces.tui import browser

@@ -12,7 +12,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.target_text import targets_text
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.commands.push import run as push_verb
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice

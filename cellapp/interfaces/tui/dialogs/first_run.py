@@ -9,11 +9,11 @@ from cellapp.cell.profile.starters import TWIN, copy_starter
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
+from cellapp.interfaces.tui.host import Host
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from cellapp.interfaces.tui.app import CellApp
 
 NEW_PROFILE = "my-cell.yaml"
 """File of a new profile until it has a name."""
@@ -25,7 +25,7 @@ class Welcome(Choice):
     DEFAULT_CSS = "Welcome .dialog .answers { layout: vertical; }"
 
 
-def offer_first_run(app: CellApp) -> bool:
+def offer_first_run(app: Host) -> bool:
     """Ask what to begin with if there are no profiles; whether the question was asked."""
     if any(app.profiles.glob("*.yaml")):
         return False
@@ -43,7 +43,7 @@ def offer_first_run(app: CellApp) -> bool:
     return True
 
 
-def begin_with(app: CellApp, answer: str | None) -> None:
+def begin_with(app: Host, answer: str | None) -> None:
     """Do what was chosen; None: nothing."""
     if answer == "twin":
         try:
@@ -62,12 +62,12 @@ def begin_with(app: CellApp, answer: str | None) -> None:
         app.push_screen(picker, lambda path: None if path is None else app.open_profile(path))
 
 
-def write_profile(app: CellApp) -> None:
+def write_profile(app: Host) -> None:
     """Open the form for a new profile; what is saved is opened."""
     _show_form(app, OpenProfile(app.profiles / NEW_PROFILE, None, blank_draft()))
 
 
-def take_own_readings(app: CellApp) -> None:
+def take_own_readings(app: Host) -> None:
     """Ask for readings that were recorded elsewhere; make their profile and run, and open it."""
     from cellapp.interfaces.tui import work
     from cellapp.interfaces.tui.dialogs.own_readings import OwnReadings, OwnReadingsRequest
@@ -81,7 +81,7 @@ def take_own_readings(app: CellApp) -> None:
     app.push_screen(OwnReadings(home), begin)
 
 
-def edit_profile(app: CellApp, path: Path) -> None:
+def edit_profile(app: Host, path: Path) -> None:
     """Open the form for a profile that exists; what is saved is opened. A sentence says why where that fails."""
     from cellapp.cell.profile.draft_file import open_profile
 
@@ -93,7 +93,7 @@ def edit_profile(app: CellApp, path: Path) -> None:
     _show_form(app, opened)
 
 
-def _show_form(app: CellApp, opened: OpenProfile) -> None:
+def _show_form(app: Host, opened: OpenProfile) -> None:
     from cellapp.interfaces.tui.screens.profile_form import ProfileForm
 
     app.push_screen(ProfileForm(opened), lambda path: None if path is None else app.open_profile(path))

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.command import CommandPalette
 
+from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.stop import StopCorner
-
-if TYPE_CHECKING:
-    from cellapp.interfaces.tui.app import CellApp
 
 
 class Palette(CommandPalette):
@@ -28,7 +26,7 @@ class Palette(CommandPalette):
         yield from super().compose()
 
 
-def possible_commands(app: CellApp, screen: DayScreen) -> Iterator[SystemCommand]:
+def possible_commands(app: Host, screen: DayScreen) -> Iterator[SystemCommand]:
     """Every action of the application and of a screen that is possible now, for the command palette."""
     for entry in SCREENS:
         show = partial(app.action_show, entry.step)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+from textual.screen import Screen
 
 from cellapp.interfaces.tui.workspace import STEPS, Step
-
-if TYPE_CHECKING:
-    from cellapp.interfaces.tui.screens.base import DayScreen
 
 
 @dataclass(frozen=True)
@@ -22,10 +20,10 @@ class ScreenEntry:
     class_name: str
     purpose: str
 
-    def make(self) -> DayScreen:
+    def make(self) -> Screen[None]:
         """Load the module and make the screen."""
         module = importlib.import_module(f"cellapp.interfaces.tui.screens.{self.step}")
-        screen: DayScreen = getattr(module, self.class_name)()
+        screen: Screen[None] = getattr(module, self.class_name)()
         return screen
 
 

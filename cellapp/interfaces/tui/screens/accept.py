@@ -18,13 +18,12 @@ from cellapp.commands.certificate.view import certificate_sentences, certificate
 from cellapp.commands.certificate.view import check_sentences as check_file_sentences
 from cellapp.commands.check.view import check_sentences, check_tables
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.report.result import RunResults
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, Result, StageName
 from cellapp.interfaces.tui import work_acceptance
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.screens import accept_jobs
-from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
 from cellapp.interfaces.tui.widgets.tabs import show_next_tab
@@ -50,7 +49,7 @@ class VerdictRead(Message):
         self.workspace, self.verdict = workspace, verdict
 
 
-class AcceptScreen(DayScreen):
+class AcceptScreen(accept_jobs.ScreenOfResults):
     """Verdict, check, ISO 9283, certificate, report."""
 
     AUTO_FOCUS = "#verdict-tables"
@@ -100,8 +99,6 @@ message shows how far they are; Collect (key 3) shows arms and tracker. **t** go
         super().__init__()
         self._drawn: Workspace | None = None
         self._checked: CertificateCheckResult | None = None
-        self.key_file = ""
-        """Private key that signed last; its passphrase is not kept."""
 
     def body(self) -> ComposeResult:
         yield Static("", id="decision", markup=False)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from cellapp.commands.compensate.target_list import stale_model
 from cellapp.estimation.iso9283.records import IsoCommands
-from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283
+from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work, work_acceptance
 from cellapp.interfaces.tui.dialogs.certificate import (
     CertificateRequest,
@@ -20,10 +18,8 @@ from cellapp.interfaces.tui.dialogs.check_calibration import CheckCalibration, C
 from cellapp.interfaces.tui.dialogs.iso9283_tests import Iso9283Tests, IsoRequest
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words
+from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
-
-if TYPE_CHECKING:
-    from cellapp.interfaces.tui.screens.accept import AcceptScreen
 
 _PAGES = (
     Answer("page", "Page", "w", "success"),
@@ -32,7 +28,18 @@ _PAGES = (
 )
 
 
-def ask_check(screen: AcceptScreen) -> None:
+class ScreenOfResults(DayScreen):
+    """The screen Accept as these jobs see it: it has a tab for each result."""
+
+    key_file = ""
+    """Private key that signed last; its passphrase is not kept."""
+
+    def show_tab(self, stage: StageName) -> None:
+        """Show the tab of a result."""
+        raise NotImplementedError
+
+
+def ask_check(screen: ScreenOfResults) -> None:
     """Ask how many stops, then measure them against the calibration."""
     if (calibrated := screen.calibrated_run()) is None:
         return
@@ -53,7 +60,7 @@ def ask_check(screen: AcceptScreen) -> None:
     screen.app.push_screen(CheckCalibration(text, BEGIN, simulated=simulated), begin)
 
 
-def ask_iso9283(screen: AcceptScreen) -> None:
+def ask_iso9283(screen: ScreenOfResults) -> None:
     """Ask which tests, then make them: in the run that is open, else in a new one of the profile."""
     workspace = screen.workspace
     profile, results = workspace.profile, workspace.results
@@ -77,7 +84,7 @@ def ask_iso9283(screen: AcceptScreen) -> None:
     screen.app.push_screen(dialog, begin)
 
 
-def ask_certificate(screen: AcceptScreen, key: str) -> None:
+def ask_certificate(screen: ScreenOfResults, key: str) -> None:
     """Ask for number, data and key, then write the certificate. ``key`` is the file that was used last."""
     folder = screen.open_folder()
     if folder is None:
@@ -92,7 +99,7 @@ def ask_certificate(screen: AcceptScreen, key: str) -> None:
     screen.app.push_screen(WriteCertificate(_certificate_words(screen.workspace), key), begin)
 
 
-def ask_check_file(screen: AcceptScreen) -> None:
+def ask_check_file(screen: ScreenOfResults) -> None:
     """Ask for a certificate and a public key, then check signature and data."""
     from cellapp.commands.out_of_date import CERTIFICATE_FILE
 
@@ -107,7 +114,7 @@ def ask_check_file(screen: AcceptScreen) -> None:
     screen.app.push_screen(CheckCertificate(proposed, folder), begin)
 
 
-def ask_sign_key(screen: AcceptScreen) -> None:
+def ask_sign_key(screen: ScreenOfResults) -> None:
     """Ask where a new key goes, then make it."""
 
     def begin(request: SignKeyRequest | None) -> None:
@@ -118,7 +125,7 @@ def ask_sign_key(screen: AcceptScreen) -> None:
     screen.app.push_screen(NewSignKey(), begin)
 
 
-def ask_report(screen: AcceptScreen) -> None:
+def ask_report(screen: ScreenOfResults) -> None:
     """Ask for page or page and PDF, then write."""
     if (calibrated := screen.calibrated_run()) is None:
         return

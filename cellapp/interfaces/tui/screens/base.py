@@ -11,6 +11,7 @@ from textual.events import Resize
 from textual.screen import Screen
 from textual.widgets import Static
 
+from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
 from cellapp.interfaces.tui.widgets.key_line import KeyLine
@@ -18,10 +19,9 @@ from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
 from cellapp.interfaces.tui.workspace import NO_RUN, NOT_CALIBRATED, Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.commands.run_results import RunResults
+    from cellapp.commands.report.result import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
     from cellapp.ground.results import Result
-    from cellapp.interfaces.tui.app import CellApp
     from cellapp.interfaces.tui.jobs import Job
     from cellapp.interfaces.tui.messages import Severity
 
@@ -43,9 +43,9 @@ class DayScreen(Screen[None]):
     """Markdown for the key ``?``: what the screen shows and what one does here."""
 
     @property
-    def cell_app(self) -> CellApp:
+    def cell_app(self) -> Host:
         """The application with its workspace and its job."""
-        return cast("CellApp", self.app)
+        return cast(Host, self.app)
 
     @property
     def workspace(self) -> Workspace:

@@ -24,6 +24,7 @@ from cellapp.commands.calibrate.charts_accuracy import (
 from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
+from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Reading
@@ -212,7 +213,7 @@ The step after this one is Discover (5).
         name = names[self._arm % len(names)]
         arm = data.held_out[name]
         joint = self._joint % arm.readings.q.shape[1] + 1
-        shown = data.calibrate if data.discover is None else data.calibrate.with_effects(data.discover)
+        shown = data.calibrate if data.discover is None else with_effects(data.calibrate, data.discover)
         stage = list(arm.errors_mm)[-1]
         charts: dict[str, Chart] = {
             "stage-plot": stage_chart(name, shown.arms[name]),

@@ -36,7 +36,7 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
-    from cellapp.commands.run_results import StopsResult
+    from cellapp.commands.plan.result import StopsResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 

@@ -32,7 +32,7 @@ from cellapp.interfaces.tui.workspace import NO_PROFILE, Step, Workspace, new_fo
 if TYPE_CHECKING:
     from cellapp.cell.planning.design_records import ViewResult
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
-    from cellapp.commands.run_results import StopsResult
+    from cellapp.commands.plan.result import StopsResult
     from cellapp.commands.view.charts import Chart
     from cellapp.commands.view.table import Table
     from cellapp.ground.profile import Profile

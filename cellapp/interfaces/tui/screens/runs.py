@@ -19,10 +19,10 @@ from textual.message import Message
 from textual.widgets import DataTable, Input, Static
 from textual.worker import get_current_worker
 
-from cellapp.commands.run_results import ReportResult
+from cellapp.commands.report.result import ReportResult
+from cellapp.commands.runs.columns import contains, run_cells, run_columns
 from cellapp.commands.runs.result import RunsResult
 from cellapp.commands.runs.view import run_lines, runs_sentences
-from cellapp.commands.show.columns import contains, run_cells, run_columns
 from cellapp.commands.view.charts import enumerated
 from cellapp.estimation.monitoring.fleet.records import FleetResult
 from cellapp.ground.errors import CellappError

@@ -33,7 +33,7 @@ from cellapp.commands.compensate.target_list import (
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
 from cellapp.commands.correct.view import correct_table
 from cellapp.commands.locate.result import LocateResult
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.report.result import RunResults
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
@@ -305,7 +305,7 @@ explains frames, conditions and verdicts.
 
     def action_follow(self) -> None:
         """Ask for a path file and whether the arms follow it."""
-        offer_paths(self.cell_app)
+        offer_paths(self)
 
     def action_correct(self) -> None:
         """Ask for a program and where its corrected copy is written."""

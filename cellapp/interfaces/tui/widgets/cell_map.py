@@ -12,7 +12,7 @@ from cellapp.commands.view.charts import Chart
 from cellapp.interfaces.tui.plots import ChartPlot
 
 if TYPE_CHECKING:
-    from cellapp.commands.run_results import PlannedStop
+    from cellapp.commands.plan.result import PlannedStop
     from cellapp.ground.profile import Profile
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from textual.app import ComposeResult
 from textual.containers import Vertical
@@ -11,10 +11,8 @@ from textual.content import Content
 from textual.widgets import Static
 
 from cellapp.ground.progress import CellLive
+from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.live_words import Banner, Look, Part, banner_of, strip_of
-
-if TYPE_CHECKING:
-    from cellapp.interfaces.tui.app import CellApp
 
 DRAWN_EVERY_S = 0.1
 _STYLES: Mapping[Look, str] = {"fresh": "$text-success", "late": "bold $text-warning", "lost": "bold white on $error"}
@@ -49,7 +47,7 @@ class LiveStrip(Vertical):
 
     def look(self) -> None:
         """Ask what is known now, and draw what has changed."""
-        app = cast("CellApp", self.app)
+        app = cast(Host, self.app)
         if self.screen in app.screen_stack:
             self.show(app.live(), app.workspace.unseen)
 

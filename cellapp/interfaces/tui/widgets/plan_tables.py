@@ -15,7 +15,7 @@ from cellapp.interfaces.tui.widgets.text_table import TextTable
 if TYPE_CHECKING:
     from cellapp.cell.planning.planned_stops import PlannedStops
     from cellapp.cell.planning.records import ArmForecast
-    from cellapp.commands.run_results import PlannedStop
+    from cellapp.commands.plan.result import PlannedStop
 
 _BAR_CELLS = 24
 """Width of the bar of a joint's range: 15 degrees a cell over one turn."""

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from textual.app import ComposeResult
 from textual.containers import Container
 from textual.events import Click
 from textual.widgets import Static
 
-if TYPE_CHECKING:
-    from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.host import Host
 
 
 class StopButton(Static):
@@ -26,7 +25,7 @@ class StopButton(Static):
 
     def on_resize(self) -> None:
         """Say where it is, for presses that are seen before the event loop gets them."""
-        cast("CellApp", self.app).presses.region = self.region
+        cast(Host, self.app).presses.region = self.region
 
     async def on_mouse_down(self) -> None:
         """Brake."""

@@ -13,7 +13,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, arm_identities
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.fleet.reading import read_record
-from cellapp.commands.stages import read_results
+from cellapp.commands.report.result import read_results
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result

@@ -8,7 +8,8 @@ import numpy as np
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.locate.result import LocateResult
-from cellapp.commands.stages import RunStages, read_results, read_stages, tracker_moved
+from cellapp.commands.stages import RunStages, read_stages, tracker_moved
+from cellapp.commands.stored_model import read_calibration
 from cellapp.estimation.readings.readings import stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
@@ -61,7 +62,7 @@ def excess_of_readings(run: RunFile, model: CellModel) -> dict[str, float]:
 
     As the model states it, else from the errors at held-out stops.
     """
-    stored = read_results(run).calibrate
+    stored = read_calibration(run, read_stages(run))
     found = {}
     for name, arm in model.arms.items():
         noise_m = 0.0 if arm.posterior is None else arm.posterior.noise_m

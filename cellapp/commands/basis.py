@@ -1,0 +1,85 @@
+"""What a stage of a run rests on: hashes of profile, readings, earlier stages and priors."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+
+import numpy as np
+
+from cellapp.cell.profile import profile_to_json
+from cellapp.cell.run.file import RunFile
+from cellapp.estimation.readings.readings import Readings
+from cellapp.ground.results import Record, StageName
+
+
+class ReadingsBasis(Record):
+    """Number of readings of one arm, and the hash of their measured arrays and splits; empty if only counted."""
+
+    n: int
+    sha256: str
+
+    def is_same(self, other: ReadingsBasis) -> bool:
+        """Whether both are of the same readings, as far as both know them."""
+        hashes = {self.sha256, other.sha256} - {""}
+        return self.n == other.n and len(hashes) < 2
+
+
+class PriorBasis(Record):
+    """The earlier run whose calibration of one arm was taken as prior, and ``earlier_digest`` of it then."""
+
+    run: str
+    sha256: str
+
+
+class Basis(Record):
+    """SHA-256 hashes of what a stage rests on; ``stages`` maps each earlier stage that it used to its digest,
+    ``priors`` each arm to the earlier run that was its prior."""
+
+    profile: str
+    readings: Mapping[str, ReadingsBasis]
+    stages: Mapping[StageName, str] = {}
+    targets: str | None = None
+    priors: Mapping[str, PriorBasis] = {}
+
+
+def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
+    """The basis of a stage that is made now; ``stages`` maps each earlier stage that it uses to its digest."""
+    readings = {name: run.readings(name) for name in run.arms()}
+    return Basis(
+        profile=sha256_of(profile_to_json(run.profile)),
+        readings={name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm)) for name, arm in readings.items()},
+        stages=stages or {},
+    )
+
+
+def counted_basis(run: RunFile) -> Basis:
+    """As ``basis_of``, but readings are only counted, which is quick.
+
+    No verb changes readings in place: ``collect`` adds them, and splits are drawn for readings that have none yet,
+    before a calibration uses them.
+    """
+    counts = {name: sum(splits.values()) for name, splits in run.split_counts().items()}
+    return Basis(
+        profile=sha256_of(profile_to_json(run.profile)),
+        readings={name: ReadingsBasis(n=n, sha256="") for name, n in counts.items()},
+    )
+
+
+def readings_digest(readings: Readings) -> str:
+    """SHA-256 of the names and numbers (little-endian) of all measured arrays of one arm, and of its splits."""
+    digest = hashlib.sha256()
+    for entry in fields(readings):
+        values = getattr(readings, entry.name)
+        if isinstance(values, np.ndarray):
+            digest.update(f"{entry.name} {values.shape}\n".encode())
+            digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
+    digest.update(json.dumps(readings.split).encode())
+    return digest.hexdigest()
+
+
+def sha256_of(text: str) -> str:
+    """SHA-256 of a text, in hexadecimal digits."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()

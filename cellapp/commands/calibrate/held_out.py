@@ -1,0 +1,82 @@
+"""Held-out readings of one arm, and what the models of each stage predict of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cellapp.estimation.calibration.evaluation import position_errors
+from cellapp.estimation.calibration.records import ArmCalibrationResult
+from cellapp.estimation.readings import Readings
+from cellapp.ground.results import STAGES
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+
+
+@dataclass(frozen=True)
+class HeldOutArm:
+    """Held-out readings of one arm and the models that predict them."""
+
+    readings: Readings
+    conditions: MeasurementConditions
+    calibrated: ArmModel
+    discovered: ArmModel | None
+
+    @classmethod
+    def of(
+        cls,
+        readings: Readings,
+        conditions: MeasurementConditions,
+        result: ArmCalibrationResult,
+        calibrated: ArmModel,
+        discovered: ArmModel | None,
+    ) -> HeldOutArm:
+        """Those of all readings of an arm, and of their conditions, that are held out and have no gross error."""
+        rows = readings.in_split("validate")
+        rows = rows[~np.isin(readings.configuration[rows], result.left_out_configurations)]
+        return cls(readings.take(rows), conditions.take(rows), calibrated, discovered)
+
+    @cached_property
+    def computed_M(self) -> Mapping[str, Array]:
+        """Computed SMR positions (n, 3) [m] by stage.
+
+        A calibration with an earlier one as prior, or one that an older version stored, has its effects in its only
+        model: there is no stage ``geometry`` then.
+        """
+        model, q = self.calibrated, self.readings.q
+        computed: dict[str, Array] = {"nominal": smr_positions(model.nominal, q)}
+        if not model.effects:
+            computed["geometry"] = smr_positions(model.geometry, q)
+            if model.network is not None:
+                computed["network"] = self._predict(model)
+        newest = model if self.discovered is None else self.discovered
+        if newest.effects:
+            computed["effects"] = self._predict(newest)
+        return {stage: computed[stage] for stage in STAGES if stage in computed}
+
+    @cached_property
+    def errors_mm(self) -> Mapping[str, Array]:
+        """Position errors (n,) [mm] by stage; the stages are those of ``computed_M``."""
+        measured = self.readings.p_M
+        return {stage: position_errors(measured, computed) * 1e3 for stage, computed in self.computed_M.items()}
+
+    @cached_property
+    def prediction(self) -> tuple[Array, Array, float] | None:
+        """Predicted standard deviation of a coordinate and position error (n,) [mm] with the newest model, and noise.
+
+        The noise is that of a measured coordinate [mm]. None if that model predicts no uncertainty.
+        """
+        model = self.discovered or self.calibrated
+        predicted = model.uncertainty(self.readings.q) * 1e3
+        if not predicted.any():
+            return None
+        noise_mm = 0.0 if model.posterior is None else model.posterior.noise_m * 1e3
+        return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3, noise_mm
+
+    def _predict(self, model: ArmModel) -> Array:
+        return model.predict(self.readings.q, conditions=self.conditions)

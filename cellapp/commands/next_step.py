@@ -1,0 +1,64 @@
+"""How far a run is: what is measured of each arm, and the verb that comes next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.sqlite_file import REPORT_FILE
+from cellapp.commands.stages import NextVerb, RunStages, next_command
+from cellapp.ground.results import COMPENSATE, Record
+
+
+class ArmState(Record):
+    """How much of one arm's plan is measured, and in which splits."""
+
+    type: str
+    planned: int
+    measured: int
+    splits: Mapping[str, int]
+
+
+def arm_states(run: RunFile) -> dict[str, ArmState]:
+    """How much of each arm's plan is measured; readings are counted, not read."""
+    planned, measured = run.planned_counts(), run.split_counts()
+    states = {}
+    for name, arm in run.profile.arms.items():
+        splits, total = measured.get(name, {}), planned.get(name, 0)
+        states[name] = ArmState(
+            type=arm.type.model,
+            planned=total - len(run.profile.plan.reserves(total)),
+            measured=sum(splits.values()),
+            splits={split or "none": n for split, n in splits.items()},
+        )
+    return states
+
+
+def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> tuple[NextVerb, str]:
+    """The verb that comes next and its command; both empty if nothing is left to do."""
+    verb = _next_verb(run, stages, arms)
+    begun = verb == "collect" and any(arm.measured for arm in arms.values())
+    return verb, next_command(verb, run.folder) + (" --resume" if begun else "")
+
+
+def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> NextVerb:
+    if not any(arm.measured for arm in arms.values()):
+        return "collect" if any(arm.planned for arm in arms.values()) else ""  # a run of tests alone has no plan
+    sessions = run.sessions()
+    ended = sessions[-1].outcome if sessions else None
+    if ended == "complete" and _has_new_stops(run):
+        return "collect"
+    done = ended in ("complete", "accurate enough")
+    if not done and not stages.current and any(arm.measured < arm.planned for arm in arms.values()):
+        return "collect"
+    verb = stages.next_verb()
+    if verb == "push" and not any(arm.driver.has_device for arm in run.profile.arms.values()):
+        verb = "" if COMPENSATE in stages.current and COMPENSATE not in stages.out_of_date else "compensate"
+    return verb or ("" if (run.folder / REPORT_FILE).exists() else "report")
+
+
+def _has_new_stops(run: RunFile) -> bool:
+    """Whether stops are planned that no session has tried, reserves aside: they were added since."""
+    total = max(run.planned_counts().values(), default=0)
+    tried = run.stops_done() | {one.stop for one in run.outcomes()}
+    return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))

@@ -1,0 +1,28 @@
+"""Planned stops as ``show DIR plan`` gives them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.ground.results import Record, Result
+
+
+class PlannedStop(Record):
+    """One planned stop: joint positions of every arm [rad], whether it was measured."""
+
+    configuration: int
+    measured: bool
+    q: Mapping[str, tuple[float, ...]]
+
+
+class StopsResult(Result):
+    """``show DIR plan``: every planned stop, and what is known of their design if they were designed."""
+
+    schema_: Literal["cellapp-stops"] = "cellapp-stops"
+    version: Literal[1] = 1
+    run: str
+    stops: tuple[PlannedStop, ...]
+    design: PlanDesignResult | None = None
+    omitted_when_none = frozenset({"design"})

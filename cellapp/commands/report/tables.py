@@ -1,0 +1,29 @@
+"""What the results of a run are shown as in a terminal: tables, and what is out of date."""
+
+from __future__ import annotations
+
+from cellapp.commands.calibrate.view import calibration_tables
+from cellapp.commands.compensate.tables import verification_tables
+from cellapp.commands.discover.tables import discovery_tables
+from cellapp.commands.locate.view import location_tables
+from cellapp.commands.report.result import RunResults
+from cellapp.commands.view.table import Table
+
+
+def all_tables(results: RunResults) -> list[Table]:
+    """Tables of the calibration, and of a discovery, a location and a verification that are not out of date."""
+    tables: list[Table] = []
+    if results.calibrate is not None:
+        tables += calibration_tables(results.calibrate)
+    if results.discover is not None and "discover" not in results.out_of_date:
+        tables += discovery_tables(results.discover)
+    if results.locate is not None and "locate" not in results.out_of_date:
+        tables += location_tables(results.locate)
+    if results.verify is not None and "verify" not in results.out_of_date:
+        tables += verification_tables(results.verify)
+    return tables
+
+
+def out_of_date_sentences(results: RunResults) -> list[str]:
+    """One sentence for each result that no longer holds, with the reason."""
+    return [f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items()]

@@ -1,0 +1,86 @@
+"""Results of ``show``: the state of a run, its history, its log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+from cellapp.cell.run.records import ArmOrder
+from cellapp.commands.next_step import ArmState
+from cellapp.commands.stages import NextVerb
+from cellapp.ground.results import Record, Result, StageName
+
+
+class StageState(Record):
+    """One stored stage: when and by which version it was stored, what it rests on, and whether that still holds.
+
+    ``number`` is 0 for results of versions that did not record a basis; ``out_of_date`` is the reason, None where the
+    stage holds; ``superseded`` says that a later stage of the same name exists.
+    """
+
+    number: int
+    name: StageName
+    written: str
+    program: str
+    digest: str
+    rests_on: tuple[str, ...]
+    superseded: bool = False
+    out_of_date: str | None = None
+
+
+class UnseenArmState(Record):
+    """An arm that was not seen at rest after a stop: since when (UTC) it counts as moving, and why."""
+
+    since: str
+    reason: str
+
+
+class OverviewResult(Result):
+    """``show``: the state of a run, and the verb and command that come next (both empty if none).
+
+    ``in_order`` maps arms to what an import derived from their order of measurement. ``complaints`` says what is out of
+    date: stages, the page, the certificate. ``stale`` says why the model in force should not be used as it is; empty if
+    it may. ``not_seen_at_rest`` has the arms that must be treated as moving.
+    """
+
+    schema_: Literal["cellapp-overview"] = "cellapp-overview"
+    version: Literal[1] = 1
+    run: str
+    profile: str
+    arms: Mapping[str, ArmState]
+    in_order: Mapping[str, ArmOrder] = {}
+    stages: tuple[StageState, ...]
+    in_force: StageName | None
+    stale: str = ""
+    next_verb: NextVerb
+    next_step: str
+    complaints: tuple[str, ...] = ()
+    not_seen_at_rest: Mapping[str, UnseenArmState] = {}
+
+
+class HistoryResult(Result):
+    """``show DIR history``: every stage that was ever stored, oldest first."""
+
+    schema_: Literal["cellapp-history"] = "cellapp-history"
+    version: Literal[1] = 1
+    run: str
+    stages: tuple[StageState, ...]
+
+
+class LogLine(Record):
+    """One line of a run's log; ``written`` is UTC, ``time_s`` seconds since the run began where it was measured."""
+
+    number: int
+    written: str
+    time_s: float | None
+    level: str
+    text: str
+
+
+class LogResult(Result):
+    """``show DIR log``: lines of the run's log, oldest first."""
+
+    schema_: Literal["cellapp-log"] = "cellapp-log"
+    version: Literal[1] = 1
+    run: str
+    lines: tuple[LogLine, ...]

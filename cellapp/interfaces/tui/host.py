@@ -1,0 +1,98 @@
+"""What screens, dialogs and widgets may ask of the application; they know no more of it than this."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from textual.app import App
+
+from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.jobs import Job, JobRunner
+from cellapp.interfaces.tui.presses import StopPresses
+from cellapp.interfaces.tui.workspace import Step, Workspace
+
+if TYPE_CHECKING:
+    from cellapp.ground.progress import CellLive
+    from cellapp.ground.results import Result
+    from cellapp.interfaces.tui.messages import Severity
+
+
+class ShowsResults(Protocol):
+    """A screen that draws the result of a job that it asked for."""
+
+    def show_result(self, result: Result) -> None:
+        """Draw it."""
+
+
+class Host(App[None]):
+    """An application that has something open and runs one job at a time.
+
+    Attributes
+    ----------
+    profiles, logs : Path
+        Folder whose ``*.yaml`` are offered; folder of the runs.
+    asked_by : ShowsResults or None
+        The screen that asked for the present job; it gets the result, whichever screen is shown then.
+    code : int
+        Exit code of the last job.
+    """
+
+    def __init__(self, profiles: Path, logs: Path) -> None:
+        super().__init__()
+        self.profiles, self.logs = profiles, logs
+        self.workspace = Workspace()
+        self.record = JobRecord()
+        self.jobs = JobRunner(self.post_message)
+        self.presses = StopPresses(self.jobs)
+        self.asked_by: ShowsResults | None = None
+        self.code = 0
+
+    def start_job(self, job: Job, cell: Workspace | None = None) -> bool:
+        """Start a job, which uses ``cell`` where that is not what is open; whether it was started."""
+        if self.jobs.running:
+            self.say(f"'{self.record.name}' is still running; stop it or wait for its end.", "warning")
+            return False
+        self.asked_by = None
+        self.workspace = cell or self.workspace
+        self.record.begin(job.name)
+        self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
+        self.jobs.start(job)
+        self.draw_all()
+        return True
+
+    def live(self) -> CellLive | None:
+        """What is known now of the cell that the present job has open; None without one."""
+        return self.jobs.control.live() if self.jobs.running else None
+
+    def open_profile(self, path: Path) -> None:
+        """Open a profile without a run."""
+        raise NotImplementedError
+
+    def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
+        """Open a run; its own profile is used."""
+        raise NotImplementedError
+
+    def action_show(self, step: Step) -> None:
+        """Show the screen of a step."""
+        raise NotImplementedError
+
+    def action_resume(self) -> None:
+        """Let a paused or stopped job continue."""
+        raise NotImplementedError
+
+    def say(self, text: str, severity: Severity = "information") -> None:
+        """Show a sentence in the message line of every screen and keep it in the log."""
+        raise NotImplementedError
+
+    def draw_all(self) -> None:
+        """Draw the present screen whole."""
+        raise NotImplementedError
+
+    def wait_for_job(self) -> None:
+        """Wait, for a bounded time, until a job that was left has brought its arms to rest."""
+        raise NotImplementedError
+
+    def close_terminal(self) -> None:
+        """Leave because the terminal is gone; from any thread."""
+        raise NotImplementedError
