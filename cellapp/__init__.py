@@ -15,6 +15,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from cellapp import api as api
+    from cellapp import dataframes as dataframes
     from cellapp.ground.errors import CellappError as CellappError
     from cellapp.ground.errors import InputError as InputError
     from cellapp.interfaces.python.api import Run as Run
@@ -41,9 +43,13 @@ _HOMES = {
     "open_run": "cellapp.interfaces.python.api",
 }
 """Where each public name lives. It is imported when it is first asked for: commands and drivers need none of them."""
+_MODULES = ("api", "dataframes")
+"""Modules that are attributes before anything imports them."""
 
 
 def __getattr__(name: str) -> object:
+    if name in _MODULES:
+        return import_module(f"cellapp.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'cellapp' has no attribute '{name}'")
     value = globals()[name] = getattr(import_module(_HOMES[name]), name)
@@ -51,4 +57,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES})
+    return sorted({*globals(), *_HOMES, *_MODULES})

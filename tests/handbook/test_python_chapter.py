@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cellapp
 from cellapp.commands.docs.handbook import chapter_text
-from cellapp.interfaces.python.api import open_run
 
 
 def test_mistakes_are_answered_as_the_chapter_says(finished_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (example, printed) = re.findall(r"^```(?:python|text)\n(.*?)^```", chapter_text("python"), re.M | re.S)[-2:]
-    run = open_run(finished_run)
-    exec(compile(example, "python.md", "exec"), {"run": run, "left": run.readings("left"), "np": np})
+    run = cellapp.open_run(finished_run)
+    names = {"cellapp": cellapp, "cell": cellapp.Cell(run.profile), "run": run, "left": run.readings("left"), "np": np}
+    exec(compile(example, "python.md", "exec"), names)
     numbers = re.compile(r"-?\d+\.\d+")  # of another run
     assert numbers.sub("*", capsys.readouterr().out) == numbers.sub("*", printed)

@@ -33,17 +33,17 @@ class CsvTable:
     names: tuple[str, ...]
     lines: tuple[int, ...]
     cells: dict[str, tuple[str, ...]]
-    row_places: tuple[str, ...] = ()
+    row_places: tuple[str, ...] | None = None
 
     def place(self, line: int) -> str:
         """Where a line is found: "file:line", or the row of a table that is no file."""
-        if not self.row_places:
+        if self.row_places is None:
             return f"{self.path}:{line}"
         return self.row_places[self.lines.index(line)] if line in self.lines else str(self.path)
 
     def row_words(self, line: int) -> str:
         """A line as a sentence about another one of the same table names it."""
-        return self.place(line) if self.row_places else f"line {line}"
+        return f"line {line}" if self.row_places is None else self.place(line)
 
 
 @dataclass

@@ -83,7 +83,7 @@ class Reading:
         return readings_from_columns(values, {name: (text,) for name, text in self.extras.items()})
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Readings:
     """The n readings of one arm with N joints.
 
@@ -153,6 +153,9 @@ class Readings:
 
     def __len__(self) -> int:
         return len(self.configuration)
+
+    def __repr__(self) -> str:
+        return f"Readings({len(self)} of {self.joints} joints)"
 
     @property
     def joints(self) -> int:

@@ -70,7 +70,8 @@ class Run(Printed):
         """The stored calibration, as ``Cell.calibrate`` returns one. Raises ``InputError`` if there is none."""
         if self.results.calibrate is None or CALIBRATE not in self.models:
             raise InputError(f"{self.folder}: not calibrated yet; run 'cellapp calibrate {self.folder}' first")
-        return Calibration(self.profile, self.measured, self._stored(CALIBRATE), self.results.calibrate)
+        result = self.results.calibrate.without_effects()  # those of a discovery stand beside them to be shown together
+        return Calibration(self.profile, self.measured, self._stored(CALIBRATE), result)
 
     @cached_property
     def discovery(self) -> Discovery:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cellapp.cell.targets.records import CompensateResult
+from cellapp.cell.targets.records import CompensateResult, TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.cell.targets.targets_in_memory import targets_in_memory
 from cellapp.commands.calibrate.charts_accuracy import (
@@ -252,7 +252,7 @@ class Compensation(Printed):
         return np.array([one.q_compensated or (np.nan,) * joints for one in commands], dtype=np.float64)
 
     @cached_property
-    def _by_arm(self) -> dict[str, list[Any]]:
+    def _by_arm(self) -> dict[str, list[TargetCommand]]:
         arms = dict.fromkeys(one.arm for one in self.result.targets)
         return {arm: [one for one in self.result.targets if one.arm == arm] for arm in arms}
 

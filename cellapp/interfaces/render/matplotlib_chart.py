@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,8 @@ _COLUMNS = 2
 """Charts side by side in a figure."""
 _SIZE = (6.0, 3.8)
 """Width and height of a chart [inch]."""
+_TITLE = 60
+"""Characters of a line of the title."""
 
 
 def draw_charts(charts: Sequence[Chart]) -> Figure:
@@ -46,7 +49,7 @@ def draw_charts(charts: Sequence[Chart]) -> Figure:
 
 def draw_chart(chart: Chart, axes: Axes) -> None:
     """Draw a chart on axes: a bar for each category, else its series, with its limits."""
-    axes.set_title(chart.title, fontsize="medium")
+    axes.set_title(textwrap.fill(chart.title, _TITLE), fontsize="medium")
     if chart.categories:
         places = np.arange(len(chart.categories))
         bars = axes.barh(places, np.nan_to_num(chart.series[0].y), tick_label=chart.categories)

@@ -34,7 +34,7 @@ MODEL_SCHEMA = "cellapp-calibration"
 _VERSION = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ArmModel:
     """Calibrated model of one arm.
 
@@ -73,6 +73,10 @@ class ArmModel:
     covariance: Array | None = None
     smr_normal: Array | None = None
     posterior: PosteriorDraws | None = None
+
+    def __repr__(self) -> str:
+        effects = ", ".join(dict.fromkeys(term.slug for term in self.effects)) or "none"
+        return f"ArmModel({self.geometry.joints} joints, {len(self.identified)} parameters, effects: {effects:.100})"
 
     def context(
         self,
@@ -180,7 +184,7 @@ class ArmModel:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CellModel:
     """The calibrated cell.
 
@@ -203,6 +207,10 @@ class CellModel:
     pair: tuple[str, str] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     T_M_M0: Array | None = None
+
+    def __repr__(self) -> str:
+        arms = ", ".join(f"{name}: {arm.geometry.joints} joints" for name, arm in self.arms.items())
+        return f"CellModel({arms:.150})"
 
     def predict(
         self,
