@@ -47,7 +47,7 @@ from typing import Any, BinaryIO, NoReturn
 
 from drivers.arms.protocol import LinkLost, LiveArm
 from drivers.arms.ur_control import Refusal, UrControl, failed
-from drivers.arms.ur_links import stop_program
+from drivers.arms.ur_links import printable, stop_program
 from drivers.arms.ur_motion import DECELERATES_WITHIN_S, Kicks, RestCriterion
 from drivers.arms.ur_path_supervisor import PathSupervisor
 from drivers.priority import run_first
@@ -157,17 +157,23 @@ class Worker:
         """Serve until the process ends."""
         self.answer({"hello": os.getpid()})
         while True:
-            supervisor = self._supervisor
-            with suppress(queue.Empty):
-                request = self._requests.get(timeout=min(_TICK_S, supervisor.patience_s if supervisor else _TICK_S))
-                if request is not None:
-                    self._serve(request)
-            if self._supervisor is not None:
-                self._supervisor.stream()
-                self._supervisor.monitor()
-            if self.braked and not self._decelerating.is_set():
-                self._decelerating.set()
-                self.answer({"decelerating": True})
+            try:
+                self._turn()
+            except (RuntimeError, ValueError) as error:  # any call of the client, where its link breaks in this moment
+                self.exit_link_lost("link", f"its RTDE client failed ({printable(str(error))})")
+
+    def _turn(self) -> None:
+        supervisor = self._supervisor
+        with suppress(queue.Empty):
+            request = self._requests.get(timeout=min(_TICK_S, supervisor.patience_s if supervisor else _TICK_S))
+            if request is not None:
+                self._serve(request)
+        if self._supervisor is not None:
+            self._supervisor.stream()
+            self._supervisor.monitor()
+        if self.braked and not self._decelerating.is_set():
+            self._decelerating.set()
+            self.answer({"decelerating": True})
 
     def _serve(self, request: Mapping[str, Any]) -> None:
         try:

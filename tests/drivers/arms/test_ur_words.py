@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 import os
 import re
 import sys
@@ -12,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from drivers.arms import ur_worker
 from drivers.arms.protocol import ArmError, EmergencyStop, HostStalled, LinkLost, NotInRemoteControl, ProtectiveStop
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_answers import REFUSALS, arm_error, arm_state
@@ -279,3 +282,28 @@ MAIN_THREAD = 'File "/a/ur_control.py", line 7 in tcp File "/a/ur_supervisor.py"
 )
 def test_the_last_words_of_a_process(written: bytes, words: str) -> None:
     assert last_words(written.splitlines(keepends=True)) == words
+
+
+def test_a_client_that_fails_ends_its_process_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else it would end with exit code 1, and the cause with it."""
+
+    class Failing:
+        patience_s = 0.0
+
+        def stream(self) -> None:
+            raise RuntimeError("unable to get state data for specified key: robot_status")
+
+    def end(code: int) -> None:
+        raise SystemExit(code)
+
+    answers = io.BytesIO()
+    worker = ur_worker.Worker(answers)
+    monkeypatch.setattr(worker, "_supervisor", Failing())
+    monkeypatch.setattr(os, "_exit", end)
+    with pytest.raises(SystemExit, match="3"):
+        worker.run()
+    hello, doubt, lost = map(json.loads, answers.getvalue().splitlines())
+    assert "hello" in hello
+    reason = "its RTDE client failed (unable to get state data for specified key: robot_status)"
+    assert (doubt["text"], lost["lost"], lost["kind"]) == (reason, reason, "link")
+    assert_well_said(str(arm_error("left", doubt["doubt"], doubt["text"])))
