@@ -12,14 +12,11 @@ import typer
 from cellapp import __version__
 from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.at_rest import at_rest
 from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
 from cellapp.interfaces.cli.check import check
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.correct import correct
 from cellapp.interfaces.cli.derived import command_of
 from cellapp.interfaces.cli.docs import docs
-from cellapp.interfaces.cli.export import export
 from cellapp.interfaces.cli.fleet import fleet, recalibrate
 from cellapp.interfaces.cli.follow import follow
 from cellapp.interfaces.cli.init import init
@@ -307,13 +304,10 @@ for command in (
     report,
     follow,
     init,
-    export,
-    correct,
     pause,
     resume,
     stop,
     abort,
-    at_rest,
     runs,
     compare,
     fleet,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cellapp.commands.record import Request, Verb, Work
 from cellapp.ground.control import JobControl
-from cellapp.ground.outputs import NEW_ONLY, RENEWED
+from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.progress import Listener
 from cellapp.interfaces.tui.jobs import Ask, Job
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from cellapp.estimation.monitoring.fleet.records import FleetResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
-    from cellapp.interfaces.tui.dialogs.correct_program import CorrectRequest
-    from cellapp.interfaces.tui.dialogs.export_arms import ExportRequest
     from cellapp.interfaces.tui.dialogs.follow_path import FollowRequest
     from cellapp.interfaces.tui.dialogs.own_readings import OwnReadingsRequest
 
@@ -32,11 +30,11 @@ VERIFY = "verify"
 """Name of a push that measures: only its result says whether a verification held."""
 
 
-def verb_job(verb: Verb, request: Request) -> Job:
-    """The job of a verb."""
+def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
+    """The job of a verb; ``outputs`` says what it may replace."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        return verb.run(request, Work(listener, control, lambda profile_name: ask, NEW_ONLY))
+        return verb.run(request, Work(listener, control, lambda profile_name: ask, outputs))
 
     return Job(verb.name, work, getattr(request, "folder", None), moves=verb.moves_arms and request.moves())
 
@@ -87,18 +85,6 @@ def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
     return Job("import", work, request.run)
 
 
-def at_rest(folder: Path, arm: str) -> Job:
-    """Record that a person has seen an arm at rest."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest
-        from cellapp.commands.run_results import AtRestResult
-
-        return AtRestResult(run=str(folder), arm=arm, counted_as_moving=note_at_rest(run, arm, BY_PERSON))
-
-    return on_run("at rest", folder, work)
-
-
 def view(profile: Path) -> Job:
     """Look at what the tracker sees of each arm's workspace; nothing is planned."""
 
@@ -131,17 +117,6 @@ def forecast_plan(folder: Path) -> Job:
         return forecast_run(run, listener, control)
 
     return _of_run("forecast", folder, work)
-
-
-def write_plan(folder: Path, path: Path) -> Job:
-    """Write the plan of a run as CSV."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.export.run import export_run
-
-        return export_run(run, None, None, path, RENEWED)
-
-    return _of_run("export", folder, work)
 
 
 def check_plan_file(profile: Path, path: Path) -> Job:
@@ -302,36 +277,6 @@ def report(folder: Path, *, pdf: bool = False) -> Job:
         return report_run(run, folder / PDF_FILE if pdf else None)
 
     return on_run("report", folder, work)
-
-
-def export_arms(folder: Path, request: ExportRequest) -> Job:
-    """Write the calibrated arms for another program."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.export.run import export_as_run
-
-        return export_as_run(run, request.format_name, request.out, request.arm, request.stage_name)
-
-    return _of_run("export", folder, work)
-
-
-def correct(folder: Path, request: CorrectRequest) -> Job:
-    """Correct the targets of a controller's program."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.correct.run import correct_run, typed_tcp
-
-        return correct_run(
-            run,
-            request.program,
-            request.out,
-            request.arm,
-            tcp=None if request.tcp is None else typed_tcp(request.tcp),
-            partly=request.partly,
-            extrapolate=request.extrapolate,
-        )
-
-    return _of_run("correct", folder, work)
 
 
 def replay(folder: Path, speed: float) -> Job:
