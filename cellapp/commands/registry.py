@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from cellapp.commands.at_rest.request import VERB as AT_REST
+from cellapp.commands.compare.request import VERB as COMPARE
 from cellapp.commands.correct.request import VERB as CORRECT
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.export.request import VERB as EXPORT
+from cellapp.commands.fleet.request import VERB as FLEET
 from cellapp.commands.locate.request import VERB as LOCATE
+from cellapp.commands.recalibrate.request import VERB as RECALIBRATE
 from cellapp.commands.record import Verb
+from cellapp.commands.runs.request import VERB as RUNS
 
 VERBS: tuple[Verb, ...] = (
     DOCTOR,
@@ -15,4 +19,8 @@ VERBS: tuple[Verb, ...] = (
     EXPORT,
     CORRECT,
     AT_REST,
+    RUNS,
+    COMPARE,
+    FLEET,
+    RECALIBRATE,
 )

@@ -17,7 +17,6 @@ from cellapp.interfaces.cli.check import check
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import command_of
 from cellapp.interfaces.cli.docs import docs
-from cellapp.interfaces.cli.fleet import fleet, recalibrate
 from cellapp.interfaces.cli.follow import follow
 from cellapp.interfaces.cli.init import init
 from cellapp.interfaces.cli.iso9283 import app as iso9283_app
@@ -36,7 +35,6 @@ from cellapp.interfaces.cli.options import (
 from cellapp.interfaces.cli.program import run_program
 from cellapp.interfaces.cli.report import report
 from cellapp.interfaces.cli.request_commands import abort, pause, resume, stop
-from cellapp.interfaces.cli.runs import compare, runs
 from cellapp.interfaces.cli.show import schema, show, show_discovery
 from cellapp.interfaces.cli.trials import trials_app
 from cellapp.interfaces.cli.whole_run import demo, run
@@ -308,10 +306,6 @@ for command in (
     resume,
     stop,
     abort,
-    runs,
-    compare,
-    fleet,
-    recalibrate,
     show,
     schema,
     docs,

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING
 from cellapp.commands.record import Request, Verb, Work
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.progress import Listener
+from cellapp.ground.progress import Listener, ignore
 from cellapp.interfaces.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
     from cellapp.cell.targets.targets import Target
     from cellapp.commands.report.data import ReportData
-    from cellapp.commands.runs.result import RunComparison, RunSummary
-    from cellapp.estimation.monitoring.fleet.records import FleetResult
+    from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
     from cellapp.interfaces.tui.dialogs.follow_path import FollowRequest
@@ -37,6 +36,11 @@ def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
         return verb.run(request, Work(listener, control, lambda profile_name: ask, outputs))
 
     return Job(verb.name, work, getattr(request, "folder", None), moves=verb.moves_arms and request.moves())
+
+
+def looked(verb: Verb, request: Request) -> Result:
+    """What a verb finds that only reads. For a thread of its own."""
+    return verb.run(request, Work(ignore, JobControl(), lambda profile_name: None, NEW_ONLY))
 
 
 def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job:
@@ -334,22 +338,6 @@ def report_data(folder: Path | None) -> ReportData | None:
     for arm in data.held_out.values():
         _ = arm.errors_mm  # computed here, not while drawing
     return data
-
-
-def compare(folders: Sequence[Path], *, fleet: bool = False) -> RunComparison | FleetResult:
-    """Two runs compared in every value; more, or a ``fleet``, by the history of each arm. For a thread of its own."""
-    from cellapp.cell.run import RunFile
-    from cellapp.commands.compare.run import compare_runs
-    from cellapp.commands.fleet.run import compare_many
-    from cellapp.commands.fleet.run import fleet as fleet_of
-
-    if fleet:
-        return fleet_of(folders)
-    if len(folders) != 2:
-        return compare_many(folders)
-    first, second = folders
-    with RunFile.open(first) as a, RunFile.open(second) as b:
-        return compare_runs(a, b)
 
 
 def interrupted_run(logs: Path) -> RunSummary | None:
