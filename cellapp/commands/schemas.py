@@ -19,7 +19,9 @@ from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.path_records import PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.certificate.result import CertificateCheckResult, CertificateResult, SignKeyResult
-from cellapp.commands.doctor.result import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
+from cellapp.commands.doctor.result import DoctorResult
+from cellapp.commands.emulate.result import EmulateResult
+from cellapp.commands.init.result import InitResult
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.recalibrate.result import RecalibrateResult
 from cellapp.commands.run_results import (
@@ -33,6 +35,7 @@ from cellapp.commands.run_results import (
     WholeRunResult,
 )
 from cellapp.commands.runs.result import RunComparison, RunsResult
+from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result
