@@ -5,6 +5,7 @@ from __future__ import annotations
 from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.compare.request import VERB as COMPARE
 from cellapp.commands.correct.request import VERB as CORRECT
+from cellapp.commands.docs.request import VERB as DOCS
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.emulate.request import VERB as EMULATE
 from cellapp.commands.export.request import VERB as EXPORT
@@ -14,6 +15,7 @@ from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.recalibrate.request import VERB as RECALIBRATE
 from cellapp.commands.record import Verb
 from cellapp.commands.runs.request import VERB as RUNS
+from cellapp.commands.schema.request import VERB as SCHEMA
 from cellapp.commands.tracker_bridge.request import VERB as TRACKER_BRIDGE
 
 VERBS: tuple[Verb, ...] = (
@@ -27,6 +29,8 @@ VERBS: tuple[Verb, ...] = (
     COMPARE,
     FLEET,
     RECALIBRATE,
+    SCHEMA,
+    DOCS,
     EMULATE,
     TRACKER_BRIDGE,
 )

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from cellapp import __version__
+from cellapp.commands.registry import VERBS
 from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
 from cellapp.interfaces.cli.check import check
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import command_of
-from cellapp.interfaces.cli.docs import docs
 from cellapp.interfaces.cli.follow import follow
 from cellapp.interfaces.cli.iso9283 import app as iso9283_app
 from cellapp.interfaces.cli.job import Job, open_run, require_none
@@ -29,12 +31,9 @@ from cellapp.interfaces.cli.options import (
 from cellapp.interfaces.cli.program import run_program
 from cellapp.interfaces.cli.report import report
 from cellapp.interfaces.cli.request_commands import abort, pause, resume, stop
-from cellapp.interfaces.cli.show import schema, show, show_discovery
+from cellapp.interfaces.cli.show import show, show_discovery
 from cellapp.interfaces.cli.trials import trials_app
 from cellapp.interfaces.cli.whole_run import demo, run
-
-from cellapp import __version__
-from cellapp.commands.registry import VERBS
 
 app = Commands(
     help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
@@ -303,8 +302,6 @@ for command in (
     stop,
     abort,
     show,
-    schema,
-    docs,
 ):
     app.command()(command)
 for of_certificates in (certificate, sign_key, check_certificate):
