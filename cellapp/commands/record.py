@@ -22,6 +22,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from cellapp.ground.errors import InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from cellapp.commands.confirm import Ask
     from cellapp.commands.view.table import Table
     from cellapp.ground.control import JobControl
@@ -129,6 +131,14 @@ class View:
     is_json: bool = False
 
 
+def _no_result_page(result: Result, path: Path) -> Path:
+    raise InputError(f"{path}: this interface writes no page")
+
+
+def _no_screens(profile: Path, run: Path | None, folder: Path) -> Sequence[Path]:
+    raise InputError(f"{folder}: this interface draws no screens")
+
+
 @dataclass(frozen=True)
 class Work:
     """What a job has from the interface that started it.
@@ -137,6 +147,10 @@ class Work:
     ----------
     listener, control
         Progress goes to the one, pause and stop come from the other.
+    result_page : callable
+        Result and a file -> the HTML page of the result, written to that file.
+    screens : callable
+        Profile, folder of a run or None, and a folder -> pictures of the terminal application, written there.
     ask : callable
         Profile's name -> what asks a person before the first motion of real arms; None where nobody can be asked.
     outputs : Outputs
@@ -154,6 +168,8 @@ class Work:
     control: JobControl
     ask: Callable[[str], Ask | None]
     outputs: Outputs
+    result_page: Callable[[Result, Path], Path] = field(default=_no_result_page)
+    screens: Callable[[Path, Path | None, Path], Sequence[Path]] = field(default=_no_screens)
     announce: Callable[[Result], None] = field(default=lambda result: None)
     say: Callable[[str], None] = field(default=lambda sentence: None)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")

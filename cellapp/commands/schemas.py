@@ -21,7 +21,9 @@ from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.at_rest.result import AtRestResult
 from cellapp.commands.certificate.result import CertificateCheckResult, CertificateResult, SignKeyResult
 from cellapp.commands.docs.result import DocsResult
-from cellapp.commands.doctor.result import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
+from cellapp.commands.doctor.result import DoctorResult
+from cellapp.commands.emulate.result import EmulateResult
+from cellapp.commands.init.result import InitResult
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.recalibrate.result import RecalibrateResult
@@ -29,6 +31,7 @@ from cellapp.commands.report.result import ReportResult
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.runs.result import RunComparison, RunsResult
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult
+from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result

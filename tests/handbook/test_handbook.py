@@ -73,7 +73,7 @@ def test_people_need_not_see_how_tests_run_an_example() -> None:
 @pytest.mark.parametrize("slug", FIGURES)
 def test_figures_are_drawn_again_alike_and_are_small(slug: str, scene: Scene) -> None:
     kept = (DOCS / "figures" / f"{slug}.svg").read_text("utf-8")
-    assert figure_svg(slug, scene) == kept, "draw them again: cellapp docs figures --out cellapp/docs/figures --force"
+    assert figure_svg(slug, scene) == kept, "draw them again: python -m tests.handbook.draw figures"
     assert len(kept.encode()) < MOST_BYTES
     drawing = ElementTree.fromstring(kept)
     assert drawing.findtext("{*}title")
@@ -92,9 +92,7 @@ def test_figures_show_an_effect(slug: str, scene: Scene) -> None:
 def test_the_figure_of_obstacles_is_drawn_from_the_example_of_its_chapter() -> None:
     kept = (DOCS / "figures" / f"{planning_figures.FIGURE}.svg").read_text("utf-8")
     twin = load_profile(TWIN)
-    assert planning_figures.figure_svg(twin) == kept, (
-        "draw it again: cellapp docs figures --out cellapp/docs/figures --force"
-    )
+    assert planning_figures.figure_svg(twin) == kept, "draw it again: python -m tests.handbook.draw figures"
     assert {one.shape for one in planning_figures.example_obstacles().values()} == set(SHAPES) - {"mesh"}
     outlines, shadows, stands = planning_figures.obstacles_chart(twin).series
     assert np.isnan(outlines.x).sum() == len(planning_figures.example_obstacles())
@@ -127,7 +125,7 @@ def test_a_parameter_that_a_law_does_not_have_is_refused(scene: Scene) -> None:
 def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None:
     runner = CliRunner()
     assert runner.invoke(app, ["docs", "discovery"]).output.startswith("# How discovery decides")
-    assert runner.invoke(app, ["docs", "figures"]).output.startswith("# Every figure"), "it draws only with --out"
+    assert runner.invoke(app, ["docs", "figures"]).output.startswith("# Every figure")
     section = runner.invoke(app, ["docs", "backlash"]).output
     assert section.startswith("## backlash\n")
     assert "## friction_windup" not in section
@@ -137,9 +135,8 @@ def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None
     assert (found["schema"], found["topic"]) == ("cellapp-docs", "backlash")
 
 
-def test_the_command_draws_the_figures(tmp_path: Path) -> None:
-    ended = CliRunner().invoke(app, ["docs", "figures", "--profile", str(TWIN), "--out", str(tmp_path / "new")])
-    assert ended.exit_code == 0
+def test_all_figures_are_drawn(tmp_path: Path) -> None:
+    write_figures(load_profile(TWIN), tmp_path / "new")
     assert {path.stem for path in (tmp_path / "new").iterdir()} == DRAWN
 
 
@@ -148,7 +145,7 @@ def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
         topic_text("sorcery")
     for arguments, words in (
         (["docs", "screens"], "needs --out DIR"),
-        (["docs", "backlash", "--out", str(tmp_path)], "--out belongs to 'figures', 'screens' and 'pages'"),
+        (["docs", "backlash", "--out", str(tmp_path)], "--out belongs to 'screens'"),
     ):
         assert words in str(CliRunner().invoke(app, arguments).exception)
     (tmp_path / "file").write_text("", encoding="utf-8")

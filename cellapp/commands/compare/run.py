@@ -13,6 +13,9 @@ from cellapp.cell.profile.messages import KeyPath, dotted
 from cellapp.cell.run.arm_identity import arm_identities
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.targets.records import ArmVerification
+from cellapp.commands.compare.request import CompareRequest
+from cellapp.commands.fleet.run import compare_many
+from cellapp.commands.record import Work
 from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.runs.result import (
     ArmComparison,
@@ -25,6 +28,7 @@ from cellapp.commands.runs.result import (
 )
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect
+from cellapp.estimation.monitoring.fleet.records import FleetResult
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, METHODS, STAGES, ErrorSummary, Estimate
@@ -34,6 +38,15 @@ _MISSING: Mapping[str, str] = {
     "discover": "was not searched for missing effects",
     "verify": "was not verified at targets",
 }
+
+
+def run(request: CompareRequest, work: Work) -> RunComparison | FleetResult:
+    """Two runs in every value; more by the history of each arm."""
+    if len(request.folders) != 2:
+        return compare_many(request.folders)
+    first, second = request.folders
+    with RunFile.open(first) as a, RunFile.open(second) as b:
+        return compare_runs(a, b)
 
 
 def compare_runs(a: RunFile, b: RunFile) -> RunComparison:

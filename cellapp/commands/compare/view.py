@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
+from cellapp.commands.fleet.view import view as fleet_view
+from cellapp.commands.record import Request, View
 from cellapp.commands.runs.result import (
     MOST_Z,
     ArmComparison,
@@ -14,6 +16,7 @@ from cellapp.commands.runs.result import (
 )
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.commands.view.words import display_unit, geometry_unit, place_words
+from cellapp.estimation.monitoring.fleet.records import FleetResult
 
 _MM = ".4f"
 _MISSING = "-"
@@ -23,6 +26,13 @@ _ERRORS = (
     *(number_column(f"{run}, {measure}", _MM) for measure in ("mean", "rms") for run in ("a", "b")),
     number_column("change of mean", "+.1%"),
 )
+
+
+def view(result: RunComparison | FleetResult, request: Request | None = None) -> View:
+    """Where two runs differ, or each arm over more of them."""
+    if isinstance(result, FleetResult):
+        return fleet_view(result)
+    return View((*comparison_tables(result), *comparison_sentences(result)))
 
 
 def comparison_tables(result: RunComparison) -> list[Table]:

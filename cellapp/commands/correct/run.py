@@ -17,6 +17,8 @@ from cellapp.cell.programs.targets import ReadProgram, Six
 from cellapp.cell.programs.urp_targets import read_urp
 from cellapp.cell.programs.words import assumptions, model_notes
 from cellapp.cell.run import RunFile
+from cellapp.commands.correct.request import ENDINGS, CorrectRequest
+from cellapp.commands.record import Work
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.ground.errors import InputError
@@ -26,6 +28,21 @@ from cellapp.robot.model import ArmModel
 _JOINTS = 6
 _LARGEST = 32 * 1024 * 1024
 """Bytes of a program that are read."""
+
+
+def run(request: CorrectRequest, work: Work) -> CorrectResult:
+    """Write the corrected copy."""
+    with RunFile.open(request.folder) as opened:
+        return correct_run(
+            opened,
+            request.program,
+            request.out,
+            request.arm,
+            tcp=None if request.tcp is None else typed_tcp(request.tcp),
+            partly=request.partly,
+            extrapolate=request.extrapolate,
+            outputs=work.outputs,
+        )
 
 
 def correct_run(
@@ -134,7 +151,7 @@ def _arm(run: RunFile, arms: Sequence[str], asked: str | None) -> str:
 
 def _read(program: Path, out: Path, arm: ArmModel, tcp: Six | None) -> ReadProgram:
     kind = program.suffix.lower()
-    if kind not in (".script", ".urp"):
+    if kind not in ENDINGS:
         raise InputError(f"{program}: expected a program of a UR controller, .script or .urp")
     if out.suffix.lower() != kind:
         raise InputError(f"--out {out}: the copy is of the same kind as the program; give a name that ends in {kind}")

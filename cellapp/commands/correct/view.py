@@ -1,11 +1,18 @@
-"""The targets of a program that was corrected, as a table."""
+"""The targets of a program that was corrected, as a table and sentences."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
+from cellapp.cell.programs.words import correct_lines, refusal
+from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+
+
+def view(result: CorrectResult, request: Request | None = None) -> View:
+    """Every target, what was assumed, what could not be corrected."""
+    return View((correct_table(result), *correct_lines(result)), refused=refusal(result))
 
 
 def correct_table(result: CorrectResult) -> Table:

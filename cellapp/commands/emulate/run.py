@@ -5,9 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.profile import load_profile
+from cellapp.commands.emulate.request import EmulateRequest
+from cellapp.commands.emulate.result import EmulateResult
+from cellapp.commands.record import Work
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken
@@ -49,14 +53,6 @@ class EmulatedArm:
     rtde_port: int = STANDARD_PORTS["rtde"]
     control_port: int = 0
 
-    def __str__(self) -> str:
-        """Return controller and ports, for the person who started it."""
-        return (
-            f"arm {self.arm}: {self.controller.model} ({self.controller.series}), serial {self.controller.serial},"
-            f" at {self.host}: dashboard {self.dashboard_port}, primary {self.primary_port}, script"
-            f" {self.script_port}, RTDE {self.rtde_port}; faults on command at 127.0.0.1:{self.control_port}"
-        )
-
 
 @dataclass(frozen=True)
 class EmulatedTracker:
@@ -65,9 +61,20 @@ class EmulatedTracker:
     host: str
     port: int
 
-    def __str__(self) -> str:
-        """Return host and port, for the person who started it."""
-        return f"tracker: simulated, bridge protocol at {self.host} port {self.port}"
+
+def run(request: EmulateRequest, work: Work) -> EmulateResult:
+    """Emulate the cell until the work is stopped; what is served is announced when it is."""
+    trackers: list[EmulatedTracker] = []
+    served: list[EmulateResult] = []
+
+    def announce(arms: Sequence[EmulatedArm]) -> None:
+        tracker = asdict(trackers[0]) if trackers else None
+        found = {"pace": request.pace, "arms": [asdict(arm) for arm in arms], "tracker": tracker}
+        served.append(EmulateResult.model_validate(found))
+        work.announce(served[0])
+
+    emulate(load_profile(request.profile), work.control, announce, pace=request.pace, announce_tracker=trackers.append)
+    return served[0]
 
 
 def emulated_tracker(profile: Profile) -> EmulatedTracker | None:

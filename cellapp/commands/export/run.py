@@ -14,8 +14,10 @@ from cellapp.cell.exports.records import ArmFile, ExportResult
 from cellapp.cell.exports.words import form_line, lost_sentences
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
+from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run_commands import export_commands
 from cellapp.commands.plan.run import export_plan
+from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
@@ -28,6 +30,14 @@ from cellapp.robot.model import CellModel
 _GEOMETRY_NOTE = (
     "--geometry is kept for programs that read its JSON; --as writes a file for each program, and loses no geometry"
 )
+
+
+def run(request: ExportRequest, work: Work) -> ExportResult:
+    """Write what is asked for."""
+    with RunFile.open(request.folder) as opened:
+        if request.form is None or request.out is None:  # neither is given then
+            return export_run(opened, request.csv, request.geometry, request.plan, work.outputs)
+        return export_as_run(opened, request.form, request.out, request.arm, request.stage, work.outputs)
 
 
 def export_as_run(

@@ -7,11 +7,21 @@ from pathlib import Path
 
 from cellapp.commands.fleet.index import indexed_records
 from cellapp.commands.fleet.reading import read_record
+from cellapp.commands.fleet.request import FleetRequest
+from cellapp.commands.record import Work
 from cellapp.commands.runs.history import check_folder
 from cellapp.estimation.monitoring.fleet.histories import fleet_result
 from cellapp.estimation.monitoring.fleet.record import RunRecord
 from cellapp.estimation.monitoring.fleet.records import FleetResult
 from cellapp.ground.errors import InputError
+
+
+def run(request: FleetRequest, work: Work) -> FleetResult:
+    """Read the runs, and write the page where one is asked for."""
+    result = fleet(request.folders)
+    if request.page is not None:
+        work.result_page(result, request.page)
+    return result
 
 
 def fleet(folders: Sequence[Path]) -> FleetResult:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from cellapp.commands.fleet.request import FleetRequest
+from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import MOST_ROWS, Cell, Column, Table, most_urgent, number_column, part_table
 from cellapp.commands.view.words import display_unit, place_words
 from cellapp.estimation.monitoring.fleet.condition import FIGURE_WORDS, drift_words, leads_away
@@ -30,6 +32,15 @@ _KNOWN_BY = {
     "profile": "serial number in the profile",
     "names": "names of profile and arm, and its type: no serial number is known",
 }
+
+
+def view(result: FleetResult, request: Request | None = None) -> View:
+    """Every arm over its runs; those that are beyond tolerance or have changed fail where that is asked for."""
+    asked = request if isinstance(request, FleetRequest) else None
+    page = [f"page: {asked.page}"] if asked is not None and asked.page is not None else []
+    complaints = result.complaints() if asked is not None and asked.strict else []
+    failed = [f"{len(complaints)} of {len(result.arms)} arms: {'; '.join(complaints)}"] if complaints else []
+    return View((*fleet_tables(result), *fleet_sentences(result), *page), failed)
 
 
 def fleet_tables(result: FleetResult) -> list[Table]:

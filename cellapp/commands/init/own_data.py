@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,12 +63,11 @@ class OwnData:
 
 @dataclass(frozen=True)
 class OwnDataWritten:
-    """The files that were written, what was understood, and the command that comes next."""
+    """The files that were written, and what was understood."""
 
     profile: Path
     readings: Path
     notes: tuple[str, ...]
-    next_command: str
 
 
 def nobody(question: str, answers: tuple[str, ...]) -> str:
@@ -101,8 +99,7 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     }
     write_new(files, outputs)
     notes = (*_preview(recorded, angles, lengths), _judged(arm_type, q, p_M))
-    following = ["cellapp", "import", str(profile), str(readings), "--run", str(folder / "logs" / name)]
-    return OwnDataWritten(profile, readings, notes, shlex.join(following))
+    return OwnDataWritten(profile, readings, notes)
 
 
 # -- arm types --------------------------------------------------------------------------------------------------------

@@ -15,7 +15,9 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.prior_source import recorded_priors
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
+from cellapp.commands.recalibrate.request import RecalibrateRequest
 from cellapp.commands.recalibrate.result import RecalibratedRun, RecalibratedStage, RecalibrateResult
+from cellapp.commands.record import Work
 from cellapp.commands.runs.history import check_folder, run_folders
 from cellapp.commands.stages import read_stages
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -24,7 +26,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import CALIBRATE, DISCOVER, Record
 from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
+from cellapp.ground.scale.gather import check_resources, gather
 from cellapp.ground.scale.task import Batch, TaskKind, as_given
 
 
@@ -39,6 +41,20 @@ class FolderOfRun(Record):
     """The folder of a run, under a path that every worker sees."""
 
     folder: str
+
+
+def run(request: RecalibrateRequest, work: Work) -> RecalibrateResult:
+    """Compute again what is out of date."""
+    resources = Resources(request.jobs, request.scheduler)
+    check_resources(resources)
+    return recalibrate(
+        request.folders,
+        force=request.again,
+        search=not request.calibration_only,
+        resources=resources,
+        listener=work.listener,
+        cancel=work.control,
+    )
 
 
 def recalibrate(

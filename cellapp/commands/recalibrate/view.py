@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from cellapp.commands.recalibrate.result import RecalibrateResult
+from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+
+
+def view(result: RecalibrateResult, request: Request | None = None) -> View:
+    """What was computed again, and which runs failed."""
+    tables = [recalibration_table(result)] if result.made else []
+    failed = f"{len(result.failed)} of {len(result.failed) + len(result.runs)} runs failed"
+    return View((*tables, *recalibration_sentences(result)), (failed,) if result.failed else ())
 
 
 def recalibration_table(result: RecalibrateResult) -> Table:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich import filesize
 
+from cellapp.commands.record import Request, View
 from cellapp.commands.runs.result import ArmFigures, CellKind, RunsResult, RunSummary
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.discovery.records import BeforeAfter
@@ -19,6 +20,11 @@ CELL_WORDS: dict[CellKind, str] = {
     "none": "no arms",
 }
 _MM = ".3f"
+
+
+def view(result: RunsResult, request: Request | None = None) -> View:
+    """Every run below the folder."""
+    return View((*runs_tables(result), *runs_sentences(result)))
 
 
 def runs_tables(result: RunsResult) -> list[Table]:

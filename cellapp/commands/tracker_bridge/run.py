@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from cellapp.cell.driving.cell import build_plant, tracker_driver
+from cellapp.cell.profile import load_profile
+from cellapp.commands.record import Work
+from cellapp.commands.tracker_bridge.request import TrackerBridgeRequest
+from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
@@ -21,34 +24,32 @@ _STEP_S = 0.2
 """Longest time for which a cancel, such as Ctrl-C, goes unnoticed."""
 
 
-@dataclass(frozen=True)
-class ServedTracker:
-    """A tracker that is being served.
+def run(request: TrackerBridgeRequest, work: Work) -> TrackerBridgeResult:
+    """Serve the tracker until the work is stopped; where it is served is announced when it is."""
+    served: list[TrackerBridgeResult] = []
 
-    ``kind`` is the kind of its driver; ``port`` is None if it is served on a serial port alone, ``serial`` None if on
-    TCP alone. ``guarded``: whether clients need the token.
-    """
+    def announce(result: TrackerBridgeResult) -> None:
+        served.append(result)
+        work.announce(result)
 
-    kind: str
-    host: str
-    port: int | None
-    serial: str | None
-    guarded: bool
-
-    def __str__(self) -> str:
-        """Return where it is served, for the person who started it."""
-        places = [f"{self.host} port {self.port}"] if self.port is not None else []
-        places += [self.serial] if self.serial is not None else []
-        guard = "with a token" if self.guarded else "without a token, for this machine alone"
-        if self.serial is not None and not self.guarded:
-            guard = "without a token"
-        return f"tracker ({self.kind}) at {' and '.join(places)}, {guard}"
+    serve_tracker(
+        load_profile(request.profile),
+        work.control,
+        announce,
+        host=request.host,
+        port=DEFAULT_PORT if request.port is None and request.serial is None else request.port,
+        serial=request.serial,
+        baud=request.baud,
+        token_file=request.token_file,
+        token_env=request.token_env,
+    )
+    return served[0]
 
 
 def serve_tracker(
     profile: Profile,
     cancel: CancelToken,
-    announce: Callable[[ServedTracker], None],
+    announce: Callable[[TrackerBridgeResult], None],
     *,
     host: str = "127.0.0.1",
     port: int | None = DEFAULT_PORT,
@@ -89,7 +90,11 @@ def serve_tracker(
     except OSError as error:
         raise HardwareError(f"tracker-bridge: {error.strerror}; see whether another one runs here") from error
     try:
-        announce(ServedTracker(settings.kind, service.host, service.port, serial, token is not None))
+        announce(
+            TrackerBridgeResult(
+                kind=settings.kind, host=service.host, port=service.port, serial=serial, guarded=token is not None
+            )
+        )
         while not cancel.cancelled:
             service.poll(_STEP_S)
     finally:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -11,18 +10,11 @@ import typer
 
 from cellapp import __version__
 from cellapp.commands.registry import VERBS
-from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.at_rest import at_rest
 from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
 from cellapp.interfaces.cli.check import check
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.correct import correct
 from cellapp.interfaces.cli.derived import command_of
-from cellapp.interfaces.cli.docs import docs
-from cellapp.interfaces.cli.export import export
-from cellapp.interfaces.cli.fleet import fleet, recalibrate
 from cellapp.interfaces.cli.follow import follow
-from cellapp.interfaces.cli.init import init
 from cellapp.interfaces.cli.iso9283 import app as iso9283_app
 from cellapp.interfaces.cli.job import Job, open_run, require_none
 from cellapp.interfaces.cli.motion import asking
@@ -39,8 +31,7 @@ from cellapp.interfaces.cli.options import (
 from cellapp.interfaces.cli.program import run_program
 from cellapp.interfaces.cli.report import report
 from cellapp.interfaces.cli.request_commands import abort, pause, resume, stop
-from cellapp.interfaces.cli.runs import compare, runs
-from cellapp.interfaces.cli.show import schema, show, show_discovery
+from cellapp.interfaces.cli.show import show, show_discovery
 from cellapp.interfaces.cli.trials import trials_app
 from cellapp.interfaces.cli.whole_run import demo, run
 
@@ -310,102 +301,15 @@ for command in (
     check,
     report,
     follow,
-    init,
-    export,
-    correct,
     pause,
     resume,
     stop,
     abort,
-    at_rest,
-    runs,
-    compare,
-    fleet,
-    recalibrate,
     show,
-    schema,
-    docs,
 ):
     app.command()(command)
 for of_certificates in (certificate, sign_key, check_certificate):
     app.command()(of_certificates)
-
-
-@app.command()
-def emulate(
-    profile: ProfilePath,
-    pace: Annotated[
-        float, typer.Option("--pace", metavar="X", min=0.1, max=1000.0, help="Simulated seconds for each real one.")
-    ] = 1.0,
-    json_file: JsonOption = None,
-) -> None:
-    """Emulate this cell's controllers and, behind a bridge, its tracker, on loopback until interrupted."""
-    from dataclasses import asdict
-
-    from cellapp.cell.profile import load_profile
-    from cellapp.commands.doctor.result import EmulateResult
-    from cellapp.commands.emulate.run import EmulatedArm, EmulatedTracker
-    from cellapp.commands.emulate.run import emulate as serve
-
-    with Job(json_file) as job:
-        trackers: list[EmulatedTracker] = []
-
-        def announce(arms: Sequence[EmulatedArm]) -> None:
-            job.say(*(str(arm) for arm in arms), *(str(tracker) for tracker in trackers), "Ctrl-C ends this")
-            tracker = asdict(trackers[0]) if trackers else None
-            served = {"pace": pace, "arms": [asdict(arm) for arm in arms], "tracker": tracker}
-            job.result(EmulateResult.model_validate(served))
-
-        serve(load_profile(profile), job.control, announce, pace=pace, announce_tracker=trackers.append)
-
-
-@app.command("tracker-bridge")
-def tracker_bridge(
-    profile: ProfilePath,
-    host: Annotated[
-        str, typer.Option("--host", help="Address to listen on; one that other machines reach needs a token.")
-    ] = "127.0.0.1",
-    port: Annotated[
-        int | None, typer.Option("--port", min=0, max=65535, help="TCP port; else 50960, or none beside --serial.")
-    ] = None,
-    serial: Annotated[
-        str | None, typer.Option("--serial", metavar="PORT", help="A serial port to serve, as COM3 or /dev/ttyUSB0.")
-    ] = None,
-    baud: Annotated[int, typer.Option("--baud", min=300, help="Of the serial port.")] = 115200,
-    token_file: Annotated[
-        Path | None, typer.Option("--token-file", metavar="FILE", help="The shared token; only you may read the file.")
-    ] = None,
-    token_env: Annotated[
-        str | None, typer.Option("--token-env", metavar="NAME", help="Environment variable that holds the token.")
-    ] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Serve the tracker that this computer is wired to, to the cell PC, until interrupted."""
-    from dataclasses import asdict
-
-    from cellapp.cell.profile import load_profile
-    from cellapp.commands.doctor.result import TrackerBridgeResult
-    from cellapp.commands.tracker_bridge.run import DEFAULT_PORT, ServedTracker, serve_tracker
-
-    with Job(json_file) as job:
-        if token_file is not None and token_env is not None:
-            raise InputError("tracker-bridge: give --token-file or --token-env, not both")
-
-        def announce(served: ServedTracker) -> None:
-            job.say(str(served), "Ctrl-C ends this")
-            job.result(TrackerBridgeResult.model_validate(asdict(served)))
-
-        serve_tracker(
-            load_profile(profile),
-            job.control,
-            announce,
-            host=host,
-            port=DEFAULT_PORT if port is None and serial is None else port,
-            serial=serial,
-            baud=baud,
-            token_file=token_file,
-            token_env=token_env,
-        )
 
 
 app.add_typer(trials_app, name="trials")

@@ -6,6 +6,8 @@ import inspect
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import annotated_types
@@ -19,6 +21,7 @@ from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
 
 if TYPE_CHECKING:
+    from cellapp.ground.outputs import Outputs
     from cellapp.ground.results import Result
 
 PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
@@ -74,11 +77,25 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         job.control,
         lambda profile_name: asking(job, profile_name, allowed=allowed),
         job.outputs,
+        result_page=partial(_result_page, job.outputs),
+        screens=partial(_screens, job.outputs),
         announce=announce,
         say=job.say,
         choose=_choose,
         secret=_secret,
     )
+
+
+def _result_page(outputs: Outputs, result: Result, path: Path) -> Path:
+    from cellapp.interfaces.page.result_pages import write_result_page  # 1 s; most commands write no page
+
+    return write_result_page(result, path, outputs)
+
+
+def _screens(outputs: Outputs, profile: Path, run: Path | None, folder: Path) -> list[Path]:
+    from cellapp.interfaces.tui.pictures import write_screens  # most commands draw none
+
+    return write_screens(profile, run, folder, outputs=outputs)
 
 
 def _choose(question: str, answers: tuple[str, ...]) -> str:

@@ -1,4 +1,4 @@
-"""``show`` and ``schema``: print what is stored. They only read: the run is opened read-only."""
+"""``show``: print what is stored. It only reads: the run is opened read-only."""
 
 from __future__ import annotations
 
@@ -111,26 +111,6 @@ def _check_options(part: Part, of_log: bool, check: bool, forecast: bool, of_tar
         raise InputError("show: --check and --forecast belong to 'plan'; give one of them")
     if part is not Part.TARGETS and of_target:
         raise InputError("show: --target belongs to 'targets'")
-
-
-def schema(
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One result, as cellapp-calibrate.")] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Print the JSON schemas of the results, by the name that their JSON carries under "schema"."""
-    import json
-
-    from cellapp.commands.schemas import json_schemas
-    from cellapp.commands.trials.results import TRIAL_RESULTS
-
-    schemas = {**json_schemas(), **json_schemas(TRIAL_RESULTS)}
-    if name is not None and name not in schemas:
-        raise InputError(f"schema: '{name}' is not a result; results are {', '.join(schemas)}")
-    text = json.dumps(schemas if name is None else schemas[name], indent=1)
-    with Job(json_file) as job:
-        if json_file is None:
-            job.say(text)
-        job.write_json(text)
 
 
 def _show_overview(job: Job, run: RunFile) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cellapp.commands.at_rest.request import VERB as AT_REST
+from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.follow_path import FollowPath, FollowRequest
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
 
 BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
+WRITE = (Answer("write", "Write", "ctrl+s", "success"), Answer("no", "Close", "f10"))
 USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
 """Answers where the model is out of date; the first one has the focus."""
 _SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
@@ -113,7 +116,7 @@ def offer_at_rest(app: Host, arm: str) -> None:
 
     def record(answer: str | None) -> None:
         if answer == "seen":
-            app.start_job(work.at_rest(folder, arm))
+            app.start_job(work.verb_job(AT_REST, AtRestRequest(folder=folder, arm=arm)))
 
     answers = (Answer("no", "No", "n"), Answer("seen", "I see it at rest", "s", "warning"))
     text = f"Its stop was not confirmed: {app.workspace.unseen.get(arm, '')}. Say so only if you look at it now."

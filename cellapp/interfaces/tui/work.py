@@ -8,20 +8,17 @@ from typing import TYPE_CHECKING
 
 from cellapp.commands.record import Request, Verb, Work
 from cellapp.ground.control import JobControl
-from cellapp.ground.outputs import NEW_ONLY, RENEWED
-from cellapp.ground.progress import Listener
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.progress import Listener, ignore
 from cellapp.interfaces.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
     from cellapp.cell.targets.targets import Target
     from cellapp.commands.report.data import ReportData
-    from cellapp.commands.runs.result import RunComparison, RunSummary
-    from cellapp.estimation.monitoring.fleet.records import FleetResult
+    from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
-    from cellapp.interfaces.tui.dialogs.correct_program import CorrectRequest
-    from cellapp.interfaces.tui.dialogs.export_arms import ExportRequest
     from cellapp.interfaces.tui.dialogs.follow_path import FollowRequest
     from cellapp.interfaces.tui.dialogs.own_readings import OwnReadingsRequest
 
@@ -32,13 +29,18 @@ VERIFY = "verify"
 """Name of a push that measures: only its result says whether a verification held."""
 
 
-def verb_job(verb: Verb, request: Request) -> Job:
-    """The job of a verb."""
+def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
+    """The job of a verb; ``outputs`` says what it may replace."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        return verb.run(request, Work(listener, control, lambda profile_name: ask, NEW_ONLY))
+        return verb.run(request, Work(listener, control, lambda profile_name: ask, outputs))
 
     return Job(verb.name, work, getattr(request, "folder", None), moves=verb.moves_arms and request.moves())
+
+
+def looked(verb: Verb, request: Request) -> Result:
+    """What a verb finds that only reads. For a thread of its own."""
+    return verb.run(request, Work(ignore, JobControl(), lambda profile_name: None, NEW_ONLY))
 
 
 def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job:
@@ -88,18 +90,6 @@ def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
     return Job("import", work, request.run)
 
 
-def at_rest(folder: Path, arm: str) -> Job:
-    """Record that a person has seen an arm at rest."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest
-        from cellapp.commands.at_rest.result import AtRestResult
-
-        return AtRestResult(run=str(folder), arm=arm, counted_as_moving=note_at_rest(run, arm, BY_PERSON))
-
-    return on_run("at rest", folder, work)
-
-
 def view(profile: Path) -> Job:
     """Look at what the tracker sees of each arm's workspace; nothing is planned."""
 
@@ -132,17 +122,6 @@ def forecast_plan(folder: Path) -> Job:
         return forecast_run(run, listener, control)
 
     return _of_run("forecast", folder, work)
-
-
-def write_plan(folder: Path, path: Path) -> Job:
-    """Write the plan of a run as CSV."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.export.run import export_run
-
-        return export_run(run, None, None, path, RENEWED)
-
-    return _of_run("export", folder, work)
 
 
 def check_plan_file(profile: Path, path: Path) -> Job:
@@ -306,36 +285,6 @@ def report(folder: Path, *, pdf: bool = False) -> Job:
     return on_run("report", folder, work)
 
 
-def export_arms(folder: Path, request: ExportRequest) -> Job:
-    """Write the calibrated arms for another program."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.export.run import export_as_run
-
-        return export_as_run(run, request.format_name, request.out, request.arm, request.stage_name)
-
-    return _of_run("export", folder, work)
-
-
-def correct(folder: Path, request: CorrectRequest) -> Job:
-    """Correct the targets of a controller's program."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.correct.run import correct_run, typed_tcp
-
-        return correct_run(
-            run,
-            request.program,
-            request.out,
-            request.arm,
-            tcp=None if request.tcp is None else typed_tcp(request.tcp),
-            partly=request.partly,
-            extrapolate=request.extrapolate,
-        )
-
-    return _of_run("correct", folder, work)
-
-
 def replay(folder: Path, speed: float) -> Job:
     """Play back what a run recorded; nothing moves."""
 
@@ -391,22 +340,6 @@ def report_data(folder: Path | None) -> ReportData | None:
     for arm in data.held_out.values():
         _ = arm.errors_mm  # computed here, not while drawing
     return data
-
-
-def compare(folders: Sequence[Path], *, fleet: bool = False) -> RunComparison | FleetResult:
-    """Two runs compared in every value; more, or a ``fleet``, by the history of each arm. For a thread of its own."""
-    from cellapp.cell.run import RunFile
-    from cellapp.commands.compare.run import compare_runs
-    from cellapp.commands.fleet.run import compare_many
-    from cellapp.commands.fleet.run import fleet as fleet_of
-
-    if fleet:
-        return fleet_of(folders)
-    if len(folders) != 2:
-        return compare_many(folders)
-    first, second = folders
-    with RunFile.open(first) as a, RunFile.open(second) as b:
-        return compare_runs(a, b)
 
 
 def interrupted_run(logs: Path) -> RunSummary | None:

@@ -11,6 +11,8 @@ import yaml
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import import_csv
 from cellapp.commands.init.own_data import OwnData, nobody, write_own_data
+from cellapp.commands.init.result import InitResult
+from cellapp.commands.init.view import view
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, transform
@@ -49,7 +51,8 @@ def test_a_german_table_becomes_a_run(tmp_path: Path) -> None:
     with import_csv(profile, written.readings, tmp_path / "run") as run:
         np.testing.assert_allclose(run.readings("robot").q, q, atol=1e-9)
         np.testing.assert_allclose(run.readings("robot").p_M, p_M, atol=1e-9)
-    assert written.next_command.startswith("cellapp import ")
+    shown = view(InitResult(profile=str(written.profile), readings=str(written.readings)))
+    assert str(shown.parts[-1]).startswith("next: cellapp import ")
 
 
 def test_the_kinematics_decide_what_values_leave_open(tmp_path: Path) -> None:

@@ -17,7 +17,9 @@ from cellapp.cell.driving.cell import tracker_driver
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
 from cellapp.commands.doctor.run import examine
 from cellapp.commands.emulate.run import EmulatedTracker, emulate, emulated_arms, emulated_tracker
-from cellapp.commands.tracker_bridge.run import ServedTracker, serve_tracker
+from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
+from cellapp.commands.tracker_bridge.run import serve_tracker
+from cellapp.commands.tracker_bridge.view import view
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken
@@ -52,7 +54,7 @@ def token_file(tmp_path: Path) -> Path:
 def served(profile: Profile, **options):
     cancel, up, found = CancelToken(), threading.Event(), []
 
-    def announce(where: ServedTracker) -> None:
+    def announce(where: TrackerBridgeResult) -> None:
         found.append(where)
         up.set()
 
@@ -71,7 +73,7 @@ def served(profile: Profile, **options):
 def test_a_profiles_tracker_is_served_until_cancelled(token_file: Path) -> None:
     before = threading.active_count()
     with served(small_twin(), token_file=token_file) as where:
-        assert str(where) == f"tracker (simulated) at 127.0.0.1 port {where.port}, with a token"
+        assert view(where).parts[0] == f"tracker (simulated) at 127.0.0.1 port {where.port}, with a token"
         url = f"socket://127.0.0.1:{where.port}"
         profile = behind(small_twin(), url, token_file=str(token_file))
         tracker = tracker_driver(profile, None)

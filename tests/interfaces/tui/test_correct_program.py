@@ -11,9 +11,9 @@ from textual.widgets import DataTable, Input
 from cellapp.cell.run import RunFile
 from cellapp.commands.correct.run import correct_run
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.correct_program import CorrectProgram
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Reading
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
 
 DAY = Path("logs") / "day"
@@ -29,7 +29,7 @@ async def ask_for_program(pilot: Pilot[None], app: CellApp) -> None:
     await until(pilot, lambda: isinstance(app.screen, FilePicker), "the question for the program")
     app.screen.query_one("#path", Input).value = "old.script"
     await pilot.press("enter")
-    await until(pilot, lambda: isinstance(app.screen, CorrectProgram), "the dialog")
+    await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the dialog")
 
 
 async def test_a_program_is_corrected(finished_run: Path) -> None:
@@ -42,7 +42,7 @@ async def test_a_program_is_corrected(finished_run: Path) -> None:
     async with app.run_test(size=SMALL) as pilot:
         await ask_for_program(pilot, app)
         assert "Write (Ctrl+S)" in shown_text(app), "all of the dialog fits into the smallest terminal"
-        assert app.screen.query_one("#path", Input).value == "old-corrected.script"
+        assert app.screen.query_one("#out", Input).value == "old-corrected.script"
         app.screen.query_one("#arm", Input).value = "left"
         await pilot.press("enter")
         await until(pilot, lambda: isinstance(app.screen, Reading), "what was written")

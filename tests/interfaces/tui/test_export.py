@@ -40,7 +40,7 @@ async def test_a_format_is_chosen_and_both_arms_are_written(finished_run: Path) 
         assert all(form in text for form in all_formats())
         assert "Write (Ctrl+S)" in text, "all of the dialog fits into the smallest terminal"
         await pilot.press("down", "down")
-        assert app.screen.query_one("#path", Input).value == str(DAY / "urdf.urdf")
+        assert app.screen.query_one("#out", Input).value == str(DAY / "urdf.urdf")
         await pilot.press("enter", "enter")
         await until(pilot, lambda: isinstance(app.screen, Reading), "what was written")
         assert "joint_compliance" in shown_text(app)
@@ -58,10 +58,10 @@ async def test_what_the_verb_refuses_is_said(finished_run: Path) -> None:
         await show_calibrate(pilot, app)
         await pilot.press("e")
         await until(pilot, lambda: isinstance(app.screen, ExportArms), "the dialog")
-        app.screen.query_one("#path", Input).value = "mine.yaml"
+        app.screen.query_one("#out", Input).value = "mine.yaml"
         app.screen.query_one("#formats", OptionList).highlighted = 3
         await pilot.pause()
-        assert app.screen.query_one("#path", Input).value == "mine.yaml", "what a person typed stays"
+        assert app.screen.query_one("#out", Input).value == "mine.yaml", "what a person typed stays"
         app.screen.query_one("#arm", Input).value = "third"
         await pilot.press("ctrl+s")
         await until(pilot, lambda: "no calibrated arm 'third'" in app.message, "the reason")

@@ -118,7 +118,7 @@ class AnswerQuestion(Question[A]):
         yield why
         with Horizontal(classes="answers"):
             for answer in self._answers:
-                label = f"{answer.label} ({answer.key})"
+                label = f"{answer.label} ({answer.key.title() if len(answer.key) > 1 else answer.key})"
                 yield Button(label, id=answer.value, variant=answer.variant, compact=True)
 
     def fields(self) -> ComposeResult:
@@ -148,8 +148,12 @@ class AnswerQuestion(Question[A]):
 
     @on(Input.Submitted)
     def leave_field(self, event: Input.Submitted) -> None:
-        """Enter in a field goes to the answers: nothing begins by it."""
+        """Take Enter in any field."""
         event.stop()
+        self.entered()
+
+    def entered(self) -> None:
+        """Go from a field to the answers: nothing begins by it."""
         self.query(Button).first().focus()
 
 

@@ -25,6 +25,8 @@ _COLUMN = 30
 class VerbQuestion(AnswerQuestion[Request]):
     """Ask for the request of a verb. Returns the request; None where the dialog is closed or answered with no.
 
+    Where no arm moves, the first empty field has the focus, and Enter in a field gives the first answer.
+
     Parameters
     ----------
     verb : Verb
@@ -71,6 +73,22 @@ class VerbQuestion(AnswerQuestion[Request]):
         for name, words in self._fields.items():
             yield from self._widgets(name, words)
 
+    def on_mount(self) -> None:
+        """Begin with what is still to be filled in, where nothing can move by it."""
+        if not self.verb.moves_arms and (first := self.first_field()) is not None:
+            self.call_after_refresh(first.focus)
+
+    def first_field(self) -> Widget | None:
+        """What a person fills in first."""
+        return next((field for field in self.query(Input) if not field.value), None)
+
+    def entered(self) -> None:
+        """Give the first answer; where arms may move, go to the answers."""
+        if self.verb.moves_arms:
+            super().entered()
+        else:
+            self.action_answer(self._answers[0].value)
+
     def action_answer(self, value: str) -> None:
         """Close with the request; where the fields make none, say why."""
         if value == "no":
@@ -103,8 +121,8 @@ class VerbQuestion(AnswerQuestion[Request]):
             yield Labelled(label, PathField(text, lambda path: _fits(path, words), id=key, hint=words.hint))
         else:
             text = "" if default is None else f"{default:g}" if isinstance(default, float) else str(default)
-            choices = self._choices.get(name, get_args(kind))
-            yield text_field(label, key, text, words.hint, choices=[str(one) for one in choices])
+            choices = [str(one) for one in self._choices.get(name, get_args(kind))]
+            yield text_field(label, key, text, words.hint or " or ".join(choices), choices=choices)
 
     def _value(self, name: str) -> Any:
         """What a field holds; None where it is empty."""

@@ -22,12 +22,15 @@ from cellapp.commands.calibrate.charts_accuracy import (
     stage_chart,
 )
 from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
+from cellapp.commands.export.request import VERB as EXPORT
+from cellapp.commands.record import Request
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Reading
+from cellapp.interfaces.tui.offers import WRITE
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.tables import TablesView
@@ -153,13 +156,13 @@ The step after this one is Discover (5).
         if results is None or results.calibrate is None:
             self.say(_EMPTY, "warning")
             return
-        from cellapp.interfaces.tui.dialogs.export_arms import ExportArms, ExportRequest
+        from cellapp.interfaces.tui.dialogs.export_arms import ExportArms
 
-        def write(request: ExportRequest | None) -> None:
+        def write(request: Request | None) -> None:
             if request is not None:
-                self.start(work.export_arms(folder, request))
+                self.start(work.verb_job(EXPORT, request))
 
-        self.app.push_screen(ExportArms(folder, tuple(results.calibrate.arms)), write)
+        self.app.push_screen(ExportArms(folder, tuple(results.calibrate.arms), WRITE), write)
 
     def show_result(self, result: Result) -> None:
         """Show what was exported, and what the files do not hold."""

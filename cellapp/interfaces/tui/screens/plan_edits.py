@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cellapp.commands.export.request import VERB as EXPORT
+from cellapp.commands.export.request import ExportRequest
+from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.count import CountQuestion
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
@@ -78,7 +81,7 @@ class PlanEdits(DayScreen):
 
         def begin(path: Path | None) -> None:
             if path is not None:
-                self.start(verbs.write_plan(folder, path))
+                self.start(verbs.verb_job(EXPORT, ExportRequest(folder=folder, plan=path), RENEWED))
 
         self.app.push_screen(SaveAs("the plan", None, folder / _PLAN_FILE), begin)
 

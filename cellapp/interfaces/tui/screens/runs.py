@@ -6,7 +6,7 @@ Runs are read and compared in threads; packages for that are loaded there, too.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,9 +19,13 @@ from textual.message import Message
 from textual.widgets import DataTable, Input, Static
 from textual.worker import get_current_worker
 
+from cellapp.commands.compare.request import VERB as COMPARE
+from cellapp.commands.compare.request import CompareRequest
+from cellapp.commands.fleet.request import VERB as FLEET
+from cellapp.commands.fleet.request import FleetRequest
 from cellapp.commands.report.result import ReportResult
 from cellapp.commands.runs.columns import contains, run_cells, run_columns
-from cellapp.commands.runs.result import RunsResult
+from cellapp.commands.runs.result import RunComparison, RunsResult
 from cellapp.commands.runs.view import run_lines, runs_sentences
 from cellapp.commands.view.charts import enumerated
 from cellapp.estimation.monitoring.fleet.records import FleetResult
@@ -36,7 +40,7 @@ from cellapp.interfaces.tui.widgets.text_table import TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.commands.runs.result import RunComparison, RunSummary
+    from cellapp.commands.runs.result import RunSummary
 
 _MARK, _OPEN = "●", "▸"
 _MARKS = "marks"
@@ -75,7 +79,7 @@ class RunsListed(Message):
 class RunsCompared(Message):
     """Two runs or more were compared, or the sentence why not."""
 
-    def __init__(self, found: RunComparison | FleetResult | str) -> None:
+    def __init__(self, found: Result | str) -> None:
         super().__init__()
         self.found = found
 
@@ -289,11 +293,11 @@ class RunsScreen(DayScreen):
     def action_compare(self) -> None:
         """Compare the marked runs."""
         self.say(f"Comparing {enumerated(self._marked)} ...")
-        self._compare([Path(name) for name in self._marked])
+        self._compare(tuple(Path(name) for name in self._marked))
 
     def action_fleet(self) -> None:
         """Show the history of each arm over the runs of the list."""
-        listed = [Path(name) for name, run in self._shown.items() if not run.problem]
+        listed = tuple(Path(name) for name, run in self._shown.items() if not run.problem)
         if not listed:
             self.say("The list has no run that can be read.", "warning")
             return
@@ -301,9 +305,10 @@ class RunsScreen(DayScreen):
         self._compare(listed, fleet=True)
 
     @work(thread=True, exclusive=True, group="comparison of runs")
-    def _compare(self, folders: Sequence[Path], *, fleet: bool = False) -> None:
+    def _compare(self, folders: tuple[Path, ...], *, fleet: bool = False) -> None:
         try:
-            found = RunsCompared(jobs_of_verbs.compare(folders, fleet=fleet))
+            request = FleetRequest(folders=folders) if fleet else CompareRequest(folders=folders)
+            found = RunsCompared(jobs_of_verbs.looked(FLEET if fleet else COMPARE, request))
         except CellappError as error:
             found = RunsCompared(str(error))
         except (OSError, ValueError, TypeError) as error:  # values that no version of this program stores
@@ -320,10 +325,10 @@ class RunsScreen(DayScreen):
             from cellapp.interfaces.tui.dialogs.comparison import Comparison
             from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
 
-            found = event.found
-            self.app.push_screen(
-                FleetHistory(found, self.cell_app.logs) if isinstance(found, FleetResult) else Comparison(found)
-            )
+            if isinstance(event.found, FleetResult):
+                self.app.push_screen(FleetHistory(event.found, self.cell_app.logs))
+            elif isinstance(event.found, RunComparison):
+                self.app.push_screen(Comparison(event.found))
 
     def action_report(self) -> None:
         """Open the report; write it first where there is none."""

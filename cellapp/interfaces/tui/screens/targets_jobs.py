@@ -8,15 +8,16 @@ from pathlib import Path
 
 from cellapp.cell.targets.targets import Target
 from cellapp.commands.compensate.target_list import stale_model
+from cellapp.commands.correct.request import ENDINGS
+from cellapp.commands.correct.request import VERB as CORRECT
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.record import Request
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.correct_program import CorrectProgram, CorrectRequest
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.dialogs.verify_targets import VerifyTargets
-from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words
+from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.targets_state import why_not
 
@@ -83,16 +84,23 @@ def ask_correct(screen: DayScreen) -> None:
     folder, _, calibration = calibrated
     arms = tuple(calibration.arms)
 
-    def write(request: CorrectRequest | None) -> None:
+    def write(request: Request | None) -> None:
         if request is not None:
-            screen.start(work.correct(folder, request))
+            screen.start(work.verb_job(CORRECT, request))
 
     def ask(program: Path | None) -> None:
         if program is not None:
-            screen.app.push_screen(CorrectProgram(program, arms), write)
+            given = {"folder": folder, "program": program}
+            proposed = {
+                "out": program.with_stem(f"{program.stem}-corrected"),
+                "arm": arms[0] if len(arms) == 1 else None,
+            }
+            text = f"{program.name}; nothing moves."
+            dialog = VerbQuestion(CORRECT, text, WRITE, given, proposed=proposed, choices={"arm": arms})
+            screen.app.push_screen(dialog, write)
 
-    title = "A program of a UR controller (.script, .urp)"
-    screen.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in (".script", ".urp")), ask)
+    title = f"A program of a UR controller ({', '.join(ENDINGS)})"
+    screen.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in ENDINGS), ask)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

@@ -1,0 +1,28 @@
+"""The verb ``docs``: a part of the handbook, its topics, or pictures of the screens."""
+
+from __future__ import annotations
+
+from cellapp.commands.docs.handbook import CHAPTERS, effect_sections, topic_text
+from cellapp.commands.docs.request import SCREENS, DocsRequest
+from cellapp.commands.docs.result import DocsResult
+from cellapp.commands.docs.sections import search
+from cellapp.commands.record import Work
+
+
+def run(request: DocsRequest, work: Work) -> DocsResult:
+    """Find or draw what is asked for."""
+    if request.words is not None:
+        lines = [f"{hit.section.address}\n  {hit.line}" for hit in search(request.words)]
+        return DocsResult(topic="", text="\n".join(lines) or f"no section has all of these words: {request.words}")
+    if request.topic is None:
+        return DocsResult(topic="", text=_topics())
+    if request.topic != SCREENS or request.out is None:
+        return DocsResult(topic=request.topic, text=topic_text(request.topic))
+    paths = work.screens(request.profile, request.run, request.out)
+    return DocsResult(topic=SCREENS, files=tuple(str(path) for path in paths))
+
+
+def _topics() -> str:
+    lines = [f"{name:12} {subject}" for name, subject in CHAPTERS.items()]
+    lines += ["", "draw into a folder, with --out DIR:", f"  {SCREENS:10} the screens of the terminal application", ""]
+    return "\n".join([*lines, "or an effect:", *(f"  {slug}" for slug in effect_sections())])

@@ -1,0 +1,24 @@
+"""What ``emulate`` serves, as sentences."""
+
+from __future__ import annotations
+
+from cellapp.commands.emulate.result import EmulatedArm, EmulatedTracker, EmulateResult
+from cellapp.commands.record import Request, View
+
+
+def view(result: EmulateResult, request: Request | None = None) -> View:
+    """Controllers and ports, for the person who started them."""
+    trackers = [] if result.tracker is None else [_tracker_words(result.tracker)]
+    return View((*map(_arm_words, result.arms), *trackers, "Ctrl-C ends this"))
+
+
+def _arm_words(arm: EmulatedArm) -> str:
+    return (
+        f"arm {arm.arm}: {arm.controller.model} ({arm.controller.series}), serial {arm.controller.serial},"
+        f" at {arm.host}: dashboard {arm.dashboard_port}, primary {arm.primary_port}, script {arm.script_port},"
+        f" RTDE {arm.rtde_port}; faults on command at 127.0.0.1:{arm.control_port}"
+    )
+
+
+def _tracker_words(tracker: EmulatedTracker) -> str:
+    return f"tracker: simulated, bridge protocol at {tracker.host} port {tracker.port}"

@@ -1,0 +1,53 @@
+"""What ``init`` is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import model_validator
+
+from cellapp.commands.record import Asked, Request, Verb
+
+
+class InitRequest(Request):
+    """Write a new profile as commented YAML; nothing is overwritten."""
+
+    folder: Annotated[Path, Asked("The profile goes into FOLDER/profiles.", "FOLDER", argument=True)] = Path()
+    twin: Annotated[bool, Asked("The simulated cell, to try the program without hardware.")] = False
+    starter: Annotated[str | None, Asked("A copy of a profile that comes with cellapp.", "NAME", option="--from")] = (
+        None
+    )
+    answers: Annotated[Path | None, Asked("From answers; see 'cellapp docs cell'.", "FILE")] = None
+    readings: Annotated[
+        Path | None,
+        Asked("For readings recorded elsewhere; see 'cellapp docs readings'.", "FILE"),
+    ] = None
+    arm: Annotated[str | None, Asked("With --readings: an arm type by name, its file, or D-H rows (CSV).", "TYPE")] = (
+        None
+    )
+    modified: Annotated[bool, Asked("With --arm ROWS.csv: the rows are modified D-H (Craig).")] = False
+    angles: Annotated[
+        Literal["rad", "deg"] | None, Asked("With --readings: unit of joint positions, if it is not found.")
+    ] = None
+    lengths: Annotated[Literal["m", "mm"] | None, Asked("With --readings: unit of points, if it is not found.")] = None
+    name: Annotated[str | None, Asked("With --readings: name of the profile.", "NAME")] = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        """Refuse none or several sources, and words about readings without readings."""
+        own = (self.arm, self.angles, self.lengths, self.name)
+        if self.readings is None and (self.modified or any(one is not None for one in own)):
+            raise ValueError("--arm, --modified, --angles, --lengths and --name belong to --readings; add it")
+        if self.twin + sum(one is not None for one in (self.starter, self.answers, self.readings)) != 1:
+            from cellapp.cell.profile.starters import starter_profiles  # late: only where something is wrong
+
+            listed = "\n".join(f"  {item.name:14} {item.sentence}" for item in starter_profiles())
+            raise ValueError(
+                "give one of --twin, --from NAME, --answers FILE and --readings FILE. Profiles that come with"
+                f" cellapp:\n{listed}"
+            )
+        return self
+
+
+VERB = Verb("init", InitRequest, chapter="cell")

@@ -1,0 +1,30 @@
+"""The result of ``init`` as sentences."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.profile.starters import readings_of
+from cellapp.commands.init.result import InitResult
+from cellapp.commands.record import Request, View
+
+
+def view(result: InitResult, request: Request | None = None) -> View:
+    """What is to be known, what was written, what comes next."""
+    files = [result.profile, *([] if result.readings is None else [result.readings])]
+    return View((*result.notes, f"written: {', '.join(files)}", f"next: {_next_command(result)}"))
+
+
+def _next_command(result: InitResult) -> str:
+    """A cell of which nothing moves has readings to import, and no devices to look at."""
+    path = Path(result.profile)
+    logs = Path("logs") / path.stem
+    if result.readings is not None:
+        run = path.parent.parent / logs
+        return shlex.join(["cellapp", "import", result.profile, result.readings, "--run", str(run)])
+    if any(arm.driver.has_device for arm in load_profile(path).arms.values()):
+        return f"cellapp doctor {path}"
+    readings = readings_of(path.stem, path.parent)
+    return f"cellapp import {path} {readings if readings.is_file() else 'READINGS.csv'} --run {logs}"

@@ -1,0 +1,19 @@
+"""What ``runs`` is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cellapp.commands.record import Asked, Request, Verb
+
+
+class RunsRequest(Request):
+    """List every run below a folder, newest first: state, accuracy, what comes next, what can be resumed."""
+
+    folder: Annotated[Path | None, Asked("A folder that holds runs; logs if not given.", "FOLDER", argument=True)] = (
+        None
+    )
+
+
+VERB = Verb("runs", RunsRequest, chapter="commands")
