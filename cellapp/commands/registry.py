@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from cellapp.commands.check.request import VERB as CHECK
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.record import Verb
 
-VERBS: tuple[Verb, ...] = (LOCATE,)
+VERBS: tuple[Verb, ...] = (
+    LOCATE,
+    CHECK,
+)

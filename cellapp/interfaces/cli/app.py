@@ -10,11 +10,10 @@ from typing import Annotated
 import typer
 
 from cellapp import __version__
-from cellapp.commands.locate.request import VERB as LOCATE
+from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.interfaces.cli.at_rest import at_rest
 from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
-from cellapp.interfaces.cli.check import check
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.correct import correct
 from cellapp.interfaces.cli.derived import command_of
@@ -266,7 +265,8 @@ def discover(
         job.result(result)
 
 
-app.command(LOCATE.name)(command_of(LOCATE))
+for verb in VERBS:
+    app.command(verb.name)(command_of(verb))
 
 
 @app.command()
@@ -324,7 +324,6 @@ def push(
 
 
 for command in (
-    check,
     report,
     follow,
     init,

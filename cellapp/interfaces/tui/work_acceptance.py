@@ -16,20 +16,7 @@ if TYPE_CHECKING:
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
     from cellapp.interfaces.tui.dialogs.certificate import CertificateRequest, CheckFileRequest, SignKeyRequest
-    from cellapp.interfaces.tui.dialogs.check_calibration import CheckRequest
     from cellapp.interfaces.tui.dialogs.iso9283_tests import IsoRequest
-
-
-def check(folder: Path, request: CheckRequest) -> Job:
-    """Measure a few stops: does the calibration still hold?"""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.check.run import check_run, plant_of
-
-        plant = None if request.plant is None else plant_of(request.plant)
-        return check_run(run, listener, control, stops=request.stops, simulated_plant=plant, ask=ask)
-
-    return on_run("check", folder, work, moves=True)
 
 
 def iso9283(profile: Profile, folder: Path, request: IsoRequest, *, out_of_date: bool) -> Job:

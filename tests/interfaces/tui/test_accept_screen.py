@@ -16,6 +16,7 @@ from textual.widgets import Checkbox, Input, Static, TabbedContent
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.check import run as check_verb
+from cellapp.commands.check.request import FEWEST_STOPS, STOPS
 from cellapp.commands.iso9283 import run as iso_verb
 from cellapp.commands.run_results import ReportResult
 from cellapp.commands.stages import append_stage, basis_on_model, read_results, read_stages
@@ -32,10 +33,10 @@ from cellapp.interfaces.tui.dialogs.certificate import (
     NewSignKey,
     WriteCertificate,
 )
-from cellapp.interfaces.tui.dialogs.check_calibration import FEWEST_STOPS, STOPS, CheckCalibration
 from cellapp.interfaces.tui.dialogs.iso9283_tests import CYCLES, DRIFT_MIN, Iso9283Tests
 from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice, Reading
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, exit_code, log_text, opened, shown_text, until
 
@@ -207,12 +208,13 @@ async def test_a_check_is_asked_for_driven_stopped_and_judged(
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)
-        await ask(pilot, app, "k", CheckCalibration)
+        await ask(pilot, app, "k", VerbQuestion)
         assert "the arms are simulated" in shown_text(app)
-        for wrong in ("", "3", "many"):
+        assert app.screen.query_one("#stops", Input).value == str(STOPS)
+        for wrong, says in (("", "a whole number"), ("3", f"at least {FEWEST_STOPS}, got 3"), ("many", "got 'many'")):
             fill(app, stops=wrong)
             await pilot.press("b")
-            assert f"at least {FEWEST_STOPS}" in shown_text(app)
+            assert says in shown_text(app)
         fill(app, stops="12")
         await pilot.press("b")
         await until(pilot, lambda: "still valid, p = 0.4" in shown_text(app), "the evidence so far")
@@ -227,7 +229,7 @@ async def test_a_check_is_asked_for_driven_stopped_and_judged(
         assert app.message.startswith("Aborted")
         await until(pilot, lambda: "was not checked yet" in shown_text(app), "that nothing was stored")
 
-        await ask(pilot, app, "k", CheckCalibration)
+        await ask(pilot, app, "k", VerbQuestion)
         await pilot.press("b")
         await until(pilot, lambda: "3/20" in shown_text(app), "the second drive")
         await pilot.press("p")
@@ -240,7 +242,7 @@ async def test_a_check_is_asked_for_driven_stopped_and_judged(
 
         driving.result, driving.asks = MOVED, True
         for answer, says in (("", "was not confirmed"), ("twin", "does not hold as it is: tracker moved")):
-            await ask(pilot, app, "k", CheckCalibration)
+            await ask(pilot, app, "k", VerbQuestion)
             await pilot.press("b")
             await until(pilot, lambda: isinstance(app.screen, MotionQuestion), "the first motion")
             assert "joint 1 by 9 deg" in shown_text(app)
@@ -327,5 +329,4 @@ def test_a_passphrase_is_in_no_text() -> None:
 
 
 def test_the_dialogs_propose_what_the_commands_do() -> None:
-    assert (STOPS, FEWEST_STOPS) == (check_verb.STOPS, check_verb.FEWEST_STOPS)
     assert (CYCLES, DRIFT_MIN) == (iso_verb.CYCLES, iso_verb.DRIFT_MIN)
