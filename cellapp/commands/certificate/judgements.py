@@ -17,12 +17,12 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from cellapp.cell.driving.iso9283.programme import NORM_CYCLES
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.commands.certificate.budget import distance_budget, expanded_mm, not_given, position_budget
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.commands.certificate.result import UncertaintyContribution
 from cellapp.commands.run_results import RunResults
+from cellapp.estimation.iso9283.norm import NORM_CYCLES
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.decision import conformity
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement

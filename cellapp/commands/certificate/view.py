@@ -22,7 +22,7 @@ from cellapp.commands.view.acceptance_words import (
     verdict_of,
 )
 from cellapp.commands.view.table import Cell, Column, Table, number_column
-from cellapp.estimation.iso9283.records import ISO_COMMANDS
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.ground.results import ErrorSummary
 
 NOT_GIVEN = "not given"

@@ -11,7 +11,6 @@ import numpy as np
 
 from cellapp.cell.driving.controllers import noting_controllers
 from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
-from cellapp.cell.driving.iso9283.programme import NORM_CYCLES, NORM_DRIFT_MIN
 from cellapp.cell.driving.iso9283.tests import DWELL_S, IsoTask, drive_tests
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.requests.running import running_job
@@ -22,14 +21,8 @@ from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_of, basis_on_model, read_stages
 from cellapp.commands.station import profile_at_station
 from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
-from cellapp.estimation.iso9283.records import (
-    ISO_COMMANDS,
-    ISO_TESTS,
-    Iso9283Result,
-    IsoCommands,
-    IsoConditions,
-    IsoTest,
-)
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands, IsoTest
+from cellapp.estimation.iso9283.records import Iso9283Result, IsoConditions
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile

@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import (
-    ISO_COMMANDS,
     CommandedTests,
     DriftCharacteristics,
     Iso9283Result,
-    IsoCommands,
     IsoCube,
     IsoValue,
     PoseCharacteristics,

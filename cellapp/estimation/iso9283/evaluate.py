@@ -18,12 +18,12 @@ from cellapp.estimation.iso9283.characteristics import (
     pose_repeatability,
 )
 from cellapp.estimation.iso9283.cube import POSES
+from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import (
     DirectionalCharacteristics,
     DistanceCharacteristics,
     DriftCharacteristics,
     DriftGroup,
-    IsoCommands,
     PathCharacteristics,
     PoseCharacteristics,
 )

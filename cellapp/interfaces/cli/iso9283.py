@@ -15,7 +15,7 @@ from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption, OutOfDate, ProfilePath
 
 if TYPE_CHECKING:
-    from cellapp.estimation.iso9283.records import IsoTest
+    from cellapp.estimation.iso9283.norm import IsoTest
 
 _ALL = "all"
 _With = Literal["nominal", "calibrated", "both"]
@@ -85,7 +85,7 @@ def _command(tests: Sequence[IsoTest]) -> Callable[..., None]:
         from cellapp.commands.iso9283.run import iso9283_folder, iso9283_run
         from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
         from cellapp.commands.pipeline import default_folder
-        from cellapp.estimation.iso9283.records import ISO_COMMANDS
+        from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 
         with Job(json_file) as job:
             described = load_profile(profile)

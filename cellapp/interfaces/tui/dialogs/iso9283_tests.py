@@ -15,7 +15,7 @@ from cellapp.interfaces.tui.dialogs.question import Answer, AnswerQuestion
 from cellapp.interfaces.tui.widgets.labelled import text_field
 
 if TYPE_CHECKING:
-    from cellapp.estimation.iso9283.records import IsoCommands, IsoTest
+    from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 
 CYCLES, DRIFT_MIN = 30, 60.0
 """As ``cellapp.commands.iso9283.run`` has them, which loads more than a dialog needs."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.record import Request
-from cellapp.estimation.iso9283.records import IsoCommands
+from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283
 from cellapp.interfaces.tui import work, work_acceptance
 from cellapp.interfaces.tui.dialogs.certificate import (
