@@ -16,13 +16,12 @@ from cellapp.interfaces.cli.at_rest import at_rest
 from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.correct import correct
-from cellapp.interfaces.cli.derived import command_of
+from cellapp.interfaces.cli.derived import command_of, group_of
 from cellapp.interfaces.cli.docs import docs
 from cellapp.interfaces.cli.export import export
 from cellapp.interfaces.cli.fleet import fleet, recalibrate
 from cellapp.interfaces.cli.follow import follow
 from cellapp.interfaces.cli.init import init
-from cellapp.interfaces.cli.iso9283 import app as iso9283_app
 from cellapp.interfaces.cli.job import Job, open_run, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import (
@@ -266,7 +265,10 @@ def discover(
 
 
 for verb in VERBS:
-    app.command(verb.name)(command_of(verb))
+    if verb.variants:
+        app.add_typer(group_of(verb), name=verb.name)
+    else:
+        app.command(verb.name)(command_of(verb))
 
 
 @app.command()
@@ -425,4 +427,3 @@ def tracker_bridge(
 
 
 app.add_typer(trials_app, name="trials")
-app.add_typer(iso9283_app, name="iso9283")

@@ -18,6 +18,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.check import run as check_verb
 from cellapp.commands.check.request import FEWEST_STOPS, STOPS
 from cellapp.commands.iso9283 import run as iso_verb
+from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.run_results import ReportResult
 from cellapp.commands.stages import append_stage, basis_on_model, read_results, read_stages
 from cellapp.estimation.iso9283.records import Iso9283Result
@@ -33,7 +34,6 @@ from cellapp.interfaces.tui.dialogs.certificate import (
     NewSignKey,
     WriteCertificate,
 )
-from cellapp.interfaces.tui.dialogs.iso9283_tests import CYCLES, DRIFT_MIN, Iso9283Tests
 from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
@@ -72,10 +72,10 @@ class Driving:
         return self._drive(run, listener, control)
 
     def iso9283_run(
-        self, run: RunFile, tests: tuple[str, ...], listener: Listener, control: JobControl, **asked: Any
+        self, run: RunFile, request: Iso9283Request, listener: Listener, control: JobControl, **asked: Any
     ) -> Result:
         """As ``cellapp.commands.iso9283.run.iso9283_run``."""
-        self.asked = {"tests": tests, **asked}
+        self.asked = {"request": request, **asked}
         return self._drive(run, listener, control)
 
     def _drive(self, run: RunFile, listener: Listener, control: JobControl) -> Result:
@@ -172,7 +172,7 @@ async def test_what_is_out_of_date_is_loud_on_every_tab(finished_copy: Path) -> 
         for _ in range(4):
             assert "! OUT OF DATE" in shown_text(app)
             await pilot.press("t")
-        await ask(pilot, app, "i", Iso9283Tests)
+        await ask(pilot, app, "i", VerbQuestion)
         assert "The model is not up to date" in shown_text(app)
         assert "Use this model all the same (u)" in shown_text(app)
 
@@ -193,9 +193,9 @@ async def test_what_is_missing_is_said_with_a_way_on(tmp_path: Path) -> None:
             app.say("")
             await pilot.press(key)
             assert app.message.startswith("This run is not calibrated yet")
-        await ask(pilot, app, "i", Iso9283Tests)
-        kinds = [box.id for box in app.screen.query(Checkbox) if box.id in ("nominal", "calibrated")]
-        assert kinds == ["nominal"], "without a calibration only the nominal commands are possible"
+        await ask(pilot, app, "i", VerbQuestion)
+        kinds = [box.id for box in app.screen.query(Checkbox) if str(box.id).startswith("commands")]
+        assert kinds == ["commands-nominal"], "without a calibration only the nominal commands are possible"
         await pilot.press("n")
         assert not app.jobs.running
 
@@ -260,29 +260,38 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)
-        await ask(pilot, app, "i", Iso9283Tests)
-        app.screen.query_one("#pose", Checkbox).value = False
+        await ask(pilot, app, "i", VerbQuestion)
+        marked = {str(box.id) for box in app.screen.query(Checkbox) if box.value}
+        assert marked == {"tests-pose", "commands-nominal", "commands-calibrated"}
+        app.screen.query_one("#tests-pose", Checkbox).value = False
         await pilot.press("b")
-        assert "Mark a test" in shown_text(app)
-        app.screen.query_one("#distance", Checkbox).value = True
-        app.screen.query_one("#nominal", Checkbox).value = False
-        wrong = {"cycles": ("many cycles", ("2.5", "nan")), "speed": ("percent", ("101",))}
-        for name, (says, texts) in {**wrong, "minutes": ("many minutes", ("0",))}.items():
+        assert "tests: at least one is needed" in shown_text(app)
+        app.screen.query_one("#tests-distance", Checkbox).value = True
+        for kind in ("nominal", "calibrated"):
+            app.screen.query_one(f"#commands-{kind}", Checkbox).value = False
+        await pilot.press("b")
+        assert "commanded by the model: at least one is needed" in shown_text(app)
+        app.screen.query_one("#commands-calibrated", Checkbox).value = True
+        wrong = {
+            "cycles": ("a whole number", ("2.5", "nan", "")),
+            "speed": ("above 0 % and up to 100 %", ("101", "0", "nan")),
+            "drift-minutes": ("above 0 and up to 960, got 0", ("0",)),
+        }
+        for name, (says, texts) in wrong.items():
             right = app.screen.query_one(f"#{name}", Input).value
             for text in texts:
                 fill(app, **{name: text})
                 await pilot.press("b")
                 assert says in shown_text(app)
             fill(app, **{name: right})
-        fill(app, cycles="4", speed="50", arm="left")
+        fill(app, cycles="4", speed="50")
+        app.screen.query_one("#arms-left", Checkbox).value = True
         await pilot.press("b")
         await until(pilot, lambda: "cycle 3 of 4" in shown_text(app), "the progress")
         assert tab(app) == "iso9283-pane"
-        asked = {name: value for name, value in driving.asked.items() if name != "ask"}
-        assert asked == {
-            "tests": ("distance",), "cycles": 4, "speed_share": 0.5, "arms": ("left",), "commands": ("calibrated",),
-            "drift_minutes": DRIFT_MIN, "out_of_date": False,
-        }  # fmt: skip
+        assert driving.asked["request"] == Iso9283Request(
+            folder=finished_copy, tests=("distance",), cycles=4, speed=50.0, arms=("left",), commands=("calibrated",)
+        )
         driving.go_on.set()
         await ended(pilot, app)
         await until(pilot, lambda: "cycle 3 of pose P2: beam broken" in shown_text(app), "what is missing")
@@ -326,7 +335,3 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
 
 def test_a_passphrase_is_in_no_text() -> None:
     assert PASSPHRASE not in repr(CertificateRequest("1", None, None, Path("key"), PASSPHRASE))
-
-
-def test_the_dialogs_propose_what_the_commands_do() -> None:
-    assert (CYCLES, DRIFT_MIN) == (iso_verb.CYCLES, iso_verb.DRIFT_MIN)

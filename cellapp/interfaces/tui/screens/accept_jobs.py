@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.compensate.target_list import stale_model
+from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.record import Request
-from cellapp.estimation.iso9283.norm import IsoCommands
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283
 from cellapp.interfaces.tui import work, work_acceptance
 from cellapp.interfaces.tui.dialogs.certificate import (
@@ -18,7 +19,6 @@ from cellapp.interfaces.tui.dialogs.certificate import (
     SignKeyRequest,
     WriteCertificate,
 )
-from cellapp.interfaces.tui.dialogs.iso9283_tests import Iso9283Tests, IsoRequest
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words
@@ -64,18 +64,30 @@ def ask_iso9283(screen: AcceptScreen) -> None:
         return
     folder = workspace.folder or new_folder(profile)
     calibrated = results is not None and results.calibrate is not None
-    commands: tuple[IsoCommands, ...] = ("nominal", "calibrated") if calibrated else ("nominal",)
+    commands = ISO_COMMANDS if calibrated else ("nominal",)
     stale = stale_model(results) if results is not None and calibrated else ""
 
-    def begin(request: IsoRequest | None) -> None:
+    def begin(request: Request | None) -> None:
         if request is not None:
             screen.show_tab(ISO9283)
-            screen.start(work_acceptance.iso9283(profile, folder, request, out_of_date=bool(stale)))
+            screen.start(work.verb_job(ISO9283_VERB, request))
 
     text = f"Drive to the poses of the test cube again and again, and measure, in {folder}; {arms_words(workspace)}."
     if stale:
         text += f"\nThe model is not up to date: {stale}."
-    dialog = Iso9283Tests(text, USE_STALE if stale else BEGIN, tuple(profile.arms), commands)
+    cell = workspace.profile_path if workspace.folder is None else None  # a run has its own
+    dialog = VerbQuestion(
+        ISO9283_VERB,
+        text,
+        USE_STALE if stale else BEGIN,
+        {"profile": cell, "folder": folder, "out_of_date": bool(stale)},
+        proposed={"tests": ("pose",), "commands": commands},
+        choices={
+            "tests": [test for test in ISO_TESTS if test != "cooperative" or len(profile.arms) > 1],
+            "commands": commands,
+            "arms": tuple(profile.arms),
+        },
+    )
     screen.app.push_screen(dialog, begin)
 
 
