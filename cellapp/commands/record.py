@@ -15,7 +15,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from cellapp.ground.outputs import Outputs
     from cellapp.ground.progress import Listener
     from cellapp.ground.results import Result
+
+
+PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
+"""Environment variable with the passphrase of a signing key, where nobody can be asked."""
 
 
 class Writes(Enum):
@@ -66,6 +70,8 @@ class Asked:
         Value -> how a dialog calls it, of a field that takes some of several values.
     writes : Writes or None
         How the path is written that it names.
+    secret : str
+        "new" or "known" for what is typed unseen, a new one twice; no option takes it: the verb asks ``Work.secret``.
     needed : bool
         Whether the command line needs it although the request has a default.
     typed : type or None
@@ -83,6 +89,7 @@ class Asked:
     suffixes: tuple[str, ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
     writes: Writes | None = None
+    secret: Literal["", "new", "known"] = ""
     needed: bool = False
     typed: Any = None
 

@@ -18,7 +18,8 @@ from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.path_records import PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
-from cellapp.commands.certificate.result import CertificateCheckResult, CertificateResult, SignKeyResult
+from cellapp.commands.certificate.result import CertificateResult
+from cellapp.commands.check_certificate.result import CertificateCheckResult
 from cellapp.commands.doctor.result import DoctorResult, EmulateResult, InitResult, TrackerBridgeResult
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.recalibrate.result import RecalibrateResult
@@ -33,6 +34,7 @@ from cellapp.commands.run_results import (
     WholeRunResult,
 )
 from cellapp.commands.runs.result import RunComparison, RunsResult
+from cellapp.commands.sign_key.result import SignKeyResult
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result

@@ -13,7 +13,6 @@ from cellapp import __version__
 from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.interfaces.cli.at_rest import at_rest
-from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.correct import correct
 from cellapp.interfaces.cli.derived import command_of, group_of
@@ -345,8 +344,6 @@ for command in (
     docs,
 ):
     app.command()(command)
-for of_certificates in (certificate, sign_key, check_certificate):
-    app.command()(of_certificates)
 
 
 @app.command()

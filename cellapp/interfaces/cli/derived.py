@@ -14,14 +14,11 @@ import typer
 from pydantic.fields import FieldInfo
 from typer.core import TyperGroup
 
-from cellapp.commands.record import Asked, Verb, View, Work
+from cellapp.commands.record import PASSPHRASE_VARIABLE, Asked, Verb, View, Work
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
-
-PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
-"""Environment variable with the passphrase of a signing key, where nobody can be asked."""
 
 
 class _FirstByDefault(TyperGroup):
@@ -60,7 +57,7 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
     own = [
         _parameter(name, field, words)
         for (name, words), field in zip(verb.request.asked(), verb.request.model_fields.values(), strict=True)
-        if name not in fixed
+        if name not in fixed and not words.secret
     ]
     if verb.moves_arms:
         own.append(_keyword("allow_motion", AllowMotion, False))

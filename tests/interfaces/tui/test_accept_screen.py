@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import SecretStr
 from textual.pilot import Pilot
 from textual.widgets import Checkbox, Input, Static, TabbedContent
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.check import run as check_verb
 from cellapp.commands.check.request import FEWEST_STOPS, STOPS
 from cellapp.commands.iso9283 import run as iso_verb
@@ -28,12 +30,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Listener, Progress, StateChange
 from cellapp.ground.results import CALIBRATE, CHECK, ISO9283, Result, StageName
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.certificate import (
-    CertificateRequest,
-    CheckCertificate,
-    NewSignKey,
-    WriteCertificate,
-)
 from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
@@ -302,18 +298,19 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)
-        await ask(pilot, app, "g", NewSignKey)
-        fill(app, key="mine.pem", passphrase=PASSPHRASE, again="another one")
+        await ask(pilot, app, "g", VerbQuestion)
+        fill(app, path="mine.pem", passphrase=PASSPHRASE)
+        app.screen.query_one("#passphrase-again", Input).value = "another one"
         await pilot.press("enter", "m")
-        assert "The passphrases differ" in shown_text(app)
-        fill(app, again=PASSPHRASE)
+        assert "passphrase differ: type the same one twice" in shown_text(app)
+        app.screen.query_one("#passphrase-again", Input).value = PASSPHRASE
         assert PASSPHRASE not in shown_text(app)
         await pilot.press("enter", "m")
         await until(pilot, lambda: isinstance(app.screen, Reading), "the key")
         assert "mine.pub" in shown_text(app)
         await pilot.press("q")
         for passphrase, says in (("wrong", "wrong passphrase"), (PASSPHRASE, "was written")):
-            await ask(pilot, app, "s", WriteCertificate)
+            await ask(pilot, app, "s", VerbQuestion)
             assert app.screen.query_one("#key", Input).value == "mine.pem", "the key that was made"
             fill(app, number="K-1", passphrase=passphrase)
             await pilot.press("enter", "w")
@@ -324,8 +321,8 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
         for content, says in ((b"", "signature valid"), (b" ", "signature wrong")):
             certificate = finished_copy / "certificate.json"
             certificate.write_bytes(certificate.read_bytes() + content)
-            await ask(pilot, app, "f", CheckCertificate)
-            fill(app, key="mine.pub")
+            await ask(pilot, app, "f", VerbQuestion)
+            app.screen.query_one("#public-key", Input).value = "mine.pub"
             await pilot.press("enter", "c")
             await ended(pilot, app)
             await until(pilot, lambda says=says: says in shown_text(app), "the check")  # type: ignore[misc]
@@ -334,4 +331,6 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
 
 
 def test_a_passphrase_is_in_no_text() -> None:
-    assert PASSPHRASE not in repr(CertificateRequest("1", None, None, Path("key"), PASSPHRASE))
+    assert PASSPHRASE not in repr(
+        CertificateRequest(folder=Path("run"), key=Path("key"), passphrase=SecretStr(PASSPHRASE))
+    )

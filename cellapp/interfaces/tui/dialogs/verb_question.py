@@ -67,6 +67,12 @@ class VerbQuestion(AnswerQuestion[Request]):
             if words.label and name not in given and (simulated or not words.simulated)
         }
 
+    def on_mount(self) -> None:
+        """Begin with the first field where nothing can move: Enter in it goes to the answers."""
+        super().on_mount()
+        if not self.verb.moves_arms:
+            self.set_focus(self.query(Input).first(None))
+
     def fields(self) -> ComposeResult:
         """A widget for each field; its id is the field's name with hyphens."""
         for name, words in self._fields.items():
@@ -77,6 +83,10 @@ class VerbQuestion(AnswerQuestion[Request]):
         if value == "no":
             self.dismiss(None)
             return
+        for name, words in self._fields.items():
+            if words.secret == "new" and self._value(name) != self.query_one(f"#{_id(name)}-again", Input).value:
+                self.explain(f"The two of {words.label} differ: type the same one twice.")
+                return
         values = {name: self._value(name) for name in self._fields}
         given = {name: value for name, value in values.items() if value is not None}
         try:
@@ -99,7 +109,11 @@ class VerbQuestion(AnswerQuestion[Request]):
                 for one in self._possible(name)
             )
             yield ItemGrid(*boxes, min_column_width=_COLUMN)
-        elif kind is Path:
+        elif words.secret:
+            yield text_field(label, key, hint=words.hint, hidden=True)
+            if words.secret == "new":
+                yield text_field("once more", f"{key}-again", hidden=True)
+        elif kind is Path or words.suffixes:
             text = "" if default is None else str(default)
             yield Labelled(label, PathField(text, lambda path: _fits(path, words), id=key, hint=words.hint))
         else:
@@ -110,6 +124,8 @@ class VerbQuestion(AnswerQuestion[Request]):
     def _value(self, name: str) -> Any:
         """What a field holds; None where it is empty and may be."""
         kind = self._kind(name)
+        if self._fields[name].secret:
+            return self.query_one(f"#{_id(name)}", Input).value
         if kind is bool:
             return self.query_one(f"#{_id(name)}", Checkbox).value
         if get_origin(kind) is tuple:
