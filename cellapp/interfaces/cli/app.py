@@ -19,7 +19,6 @@ from cellapp.interfaces.cli.derived import command_of, group_of
 from cellapp.interfaces.cli.docs import docs
 from cellapp.interfaces.cli.export import export
 from cellapp.interfaces.cli.fleet import fleet, recalibrate
-from cellapp.interfaces.cli.follow import follow
 from cellapp.interfaces.cli.init import init
 from cellapp.interfaces.cli.job import Job, open_run, require_none
 from cellapp.interfaces.cli.motion import asking
@@ -326,7 +325,6 @@ def push(
 
 for command in (
     report,
-    follow,
     init,
     export,
     correct,

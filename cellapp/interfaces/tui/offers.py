@@ -6,9 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cellapp.commands.follow.request import VERB as FOLLOW
+from cellapp.commands.record import Request
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.follow_path import FollowPath, FollowRequest
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
 
 if TYPE_CHECKING:
@@ -53,14 +55,23 @@ def offer_paths(app: CellApp) -> None:
         return
     folder, results, _ = calibrated
 
-    def begin(request: FollowRequest | None) -> None:
+    def begin(request: Request | None) -> None:
         if request is not None:
-            app.start_job(work.follow(folder, request))
+            app.start_job(work.verb_job(FOLLOW, request))
 
     of_profile = Path("profiles") / "paths" / f"{profile.name}.yaml"
-    proposed = str(of_profile) if of_profile.is_file() else ""
-    stale = stale_model(results) or ""
-    app.push_screen(FollowPath(proposed, tuple(profile.arms), arms_words(app.workspace), stale), begin)
+    text = f"Without a mark nothing moves; with one {arms_words(app.workspace)}, and real arms ask again."
+    if stale := stale_model(results):
+        text += f"\nThe model is not up to date: {stale}."
+    dialog = VerbQuestion(
+        FOLLOW,
+        text,
+        BEGIN,
+        {"folder": folder, "out_of_date": bool(stale)},
+        proposed={"path": of_profile if of_profile.is_file() else None},
+        choices={"arm": tuple(profile.arms)},
+    )
+    app.push_screen(dialog, begin)
 
 
 def show_paths(app: CellApp, result: object) -> None:
