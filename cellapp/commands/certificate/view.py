@@ -42,8 +42,9 @@ def view(result: CertificateResult, request: CertificateRequest | None = None) -
     """What is certified, where it was written, and with ``strict`` what does not confirm conformity."""
     written = [] if request is None else [f"written: {request.out or request.folder}"]
     strict = request is not None and request.strict
-    parts = (*certificate_tables(result), *certificate_sentences(result), *written)
-    return View(parts, result.complaints() if strict else ())
+    return View(
+        (*certificate_tables(result), *certificate_sentences(result), *written), result.complaints() if strict else ()
+    )
 
 
 def certificate_tables(result: CertificateResult) -> list[Table]:

@@ -70,8 +70,8 @@ class VerbQuestion(AnswerQuestion[Request]):
     def on_mount(self) -> None:
         """Begin with the first field where nothing can move: Enter in it goes to the answers."""
         super().on_mount()
-        if not self.verb.moves_arms:
-            self.set_focus(self.query(Input).first(None))
+        if not self.verb.moves_arms and (inputs := self.query(Input)):
+            inputs.first().focus()
 
     def fields(self) -> ComposeResult:
         """A widget for each field; its id is the field's name with hyphens."""
