@@ -15,7 +15,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from cellapp.ground.outputs import Outputs
     from cellapp.ground.progress import Listener
     from cellapp.ground.results import Result
+
+
+PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
+"""Environment variable with the passphrase of a signing key, where nobody can be asked."""
 
 
 class Writes(Enum):
@@ -68,6 +72,12 @@ class Asked:
         Value -> how a dialog calls it, of a field that takes some of several values.
     writes : Writes or None
         How the path is written that it names.
+    secret : str
+        "new" or "known" for what is typed unseen, a new one twice; no option takes it: the verb asks ``Work.secret``.
+    needed : bool
+        Whether the command line needs it although the request has a default.
+    typed : type or None
+        What the command line takes where that is not the field's type; the field has a validator that reads it.
     """
 
     help: str
@@ -81,6 +91,9 @@ class Asked:
     suffixes: tuple[str, ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
     writes: Writes | None = None
+    secret: Literal["", "new", "known"] = ""
+    needed: bool = False
+    typed: Any = None
 
 
 class Request(BaseModel):
@@ -135,6 +148,10 @@ def _no_result_page(result: Result, path: Path) -> Path:
     raise InputError(f"{path}: this interface writes no page")
 
 
+def _no_certificate_page(result: Result) -> str:
+    raise InputError("this interface draws no page of a certificate")
+
+
 def _no_screens(profile: Path, run: Path | None, folder: Path) -> Sequence[Path]:
     raise InputError(f"{folder}: this interface draws no screens")
 
@@ -149,6 +166,8 @@ class Work:
         Progress goes to the one, pause and stop come from the other.
     result_page : callable
         Result and a file -> the HTML page of the result, written to that file.
+    certificate_page : callable
+        The result of a certificate -> its page as HTML.
     screens : callable
         Profile, folder of a run or None, and a folder -> pictures of the terminal application, written there.
     ask : callable
@@ -169,11 +188,20 @@ class Work:
     ask: Callable[[str], Ask | None]
     outputs: Outputs
     result_page: Callable[[Result, Path], Path] = field(default=_no_result_page)
+    certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
     screens: Callable[[Path, Path | None, Path], Sequence[Path]] = field(default=_no_screens)
     announce: Callable[[Result], None] = field(default=lambda result: None)
     say: Callable[[str], None] = field(default=lambda sentence: None)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")
     secret: Callable[[str, bool], str | None] = field(default=lambda question, twice: None)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A word after the verb's name: its help, and the fields that it fixes."""
+
+    help: str
+    fixed: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -194,6 +222,8 @@ class Verb:
         Title of its dialog.
     checks : str
         What is said to have failed where the view names something that does not hold; the name where empty.
+    variants : mapping
+        Word -> what it fixes, of a verb that is followed by one of several words. The first one may be left out.
     """
 
     name: str
@@ -202,6 +232,7 @@ class Verb:
     moves_arms: bool = False
     question: str = ""
     checks: str = ""
+    variants: Mapping[str, Variant] = field(default_factory=dict)
 
     @property
     def summary(self) -> str:

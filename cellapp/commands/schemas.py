@@ -19,7 +19,8 @@ from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.path_records import PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.at_rest.result import AtRestResult
-from cellapp.commands.certificate.result import CertificateCheckResult, CertificateResult, SignKeyResult
+from cellapp.commands.certificate.result import CertificateResult
+from cellapp.commands.check_certificate.result import CertificateCheckResult
 from cellapp.commands.docs.result import DocsResult
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.emulate.result import EmulateResult
@@ -31,6 +32,7 @@ from cellapp.commands.report.result import ReportResult
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.runs.result import RunComparison, RunsResult
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult
+from cellapp.commands.sign_key.result import SignKeyResult
 from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult

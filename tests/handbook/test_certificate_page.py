@@ -11,8 +11,8 @@ import jsonschema
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.commands.certificate.sign_key import load_sign_key
 from cellapp.commands.schemas import json_schemas
+from cellapp.commands.sign_key.keys import load_sign_key
 from cellapp.interfaces.cli.app import app
 from tests.handbook.chapters import blocks
 

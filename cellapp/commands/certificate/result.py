@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.estimation.iso9283.records import IsoCommands
+from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement, UncertaintyContribution
 from cellapp.ground.results import ErrorSummary, Record, Result, StageName
 
 Range = tuple[float, float]
-DocumentState = Literal["as certified", "changed", "not here"]
 
 
 class CertifiedErrors(Record):
@@ -198,39 +197,3 @@ class CertificateResult(Result):
             if one.conformity != "conforms"
         ]
         return [*self.warnings, *self.out_of_date, *unjudged]
-
-
-class CertificateCheckResult(Result):
-    """``check-certificate``: whether signature and data are those that were signed; ``problems`` is empty if so.
-
-    ``signature`` is "not checked" where no public key was given. ``comment`` is the signed comment of a valid
-    signature: time, file and number. ``documents`` are the files that show the certificate to people, and whether each
-    is the one whose hash the certificate states. ``run`` is the run whose data were compared; empty if none was.
-    """
-
-    schema_: Literal["cellapp-certificate-check"] = "cellapp-certificate-check"
-    version: Literal[1] = 1
-    certificate: str
-    number: str = ""
-    signature: Literal["valid", "wrong", "missing", "other key", "not checked"]
-    key_id: str = ""
-    comment: str = ""
-    documents: Mapping[str, DocumentState] = {}
-    run: str = ""
-    problems: tuple[str, ...] = ()
-
-    def complaints(self) -> list[str]:
-        """Why the certificate cannot be relied on; empty if it can."""
-        return list(self.problems)
-
-
-class SignKeyResult(Result):
-    """``sign-key``: the files of a new key pair. The private key is in no result."""
-
-    schema_: Literal["cellapp-sign-key"] = "cellapp-sign-key"
-    version: Literal[1] = 1
-    private_file: str
-    public_file: str
-    key_id: str
-    public_key: str
-    encrypted: bool

@@ -1,17 +1,15 @@
-"""The verbs ``certificate`` and ``check-certificate``: read a run, write and sign what it proves, verify that again."""
+"""The verb ``certificate``: read a run, write and sign what it proves."""
 
 from __future__ import annotations
 
 import hashlib
-import hmac
 import re
 import tempfile
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
@@ -20,12 +18,15 @@ from cellapp.cell.profile.files import path_exists
 from cellapp.cell.profile.loader import with_sections
 from cellapp.cell.run import RunFile
 from cellapp.commands.basis import Basis, basis_of
-from cellapp.commands.certificate.minisign import FormatError, PublicKey, Signature, sign
-from cellapp.commands.certificate.result import CertificateCheckResult, CertificateResult, CertifiedData, DocumentState
+from cellapp.commands.certificate.request import CertificateRequest
+from cellapp.commands.certificate.result import CertificateResult, CertifiedData
 from cellapp.commands.certificate.statement import CertificateInput, Controller, certificate_of
 from cellapp.commands.out_of_date import CERTIFICATE_FILE
+from cellapp.commands.record import PASSPHRASE_VARIABLE, Work
 from cellapp.commands.run_results import read_stage_results
-from cellapp.commands.stages import STORED_OTHERWISE, RunStages, append_stage, read_history, read_stages
+from cellapp.commands.sign_key.keys import is_encrypted, load_sign_key
+from cellapp.commands.sign_key.minisign import PublicKey, sign
+from cellapp.commands.stages import RunStages, append_stage, read_history, read_stages
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.ground.chromium import find_chromium, print_pdf
 from cellapp.ground.errors import InputError
@@ -47,11 +48,8 @@ _NUMBER = re.compile(rf"(?=.{{1,{_LONGEST_NUMBER}}}$)[\w./+-]+(?: [\w./+-]+)*", 
 """Words that fit into a file name, a signed comment and a heading."""
 _MOST_BYTES = 50_000_000
 """A certificate has some ten thousand bytes."""
-_SHOWN = (".html", ".htm", ".pdf")
-"""Files that show a certificate to people."""
 PageOf = Callable[[CertificateResult], str]
 """Draws the page of a certificate as HTML."""
-_OTHER_MODEL = "another model is in force since"
 
 
 @dataclass(frozen=True)
@@ -68,6 +66,22 @@ class _Asked:
     def files(self) -> tuple[str, ...]:
         """Names of all files that are written."""
         return (CERTIFICATE_FILE, *self.documents, *([SIGNATURE_FILE] if self.key_id else []))
+
+
+def run(request: CertificateRequest, work: Work) -> CertificateResult:
+    """Write the certificate of a run, signed if there is a key."""
+    key = None if request.key is None else _private_key(request, request.key, work)
+    with RunFile.open(request.folder, write=True) as opened:
+        return certificate_run(
+            opened,
+            work.certificate_page,
+            out=request.out,
+            number=request.number,
+            data=request.data,
+            key=key,
+            pdf=request.pdf,
+            outputs=work.outputs,
+        )
 
 
 def certificate_run(
@@ -116,7 +130,7 @@ def certificate_run(
     asked = _Asked(
         number=_checked_number(run, number),
         written=now or datetime.now(UTC),
-        data_sha256=None if data is None else hashlib.sha256(_content(data)).hexdigest(),
+        data_sha256=None if data is None else hashlib.sha256(content_of(data)).hexdigest(),
         documents=(PAGE_FILE, *([PRINT_FILE] if pdf else [])),
         key_id="" if key is None else PublicKey.of(key).id_text,
     )
@@ -127,7 +141,7 @@ def certificate_run(
         allowed.check_file(folder / name)
     profile = run.profile if data is None else with_sections(run.profile, data, DATA_SECTIONS)
     stages = read_stages(run)
-    basis = _basis(run, stages)
+    basis = certified_basis(run, stages)
     shown = certificate_of(_input(run, profile, basis, stages, asked))
     documents = _documents(page(shown).encode(), pdf=pdf)
     hashes = {name: hashlib.sha256(text).hexdigest() for name, text in documents.items()}
@@ -162,44 +176,17 @@ def _make(folder: Path) -> None:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); give another folder") from None
 
 
-def check_certificate(
-    path: Path, public_key: PublicKey | None = None, run: RunFile | None = None
-) -> CertificateCheckResult:
-    """Verify the signature of a certificate, the files that show it, and that a run is still the one it was made from.
-
-    ``path`` is the certificate, or a page or print of it; then the certificate stands beside. ``problems`` of the
-    result name whatever does not hold; without a public key the signature is one of them. Raises ``InputError`` if
-    ``path`` cannot be read.
-    """
-    shown = path if path.suffix.lower() in _SHOWN else None
-    path = path if shown is None else path.with_name(CERTIFICATE_FILE)
-    content = _content(path)
-    checked = _checked_signature(path, content, public_key)
-    problems = [checked.problem] if checked.problem else []
-    certificate: CertificateResult | None = None
-    try:
-        certificate = CertificateResult.from_json(content.decode("utf-8"), str(path))
-    except (InputError, UnicodeDecodeError):
-        problems.append("it is no certificate that this cellapp can read")
-    documents = {} if certificate is None else _checked_documents(certificate, path.parent)
-    problems += [f"{name} was changed: it is not the file that was certified" for name in _changed(documents)]
-    if certificate is not None:
-        problems += _uncovered(certificate, path.parent, shown)
-    if certificate is not None and run is not None:
-        problems += _changes(certificate, run)
-    return CertificateCheckResult(
-        certificate=str(path),
-        number="" if certificate is None else certificate.number,
-        signature=checked.state,
-        key_id=checked.key_id,
-        comment=checked.comment,
-        documents=documents,
-        run="" if run is None else str(run.folder),
-        problems=tuple(problems),
-    )
-
-
 # -- making -----------------------------------------------------------------------------------------------------------
+
+
+def _private_key(request: CertificateRequest, path: Path, work: Work) -> Ed25519PrivateKey:
+    if not is_encrypted(path):
+        return load_sign_key(path)
+    given = request.passphrase
+    secret = work.secret(f"Passphrase of {path}", False) if given is None else given.get_secret_value()
+    if secret is None:
+        raise InputError(f"{path}: the key is encrypted; set {PASSPHRASE_VARIABLE}, or run this in a terminal")
+    return load_sign_key(path, secret)
 
 
 def _input(run: RunFile, profile: Profile, basis: Basis, stages: RunStages, asked: _Asked) -> CertificateInput:
@@ -228,7 +215,7 @@ def _input(run: RunFile, profile: Profile, basis: Basis, stages: RunStages, aske
     )
 
 
-def _basis(run: RunFile, stages: RunStages) -> Basis:
+def certified_basis(run: RunFile, stages: RunStages) -> Basis:
     """What a certificate rests on; the digest of a measurement that was not made is empty."""
     model = {} if stages.in_force is None else {stages.in_force.name: stages.in_force.digest}
     made = {name: stages.current[name].digest if name in stages.current else "" for name in CERTIFIED_STAGES}
@@ -247,14 +234,14 @@ def _checked_number(run: RunFile, number: str | None) -> str:
         raise InputError(
             f"certificate: --number: expected up to {_LONGEST_NUMBER} letters, digits, blanks and ./+-_, got {number!r}"
         )
-    if any(one.number == number and one.signed for one in _issued(run)):
+    if any(one.number == number and one.signed for one in issued(run)):
         raise InputError(
             f"certificate: --number: a signed certificate {number} of this run exists; give another number"
         )
     return number or ""
 
 
-def _issued(run: RunFile) -> list[CertificateResult]:
+def issued(run: RunFile) -> list[CertificateResult]:
     """Every certificate that the run stores and this version can read."""
     found = []
     for stage in read_history(run):
@@ -268,107 +255,12 @@ def _new_number(run: RunFile, profile: Profile, written: datetime, basis: Basis)
     """Profile, day, the first digits of a hash of all that the certificate rests on, and a count if that was used."""
     name = re.sub(r"[^\w.+-]+", "-", profile.name, flags=re.ASCII).strip("-")[:_LONGEST_NAME] or "cell"
     digest = hashlib.sha256(basis.model_dump_json().encode()).hexdigest()
-    number, used = f"{name}-{written:%Y%m%d}-{digest[:8]}", {one.number for one in _issued(run)}
+    number, used = f"{name}-{written:%Y%m%d}-{digest[:8]}", {one.number for one in issued(run)}
     further = (f"{number}-{count}" for count in range(2, len(used) + 2))
     return next(one for one in (number, *further) if one not in used)
 
 
-# -- checking ---------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Checked:
-    """What the signature file says of the certificate; ``problem`` is empty if it holds."""
-
-    state: Literal["valid", "wrong", "missing", "other key", "not checked"]
-    key_id: str = ""
-    comment: str = ""
-    problem: str = ""
-
-
-def _checked_signature(path: Path, content: bytes, public_key: PublicKey | None) -> _Checked:
-    signed = path.with_name(path.name + SIGNATURE_SUFFIX)
-    if not path_exists(signed):
-        return _Checked("missing", problem=f"not signed: {signed.name} is not beside the certificate")
-    try:
-        signature = Signature.parse(_content(signed).decode("utf-8"))
-    except (FormatError, UnicodeDecodeError) as error:
-        why = str(error) if isinstance(error, FormatError) else "not a text"
-        return _Checked("wrong", problem=f"{signed.name} is no signature of minisign: {why}")
-    key_id = signature.id_text
-    if public_key is None:
-        problem = f"the signature by key {key_id} was not checked; give the signer's key with --public-key"
-        return _Checked("not checked", key_id, problem=problem)
-    if not signature.is_by(public_key):
-        return _Checked("other key", key_id, problem=f"signed by key {key_id}, not by key {public_key.id_text}")
-    if not signature.holds(content, public_key):
-        problem = "the signature does not fit: the certificate or its signature was changed"
-        return _Checked("wrong", key_id, problem=problem)
-    return _Checked("valid", key_id, signature.trusted_comment)
-
-
-def _checked_documents(certificate: CertificateResult, folder: Path) -> dict[str, DocumentState]:
-    """Whether each file that shows the certificate is the one that was certified."""
-    return {Path(name).name: _document(folder / Path(name).name, sha) for name, sha in certificate.documents.items()}
-
-
-def _document(path: Path, sha256: str) -> DocumentState:
-    if not path_exists(path):
-        return "not here"
-    same = hmac.compare_digest(hashlib.sha256(_content(path)).hexdigest(), sha256)
-    return "as certified" if same else "changed"
-
-
-def _changed(documents: Mapping[str, DocumentState]) -> list[str]:
-    return [name for name, state in documents.items() if state == "changed"]
-
-
-def _uncovered(certificate: CertificateResult, folder: Path, shown: Path | None) -> list[str]:
-    """Files that show a certificate and of which it has no hash: anything may stand in them."""
-    usual = [folder / name for name in (PAGE_FILE, PRINT_FILE) if path_exists(folder / name)]
-    beside = {one.name for one in (*usual, *([] if shown is None else [shown]))} - set(certificate.documents)
-    return [f"{name} is not covered by the certificate, which states no hash of it" for name in sorted(beside)]
-
-
-def _changes(certificate: CertificateResult, run: RunFile) -> list[str]:
-    """Where a run is not, or no longer, what a certificate was made from."""
-    data, stages = certificate.data, read_stages(run)
-    if data is None:
-        return ["it does not say which data it rests on"]
-    now = _basis(run, stages)
-    same = {name for name, one in now.readings.items() if data.readings.get(name) == one.sha256}
-    changed = sorted((set(now.readings) | set(data.readings)) - same)
-    if not same and data.profile != now.profile:
-        return [f"{run.folder} is another run: neither its profile nor its readings are those of the certificate"]
-    return [
-        *([] if data.profile == now.profile else ["the profile of the run was changed since"]),
-        *(f"the readings of arm {name} were changed or added since" for name in changed),
-        *_changed_stages(data, now, {one.digest for one in read_history(run) if one.name in CERTIFIED_STAGES}),
-        *(f"'{name}' is out of date ({why})" for name, why in stages.out_of_date.items() if name != CERTIFICATE),
-        *_stored_otherwise(certificate, run),
-    ]
-
-
-def _changed_stages(data: CertifiedData, now: Basis, stored: Collection[str]) -> list[str]:
-    """``stored`` are digests of all measurements that the run keeps: without the certified one it was changed."""
-    if set(data.stages) - set(CERTIFIED_STAGES) != set(now.stages) - set(CERTIFIED_STAGES):
-        return [_OTHER_MODEL]
-    words = {VERIFY: "targets were verified since", ISO9283: "the cell was tested by ISO 9283 since"}
-    changed = [name for name, one in now.stages.items() if not hmac.compare_digest(data.stages.get(name, ""), one)]
-    since = {name for name in words if data.stages.get(name, "") in ("", *stored)}
-    return [
-        words.get(name, _OTHER_MODEL) if name in since else STORED_OTHERWISE.get(name, _OTHER_MODEL) for name in changed
-    ]
-
-
-def _stored_otherwise(certificate: CertificateResult, run: RunFile) -> list[str]:
-    """The run keeps every certificate: a file that was changed is found without its signature, too."""
-    if certificate in _issued(run):
-        return []
-    return ["the run does not store this certificate: it was made for another run, or it was changed"]
-
-
-def _content(path: Path) -> bytes:
+def content_of(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             return file.read(_MOST_BYTES)

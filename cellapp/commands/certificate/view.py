@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.result import (
-    CertificateCheckResult,
     CertificateResult,
     CertifiedCharacteristic,
     CertifiedErrors,
     CertifiedTests,
-    SignKeyResult,
 )
+from cellapp.commands.record import View
 from cellapp.commands.view.acceptance_words import (
     CHARACTERISTIC_WORDS,
     RULE_WORDS,
@@ -20,7 +20,7 @@ from cellapp.commands.view.acceptance_words import (
     verdict_of,
 )
 from cellapp.commands.view.table import Cell, Column, Table, number_column
-from cellapp.estimation.iso9283.records import ISO_COMMANDS
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from cellapp.ground.results import ErrorSummary
@@ -36,6 +36,15 @@ _COPIES = (
 )
 _NOWHERE = (None, None, None)
 """Coordinates of a target whose position was not stored."""
+
+
+def view(result: CertificateResult, request: CertificateRequest | None = None) -> View:
+    """What is certified, where it was written, and with ``strict`` what does not confirm conformity."""
+    written = [] if request is None else [f"written: {request.out or request.folder}"]
+    strict = request is not None and request.strict
+    return View(
+        (*certificate_tables(result), *certificate_sentences(result), *written), result.complaints() if strict else ()
+    )
 
 
 def certificate_tables(result: CertificateResult) -> list[Table]:
@@ -56,29 +65,6 @@ def certificate_sentences(result: CertificateResult) -> list[str]:
         *result.limits,
         *([f"not given: {'; '.join(result.missing)}"] if result.missing else []),
         *written,
-    ]
-
-
-def check_sentences(result: CertificateCheckResult) -> list[str]:
-    """What of a certificate holds, and every problem."""
-    named = f"certificate {result.number}" if result.number else result.certificate
-    key = f" (key {result.key_id})" if result.key_id else ""
-    said = [f"{named}: signature {result.signature}{key}"]
-    said += [f"{name}: {state}" for name, state in result.documents.items() if state != "changed"]
-    if result.comment:
-        said.append(f"signed comment: {result.comment.replace(chr(9), ', ')}")
-    if result.run and not result.problems:
-        said.append(f"the data of {result.run} are those that were signed")
-    return [*said, *(f"PROBLEM: {problem}" for problem in result.problems)]
-
-
-def sign_key_sentences(result: SignKeyResult) -> list[str]:
-    """Where the keys are, and what to do with each."""
-    protected = "encrypted with your passphrase" if result.encrypted else "NOT encrypted: whoever reads it can sign"
-    return [
-        f"private key: {result.private_file}, {protected}; keep it to yourself and keep a copy in a safe place",
-        f"public key: {result.public_file}; give it to whoever checks certificates",
-        f"key {result.key_id}: {result.public_key}",
     ]
 
 

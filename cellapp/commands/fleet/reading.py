@@ -19,7 +19,7 @@ from cellapp.commands.basis import counted_basis
 from cellapp.commands.run_results import UNREADABLE
 from cellapp.commands.stages import RunStages, StoredStage, read_history, read_stages
 from cellapp.estimation.discovery.records import Place
-from cellapp.estimation.iso9283.records import ISO_COMMANDS
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.monitoring.fleet.record import ArmRecord, EffectRecord, GeometryRecord, RunRecord
 from cellapp.estimation.monitoring.fleet.records import CheckPoint, DatedValue, Figure, IsoPoint
 from cellapp.estimation.monitoring.fleet.stored import (

@@ -12,17 +12,18 @@ from cellapp.cell.driving.following import follow
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
-from cellapp.cell.targets.path_file import PathSpec
+from cellapp.cell.targets.path_file import PathSpec, load_paths
 from cellapp.cell.targets.path_records import DrivenPath, PathResult
 from cellapp.cell.targets.path_result import path_csv, path_result
 from cellapp.cell.targets.plan_path import PathPlan, plan_path
 from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.follow.request import FollowRequest
 from cellapp.commands.locate.station import profile_at_station
 from cellapp.commands.push.run import judge_of
+from cellapp.commands.record import Work
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force, stale_notes
 from cellapp.ground.control import JobControl
-from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore, with_eta
@@ -33,6 +34,23 @@ Driving = Literal["plan", "drive", "verify"]
 """Only plan, which moves nothing; drive; drive and measure."""
 _PERIOD_S = 0.008
 """Of a plan that is not driven [s]: the slower series of UR controllers. Driving plans again at the arm's own."""
+
+
+def run(request: FollowRequest, work: Work) -> PathResult:
+    """Plan paths; drive and measure them where that is asked for."""
+    with RunFile.open(request.folder, write=True) as opened:
+        return follow_run(
+            opened,
+            load_paths(request.path, opened.profile, request.arm),
+            work.listener,
+            work.control,
+            driving="verify" if request.verify else "drive" if request.drive else "plan",
+            rehearse=request.rehearse,
+            out_of_date=request.out_of_date,
+            csv=request.out,
+            outputs=work.outputs,
+            ask=work.ask(opened.profile.name) if request.moves() else None,
+        )
 
 
 def follow_run(
@@ -57,8 +75,8 @@ def follow_run(
     Raises
     ------
     InputError
-        If the model is out of date and the operator does not insist, no path can be driven, ``csv`` cannot be written,
-        or a rehearsal is asked for without driving. Nothing has moved.
+        If the model is out of date and the operator does not insist, no path can be driven, or ``csv`` cannot be
+        written. Nothing has moved.
     CheckFailed
         If the doctor finds a fault before real arms move. Nothing has moved.
     HardwareError
@@ -67,8 +85,6 @@ def follow_run(
     """
     control = control or JobControl()
     stages = read_stages(run)
-    if rehearse and driving == "plan":
-        raise InputError("follow: a rehearsal moves the arms; ask for driving or verifying too (--drive, --verify)")
     if driving != "plan" and not out_of_date:
         require_current_model(run, stages, "follow")
     used = stage_in_force(run, stages)

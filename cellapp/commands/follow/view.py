@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from cellapp.cell.targets.path_records import PathRecord, PathResult
+from cellapp.commands.record import Request, View
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.results import FOLLOW, PATH, ErrorSummary
+
+
+def view(result: PathResult, request: Request | None = None) -> View:
+    """The paths, what limits them, and why following did not succeed."""
+    return View((*path_tables(result), *path_sentences(result)), result.complaints())
 
 
 def stored_paths(results: StageResults) -> PathResult | None:

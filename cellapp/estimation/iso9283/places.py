@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cellapp.estimation.iso9283.records import IsoCommands, IsoTest
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.robot.kinematics.transforms import Array
 
 

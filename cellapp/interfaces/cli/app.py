@@ -10,12 +10,8 @@ import typer
 
 from cellapp import __version__
 from cellapp.commands.registry import VERBS
-from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
-from cellapp.interfaces.cli.check import check
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.derived import command_of
-from cellapp.interfaces.cli.follow import follow
-from cellapp.interfaces.cli.iso9283 import app as iso9283_app
+from cellapp.interfaces.cli.derived import command_of, group_of
 from cellapp.interfaces.cli.job import Job, open_run, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import (
@@ -240,7 +236,10 @@ def discover(
 
 
 for verb in VERBS:
-    app.command(verb.name)(command_of(verb))
+    if verb.variants:
+        app.add_typer(group_of(verb), name=verb.name)
+    else:
+        app.command(verb.name)(command_of(verb))
 
 
 @app.command()
@@ -298,9 +297,7 @@ def push(
 
 
 for command in (
-    check,
     report,
-    follow,
     pause,
     resume,
     stop,
@@ -308,9 +305,6 @@ for command in (
     show,
 ):
     app.command()(command)
-for of_certificates in (certificate, sign_key, check_certificate):
-    app.command()(of_certificates)
 
 
 app.add_typer(trials_app, name="trials")
-app.add_typer(iso9283_app, name="iso9283")

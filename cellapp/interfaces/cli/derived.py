@@ -5,17 +5,20 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import annotated_types
 import typer
 from pydantic.fields import FieldInfo
+from typer.core import TyperGroup
 
-from cellapp.commands.record import Asked, Verb, View, Work
+from cellapp.commands.record import PASSPHRASE_VARIABLE, Asked, Verb, View, Work
 from cellapp.ground.errors import InputError
+from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
@@ -24,17 +27,34 @@ if TYPE_CHECKING:
     from cellapp.ground.outputs import Outputs
     from cellapp.ground.results import Result
 
-PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
-"""Environment variable with the passphrase of a signing key, where nobody can be asked."""
+
+class _FirstByDefault(TyperGroup):
+    """A group whose first word may be left out."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in self.commands and args[0] != "--help":
+            args = [next(iter(self.commands)), *args]
+        return super().parse_args(ctx, args)
 
 
-def command_of(verb: Verb) -> Callable[..., None]:
-    """The command of a verb, for ``Commands.command``: its signature has an option for each field of the request."""
+def group_of(verb: Verb) -> Commands:
+    """The group of a verb with variants: a command for each word."""
+    group = Commands(cls=_FirstByDefault, no_args_is_help=True, help=inspect.getdoc(verb.request))
+    for word, variant in verb.variants.items():
+        group.command(word, help=variant.help)(command_of(verb, variant.fixed))
+    return group
+
+
+def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> Callable[..., None]:
+    """The command of a verb, for ``Commands.command``: its signature has an option for each field of the request.
+
+    ``fixed`` are values of fields without an option.
+    """
 
     def command(*, json_file: str | None = None, allow_motion: bool = False, **values: Any) -> None:
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
         with Job(json_file) as job:
-            request = verb.asked({name: value for name, value in given.items() if value is not None})
+            request = verb.asked({**fixed, **{name: value for name, value in given.items() if value is not None}})
             announced: list[Result] = []
 
             def announce(result: Result) -> None:
@@ -52,6 +72,7 @@ def command_of(verb: Verb) -> Callable[..., None]:
     own = [
         _parameter(name, field, words)
         for (name, words), field in zip(verb.request.asked(), verb.request.model_fields.values(), strict=True)
+        if name not in fixed and not words.secret
     ]
     if verb.moves_arms:
         own.append(_keyword("allow_motion", AllowMotion, False))
@@ -78,6 +99,7 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         lambda profile_name: asking(job, profile_name, allowed=allowed),
         job.outputs,
         result_page=partial(_result_page, job.outputs),
+        certificate_page=_certificate_page,
         screens=partial(_screens, job.outputs),
         announce=announce,
         say=job.say,
@@ -90,6 +112,12 @@ def _result_page(outputs: Outputs, result: Result, path: Path) -> Path:
     from cellapp.interfaces.page.result_pages import write_result_page  # 1 s; most commands write no page
 
     return write_result_page(result, path, outputs)
+
+
+def _certificate_page(result: Any) -> str:
+    from cellapp.interfaces.page.certificate_page import certificate_page  # 1 s; most commands write no page
+
+    return certificate_page(result)
 
 
 def _screens(outputs: Outputs, profile: Path, run: Path | None, folder: Path) -> list[Path]:
@@ -130,8 +158,9 @@ def _parameter(name: str, field: FieldInfo, words: Asked) -> inspect.Parameter:
     option = words.option or f"--{name.replace('_', '-')}"
     shape = typer.Argument(**settings) if words.argument else typer.Option(option, **settings)
     annotated: Any = Annotated
-    annotation = annotated[(_typed(field.annotation), shape, *([words.writes] if words.writes else []))]
-    return _keyword(name, annotation, inspect.Parameter.empty if field.is_required() else field.default)
+    kind = words.typed or _typed(field.annotation)
+    annotation = annotated[(kind, shape, *([words.writes] if words.writes else []))]
+    return _keyword(name, annotation, inspect.Parameter.empty if field.is_required() or words.needed else field.default)
 
 
 def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:

@@ -79,7 +79,8 @@ def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
     from cellapp.cell.driving.records import CollectResult, ImportResult, PlanResult
     from cellapp.cell.targets.path_records import PathResult
     from cellapp.cell.targets.records import VerifyResult
-    from cellapp.commands.certificate.result import CertificateCheckResult, CertificateResult
+    from cellapp.commands.certificate.result import CertificateResult
+    from cellapp.commands.check_certificate.result import CertificateCheckResult
     from cellapp.commands.locate.result import LocateResult
     from cellapp.commands.run.result import WholeRunResult
     from cellapp.estimation.iso9283.records import Iso9283Result

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
+from cellapp.commands.follow.request import VERB as FOLLOW
+from cellapp.commands.record import Request
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.follow_path import FollowPath, FollowRequest
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
@@ -58,14 +60,23 @@ def offer_paths(screen: DayScreen) -> None:
         return
     folder, results, _ = calibrated
 
-    def begin(request: FollowRequest | None) -> None:
+    def begin(request: Request | None) -> None:
         if request is not None:
-            app.start_job(work.follow(folder, request))
+            app.start_job(work.verb_job(FOLLOW, request))
 
     of_profile = Path("profiles") / "paths" / f"{profile.name}.yaml"
-    proposed = str(of_profile) if of_profile.is_file() else ""
-    stale = stale_model(results) or ""
-    app.push_screen(FollowPath(proposed, tuple(profile.arms), arms_words(app.workspace), stale), begin)
+    text = f"Without a mark nothing moves; with one {arms_words(app.workspace)}, and real arms ask again."
+    if stale := stale_model(results):
+        text += f"\nThe model is not up to date: {stale}."
+    dialog = VerbQuestion(
+        FOLLOW,
+        text,
+        BEGIN,
+        {"folder": folder, "out_of_date": bool(stale)},
+        proposed={"path": of_profile if of_profile.is_file() else None},
+        choices={"arm": tuple(profile.arms)},
+    )
+    app.push_screen(dialog, begin)
 
 
 def show_paths(app: Host, result: object) -> None:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
-    from cellapp.interfaces.tui.dialogs.follow_path import FollowRequest
     from cellapp.interfaces.tui.dialogs.own_readings import OwnReadingsRequest
 
 
@@ -249,28 +248,6 @@ def push(
         )
 
     return on_run(VERIFY if verify else "push", folder, work, moves=True)
-
-
-def follow(folder: Path, request: FollowRequest) -> Job:
-    """Plan paths, and drive and measure them where that is asked for."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.targets.path_file import load_paths
-        from cellapp.commands.follow.run import follow_run
-
-        return follow_run(
-            run,
-            load_paths(request.paths, run.profile, request.arm),
-            listener,
-            control,
-            driving=request.driving,
-            rehearse=request.rehearse,
-            out_of_date=request.out_of_date,
-            csv=request.csv,
-            ask=ask,
-        )
-
-    return on_run("follow", folder, work, moves=request.driving != "plan")
 
 
 def report(folder: Path, *, pdf: bool = False) -> Job:

@@ -15,6 +15,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.path_records import PathResult
+from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.follow.run import follow_run
 from cellapp.commands.follow.view import path_sentences, path_tables
 from cellapp.commands.report.result import read_results
@@ -99,7 +100,7 @@ def test_a_rehearsed_path_cuts_bends_less(run: RunFile) -> None:
     assert (plain.driven.rehearsed, again.driven.rehearsed) == (False, True)
     assert again.driven.lag.cut_mm < 0.6 * plain.driven.lag.cut_mm
     with pytest.raises(InputError, match="a rehearsal moves the arms"):
-        follow_run(run, [spec()], rehearse=True)
+        FOLLOW.asked({"folder": run.folder, "path": "paths.yaml", "rehearse": True})
 
 
 def test_without_its_plays_the_path_would_be_worse(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:

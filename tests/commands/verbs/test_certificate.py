@@ -14,11 +14,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.basis import basis_of
-from cellapp.commands.certificate.minisign import PublicKey
 from cellapp.commands.certificate.result import CertificateResult
-from cellapp.commands.certificate.run import PAGE_FILE, PRINT_FILE, SIGNATURE_FILE, certificate_run, check_certificate
+from cellapp.commands.certificate.run import PAGE_FILE, PRINT_FILE, SIGNATURE_FILE, certificate_run
+from cellapp.commands.check_certificate.run import check_certificate
 from cellapp.commands.out_of_date import CERTIFICATE_FILE, complaints_of
 from cellapp.commands.report.result import read_results
+from cellapp.commands.sign_key.minisign import PublicKey
 from cellapp.commands.stages import append_stage, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

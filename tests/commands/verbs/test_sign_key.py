@@ -9,8 +9,9 @@ import pytest
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from cellapp.commands.certificate.minisign import PublicKey
-from cellapp.commands.certificate.sign_key import is_encrypted, load_public_key, load_sign_key, new_sign_key
+from cellapp.commands.sign_key.keys import is_encrypted, load_public_key, load_sign_key
+from cellapp.commands.sign_key.minisign import PublicKey
+from cellapp.commands.sign_key.run import new_sign_key
 from cellapp.ground.errors import InputError
 
 pytestmark = pytest.mark.fast

@@ -9,7 +9,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.commands.certificate.minisign import FormatError, PublicKey, Signature, sign
+from cellapp.commands.sign_key.minisign import FormatError, PublicKey, Signature, sign
 
 pytestmark = pytest.mark.fast
 

@@ -321,7 +321,7 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         "cellapp/ground/outputs.py",
         "cellapp/robot/model/model.py",
         "cellapp/cell/run/file.py",
-        "cellapp/commands/certificate/sign_key.py",
+        "cellapp/commands/sign_key/run.py",
         "cellapp/commands/trials/sealed.py",
         "cellapp/commands/trials/league/series.py",
         "tests/handbook/__main__.py",

@@ -10,8 +10,8 @@ from textual.widgets import Checkbox, Input
 from cellapp.cell.run import RunFile
 from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.follow_path import FollowPath
 from cellapp.interfaces.tui.dialogs.question import Reading
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.offers import offer_paths
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 
@@ -41,12 +41,18 @@ async def test_paths_are_driven_and_shown(finished_run: Path) -> None:
         app.open_run(DAY)
         await until(pilot, lambda: app.workspace.results is not None, "the run")
         offer_paths(app.day_screen)
-        await until(pilot, lambda: isinstance(app.screen, FollowPath) and shown_text(app), "the dialog")
-        assert "Begin (Ctrl+S)" in shown_text(app), "all of the dialog fits into the smallest terminal"
+        await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and shown_text(app), "the dialog")
+        assert "Begin (b)" in shown_text(app), "all of the dialog fits into the smallest terminal"
+        await pilot.press("b")
+        await until(pilot, lambda: "path file: missing" in shown_text(app), "what is wrong")
         app.screen.query_one("#path", Input).value = "short.yaml"
-        app.screen.query_one("#csv", Input).value = "q.csv"
+        app.screen.query_one("#out", Input).value = "q.csv"
+        app.screen.query_one("#rehearse", Checkbox).value = True
+        await pilot.press("b")
+        await until(pilot, lambda: "a rehearsal moves the arms" in shown_text(app), "what is wrong")
+        app.screen.query_one("#rehearse", Checkbox).value = False
         app.screen.query_one("#drive", Checkbox).value = True
-        await pilot.press("ctrl+s")
+        await pilot.press("b")
         await until(pilot, lambda: isinstance(app.screen, Reading), "the tables")
         assert "ms late" in shown_text(app)
         assert Path("q.csv").read_text("utf-8").startswith("path,arm,time_s,s_m,q1")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -75,6 +76,7 @@ class VerbQuestion(AnswerQuestion[Request]):
 
     def on_mount(self) -> None:
         """Begin with what is still to be filled in, where nothing can move by it."""
+        super().on_mount()
         if not self.verb.moves_arms and (first := self.first_field()) is not None:
             self.call_after_refresh(first.focus)
 
@@ -94,6 +96,10 @@ class VerbQuestion(AnswerQuestion[Request]):
         if value == "no":
             self.dismiss(None)
             return
+        for name, words in self._fields.items():
+            if words.secret == "new" and self._value(name) != self.query_one(f"#{_id(name)}-again", Input).value:
+                self.explain(f"The two of {words.label} differ: type the same one twice.")
+                return
         values = {name: self._value(name) for name in self._fields}
         given = {name: value for name, value in values.items() if value is not None}
         try:
@@ -116,7 +122,11 @@ class VerbQuestion(AnswerQuestion[Request]):
                 for one in self._possible(name)
             )
             yield ItemGrid(*boxes, min_column_width=_COLUMN)
-        elif kind is Path:
+        elif words.secret:
+            yield text_field(label, key, hint=words.hint, hidden=True)
+            if words.secret == "new":
+                yield text_field("once more", f"{key}-again", hidden=True)
+        elif kind is Path or words.suffixes:
             text = "" if default is None else str(default)
             yield Labelled(label, PathField(text, lambda path: _fits(path, words), id=key, hint=words.hint))
         else:
@@ -125,8 +135,10 @@ class VerbQuestion(AnswerQuestion[Request]):
             yield text_field(label, key, text, words.hint or " or ".join(choices), choices=choices)
 
     def _value(self, name: str) -> Any:
-        """What a field holds; None where it is empty."""
+        """What a field holds; None where it is empty and may be."""
         kind = self._kind(name)
+        if self._fields[name].secret:
+            return self.query_one(f"#{_id(name)}", Input).value
         if kind is bool:
             return self.query_one(f"#{_id(name)}", Checkbox).value
         if get_origin(kind) is tuple:
@@ -134,7 +146,10 @@ class VerbQuestion(AnswerQuestion[Request]):
             return tuple(one for one, box in boxes.items() if box.value)
         text = self.query_one(f"#{_id(name)}", Input).value.strip()
         if not text:
-            return None
+            return None if self._default(name) is None else ""
+        if kind in (int, float):
+            with suppress(ValueError):  # the request says what is wrong with it
+                return kind(text)
         return Path(text).expanduser() if kind is Path else text
 
     def _possible(self, name: str) -> Sequence[str]:

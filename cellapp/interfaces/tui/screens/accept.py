@@ -13,12 +13,14 @@ from textual.message import Message
 from textual.widgets import Static, TabbedContent, TabPane
 from textual.worker import get_current_worker
 
-from cellapp.commands.certificate.result import CertificateCheckResult, SignKeyResult
-from cellapp.commands.certificate.view import certificate_sentences, certificate_tables, sign_key_sentences
-from cellapp.commands.certificate.view import check_sentences as check_file_sentences
+from cellapp.commands.certificate.view import certificate_sentences, certificate_tables
 from cellapp.commands.check.view import check_sentences, check_tables
+from cellapp.commands.check_certificate.result import CertificateCheckResult
+from cellapp.commands.check_certificate.view import check_sentences as check_file_sentences
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
 from cellapp.commands.report.result import RunResults
+from cellapp.commands.sign_key.request import VERB as SIGN_KEY
+from cellapp.commands.sign_key.result import SignKeyResult
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, Result, StageName
 from cellapp.interfaces.tui import work_acceptance
 from cellapp.interfaces.tui.dialogs.question import Reading
@@ -164,7 +166,7 @@ message shows how far they are; Collect (key 3) shows arms and tracker. **t** go
             self._checked = result
             self._draw_certificate()
         elif isinstance(result, SignKeyResult) and self.app.screen is self:
-            self.app.push_screen(Reading("\n\n".join(["# A new key", *sign_key_sentences(result)])))
+            self.app.push_screen(Reading("\n\n".join(["# A new key", *map(str, SIGN_KEY.view(result).parts)])))
 
     def show_job(self, record: JobRecord) -> None:
         """Draw how far the job is, and what it has found so far."""

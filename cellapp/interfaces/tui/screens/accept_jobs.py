@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
+from cellapp.commands.certificate.request import CertificateRequest
+from cellapp.commands.check.request import VERB as CHECK_VERB
+from cellapp.commands.check_certificate.request import VERB as CHECK_CERTIFICATE
 from cellapp.commands.compensate.target_list import stale_model
-from cellapp.estimation.iso9283.records import IsoCommands
+from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
+from cellapp.commands.record import Request
+from cellapp.commands.sign_key.request import VERB as SIGN_KEY
+from cellapp.commands.sign_key.request import SignKeyRequest
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
-from cellapp.interfaces.tui import work, work_acceptance
-from cellapp.interfaces.tui.dialogs.certificate import (
-    CertificateRequest,
-    CheckCertificate,
-    CheckFileRequest,
-    NewSignKey,
-    SignKeyRequest,
-    WriteCertificate,
-)
-from cellapp.interfaces.tui.dialogs.check_calibration import CheckCalibration, CheckRequest
-from cellapp.interfaces.tui.dialogs.iso9283_tests import Iso9283Tests, IsoRequest
+from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
@@ -45,10 +44,10 @@ def ask_check(screen: ScreenOfResults) -> None:
         return
     folder, results, _ = calibrated
 
-    def begin(request: CheckRequest | None) -> None:
+    def begin(request: Request | None) -> None:
         if request is not None:
             screen.show_tab(CHECK)
-            screen.start(work_acceptance.check(folder, request))
+            screen.start(work.verb_job(CHECK_VERB, request))
 
     text = (
         "Drive to a few stops that tell most, and measure: does the calibration still hold? It ends as soon as it is"
@@ -57,7 +56,7 @@ def ask_check(screen: ScreenOfResults) -> None:
     if stale := stale_model(results):
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
-    screen.app.push_screen(CheckCalibration(text, BEGIN, simulated=simulated), begin)
+    screen.app.push_screen(VerbQuestion(CHECK_VERB, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
 
 
 def ask_iso9283(screen: ScreenOfResults) -> None:
@@ -69,18 +68,30 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
         return
     folder = workspace.folder or new_folder(profile)
     calibrated = results is not None and results.calibrate is not None
-    commands: tuple[IsoCommands, ...] = ("nominal", "calibrated") if calibrated else ("nominal",)
+    commands = ISO_COMMANDS if calibrated else ("nominal",)
     stale = stale_model(results) if results is not None and calibrated else ""
 
-    def begin(request: IsoRequest | None) -> None:
+    def begin(request: Request | None) -> None:
         if request is not None:
             screen.show_tab(ISO9283)
-            screen.start(work_acceptance.iso9283(profile, folder, request, out_of_date=bool(stale)))
+            screen.start(work.verb_job(ISO9283_VERB, request))
 
     text = f"Drive to the poses of the test cube again and again, and measure, in {folder}; {arms_words(workspace)}."
     if stale:
         text += f"\nThe model is not up to date: {stale}."
-    dialog = Iso9283Tests(text, USE_STALE if stale else BEGIN, tuple(profile.arms), commands)
+    cell = workspace.profile_path if workspace.folder is None else None  # a run has its own
+    dialog = VerbQuestion(
+        ISO9283_VERB,
+        text,
+        USE_STALE if stale else BEGIN,
+        {"profile": cell, "folder": folder, "out_of_date": bool(stale)},
+        proposed={"tests": ("pose",), "commands": commands},
+        choices={
+            "tests": [test for test in ISO_TESTS if test != "cooperative" or len(profile.arms) > 1],
+            "commands": commands,
+            "arms": tuple(profile.arms),
+        },
+    )
     screen.app.push_screen(dialog, begin)
 
 
@@ -90,39 +101,43 @@ def ask_certificate(screen: ScreenOfResults, key: str) -> None:
     if folder is None:
         return
 
-    def begin(request: CertificateRequest | None) -> None:
-        if request is not None:
+    def begin(request: Request | None) -> None:
+        if isinstance(request, CertificateRequest):
             screen.show_tab(CERTIFICATE)
             screen.key_file = "" if request.key is None else str(request.key)
-            screen.start(work_acceptance.certificate(folder, request))
+            screen.start(work.verb_job(CERTIFICATE_VERB, request))
 
-    screen.app.push_screen(WriteCertificate(_certificate_words(screen.workspace), key), begin)
+    text = f"{_certificate_words(screen.workspace)} Nothing moves."
+    dialog = VerbQuestion(CERTIFICATE_VERB, text, _sent("Write", "w"), {"folder": folder}, proposed={"key": key})
+    screen.app.push_screen(dialog, begin)
 
 
 def ask_check_file(screen: ScreenOfResults) -> None:
     """Ask for a certificate and a public key, then check signature and data."""
     from cellapp.commands.out_of_date import CERTIFICATE_FILE
 
-    def begin(request: CheckFileRequest | None) -> None:
+    def begin(request: Request | None) -> None:
         if request is not None:
             screen.show_tab(CERTIFICATE)
-            screen.start(work_acceptance.check_certificate(request))
+            screen.start(work.verb_job(CHECK_CERTIFICATE, request))
 
     folder = screen.workspace.folder
     written = None if folder is None else folder / CERTIFICATE_FILE
-    proposed = str(written) if written is not None and written.is_file() else ""
-    screen.app.push_screen(CheckCertificate(proposed, folder), begin)
+    proposed = {"file": written if written is not None and written.is_file() else None, "run": folder}
+    text = "Is the signature valid, and are the data those that were signed? Nothing moves."
+    screen.app.push_screen(VerbQuestion(CHECK_CERTIFICATE, text, _sent("Check", "c"), {}, proposed=proposed), begin)
 
 
 def ask_sign_key(screen: ScreenOfResults) -> None:
     """Ask where a new key goes, then make it."""
 
-    def begin(request: SignKeyRequest | None) -> None:
-        if request is not None:
+    def begin(request: Request | None) -> None:
+        if isinstance(request, SignKeyRequest):
             screen.key_file = str(request.path)
-            screen.start(work_acceptance.sign_key(request))
+            screen.start(work.verb_job(SIGN_KEY, request))
 
-    screen.app.push_screen(NewSignKey(), begin)
+    text = "Keep the private key safe; give the public one (.pub) to those who check certificates. Nothing moves."
+    screen.app.push_screen(VerbQuestion(SIGN_KEY, text, _sent("Make", "m"), {}), begin)
 
 
 def ask_report(screen: ScreenOfResults) -> None:
@@ -137,6 +152,11 @@ def ask_report(screen: ScreenOfResults) -> None:
 
     text = f"Write report.html in {folder}; an installed Chromium prints it to report.pdf."
     screen.app.push_screen(Choice("Write the report?", text, _PAGES), begin)
+
+
+def _sent(label: str, key: str) -> tuple[Answer, Answer]:
+    """Answers to a question after which nothing moves."""
+    return Answer("send", label, key, "success"), Answer("no", "Not now", "n")
 
 
 def _certificate_words(workspace: Workspace) -> str:

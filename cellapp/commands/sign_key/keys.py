@@ -1,8 +1,7 @@
-"""The verb ``sign-key``, and reading its keys: Ed25519 in a PEM file that only its owner can read."""
+"""Keys of certificates, read from their files: Ed25519 in a PEM file that only its owner can read."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 
@@ -10,49 +9,12 @@ from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from cellapp.commands.certificate.minisign import FormatError, PublicKey
-from cellapp.commands.certificate.result import SignKeyResult
+from cellapp.commands.sign_key.minisign import FormatError, PublicKey
 from cellapp.ground.errors import InputError
 
-_OWNER_ONLY = 0o600
-_PUBLIC = 0o644
 _ENCRYPTED = b"ENCRYPTED PRIVATE KEY"
 _MOST_BYTES = 100_000
 """Key files have some hundred bytes."""
-
-
-def new_sign_key(path: Path, passphrase: str = "") -> SignKeyResult:
-    """Make a key pair: the private key (PKCS8 PEM, encrypted with a passphrase if one is given) and ``path`` .pub.
-
-    Raises
-    ------
-    InputError
-        If one of the files exists already, or cannot be written; then neither is left behind.
-    """
-    public_path = path.with_suffix(".pub")
-    if public_path == path:
-        raise InputError(f"sign-key: {path}: a private key must not end in .pub; give another name")
-    for one in (path, public_path):
-        if os.path.lexists(one):
-            raise InputError(f"sign-key: {one} exists already; keys are never overwritten, give another name")
-    private = Ed25519PrivateKey.generate()
-    secret = passphrase.encode()
-    encryption = serialization.BestAvailableEncryption(secret) if secret else serialization.NoEncryption()
-    pem = private.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
-    public = PublicKey.of(private)
-    _write_new(path, pem, _OWNER_ONLY)
-    try:
-        _write_new(public_path, public.text().encode(), _PUBLIC)
-    except InputError:
-        path.unlink()
-        raise
-    return SignKeyResult(
-        private_file=str(path),
-        public_file=str(public_path),
-        key_id=public.id_text,
-        public_key=public.line,
-        encrypted=bool(secret),
-    )
 
 
 def is_encrypted(path: Path) -> bool:
@@ -104,20 +66,3 @@ def _content(path: Path) -> bytes:
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else "not a path"
         raise InputError(f"{path}: the key cannot be read ({why})") from None
-
-
-def _write_new(path: Path, content: bytes, mode: int) -> None:
-    """Write a file that does not exist yet, with its mode from the first moment on."""
-    try:
-        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode)
-    except OSError as error:
-        raise InputError(f"sign-key: {path}: cannot be made ({error.strerror})") from None
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            path.unlink()
-        raise InputError(f"sign-key: {path}: cannot be written ({error.strerror})") from None

@@ -1,0 +1,62 @@
+"""What ``certificate`` is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import SecretStr
+
+from cellapp.commands.fields import RunFolder
+from cellapp.commands.record import Asked, Request, Verb, Writes
+
+
+class CertificateRequest(Request):
+    """Write certificate.json and certificate.html: errors as found and left, budget, tolerances, hashes, what lacks."""
+
+    folder: RunFolder
+    out: Annotated[
+        Path | None,
+        Asked(
+            "Folder of the files; DIR if not given.",
+            "FOLDER",
+            label="into folder",
+            hint="empty: that of the run",
+            writes=Writes.FOLDER,
+        ),
+    ] = None
+    number: Annotated[
+        str | None,
+        Asked(
+            "Number of the certificate; else a new one.", "N", label="number", hint="empty: of profile, day and data"
+        ),
+    ] = None
+    data: Annotated[
+        Path | None,
+        Asked(
+            "YAML with sections tolerances, traceability; before the profile.",
+            "FILE",
+            label="data file",
+            hint="YAML, tolerances and traceability; may be empty",
+            suffixes=(".yaml", ".yml"),
+        ),
+    ] = None
+    key: Annotated[
+        Path | None,
+        Asked("Sign with this private key (see sign-key).", "KEYFILE", label="private key", hint="empty: not signed"),
+    ] = None
+    passphrase: Annotated[
+        SecretStr | None,
+        Asked("Passphrase of the key.", label="passphrase", hint="of the key; it is not kept", secret="known"),
+    ] = None
+    pdf: Annotated[
+        bool,
+        Asked(
+            "Print it to certificate.pdf, too, through an installed Chromium.",
+            label="print to certificate.pdf, too (needs Chromium)",
+        ),
+    ] = False
+    strict: Annotated[bool, Asked("Exit code 1 unless all is verified, holds and conforms.")] = False
+
+
+VERB = Verb("certificate", CertificateRequest, chapter="certificate", question="Write the certificate")

@@ -1,0 +1,1 @@
+"""The verb ``sign-key``, and its keys."""
