@@ -1,4 +1,4 @@
-"""``pytest -m fast`` covers every package: each folder of tests has a test with that marker, read from the syntax."""
+"""``pytest -m fast`` covers every room: each folder of tests has a test with that marker, read from the syntax."""
 
 from __future__ import annotations
 
@@ -13,8 +13,16 @@ TESTS = Path(__file__).parent
 FOLDERS = sorted({path.parent for path in TESTS.rglob("test_*.py")})
 
 
-WITHOUT_FOLDER = {"results"}
-"""Types only: the fast tests of ``reporting``, ``run`` and ``cli`` write and read them."""
+TESTED_ELSEWHERE = {
+    "interfaces/page": ("calibrate", "collect", "discover", "report", "show", "view"),
+    "interfaces/cli": ("at_rest", "run"),
+    "cell/targets": ("compensate", "follow", "push"),
+    "cell/run": ("import_",),
+    "cell/programs": ("correct",),
+    "cell/driving": ("locate",),
+    "handbook": ("docs",),
+}
+"""Folder of tests -> verbs that are tested there, with what they call or with what shows them."""
 
 
 def is_fast(path: Path) -> bool:
@@ -33,7 +41,14 @@ def test_every_folder_has_a_fast_test(folder: Path) -> None:
     assert any(is_fast(path) for path in folder.glob("test_*.py"))
 
 
-def test_every_package_has_a_folder_of_tests() -> None:
-    packages = {path.parent.name for path in (TESTS.parent / "cellapp").glob("*/__init__.py")}
-    packages |= {f"drivers/{path.parent.name}" for path in (TESTS.parent / "drivers").glob("*/__init__.py")}
-    assert packages - {folder.relative_to(TESTS).as_posix() for folder in FOLDERS} == WITHOUT_FOLDER
+def test_every_room_has_tests_of_its_name() -> None:
+    """A room is a folder in a group of the program, or in ``drivers``; its tests are a folder or a file of its name."""
+    root, elsewhere = TESTS.parent, {f"commands/{verb}" for verbs in TESTED_ELSEWHERE.values() for verb in verbs}
+    packages = (root / "cellapp").glob("*/*/__init__.py")
+    rooms = {path.parent.relative_to(root / "cellapp").as_posix() for path in packages}
+    rooms |= {f"drivers/{path.parent.name}" for path in (root / "drivers").glob("*/__init__.py")}
+    files = {path.relative_to(TESTS) for path in TESTS.rglob("test_*.py")}
+    tested = {parent.as_posix() for path in files for parent in path.parents}
+    tested |= {(path.parent / path.stem.removeprefix("test_")).as_posix() for path in files}
+    assert {TESTS / folder for folder in TESTED_ELSEWHERE} <= set(FOLDERS)
+    assert rooms - tested == elsewhere | {"ground/profile"}, "the sections of the profile are tested with its loader"

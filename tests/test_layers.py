@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 
@@ -18,18 +18,21 @@ pytestmark = pytest.mark.fast
 
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(path for folder in ("cellapp", "drivers") for path in (ROOT / folder).rglob("*.py"))
-PURE = ("kinematics", "effects", "model", "calibration", "design", "check", "acceptance")
-OUTER = ("collection", "compensation", "planning", "trials", "tui", "reporting", "cli", "commissioning")
-"""What uses mathematics, and is not known to it."""
-EACH_OTHER = {
-    ("collection", "compensation"),
-    ("compensation", "paths"),
-    ("discovery", "planning"),
-}
-"""Packages that import each other; whoever parts two of them takes them from here."""
-READINGS = ("cellapp.estimation.readings.readings", "cellapp.estimation.readings.columns")
-"""What mathematics may know of a run: arrays, and the names of their columns."""
-OPEN_DEVICES = ("collection", "compensation", "commissioning", "trials")
+GROUPS = ("interfaces", "commands", "cell", "estimation", "robot", "ground")
+"""From the top down: a group imports itself and those below it. ``docs`` holds chapters, ``drivers`` knows nobody."""
+PURE = ("estimation", "robot")
+"""Arrays in, arrays out."""
+MOVING_OUT = "cellapp.commands.trials.campaigns"
+"""Trials of the program itself, on their way to the tests: two of their files import each other."""
+OPEN_DEVICES = (
+    "cellapp.cell.driving",
+    *(f"cellapp.commands.{verb}" for verb in ("doctor", "emulate", "tracker_bridge", "trials")),
+)
+"""Rooms that use more of the drivers than settings."""
+READ_SETTINGS = ("cellapp.ground.profile", "cellapp.cell.profile", "cellapp.cell.targets")
+"""Rooms that read and write what a profile or a list of targets says."""
+REGISTRIES = "drivers.plugins"
+"""How all registries find plug-ins, those of effects and exports as well; it knows no device."""
 SETTINGS = (
     "drivers.quantities",
     "drivers.settings",
@@ -39,9 +42,31 @@ SETTINGS = (
         for module in ("registry", "settings")
     ),
 )
-"""What the profile may import from drivers: settings, and the lists of the kinds that have some."""
+"""What reads settings may import: how they are made, and the lists of the kinds that have some."""
 DRIVERS = ("drivers.plant", "drivers.arms.ur", "drivers.trackers.lmf")
 """Some of what no command needs that only reads the profile."""
+LOADED_LATER = {
+    "cellapp.interfaces.cli": "a command loads what it needs: --help and a stop from another window do not wait",
+    "cellapp.interfaces.tui": "a screen or a job loads what it needs, in its own thread",
+    "cellapp.interfaces.page": "the terminal application reads the state of a run without drawing its page",
+    "cellapp.cell.profile.draft_file": "ruamel.yaml is loaded by who changes a profile",
+    "cellapp.commands.compensate.details": "scipy is loaded where a target has a work frame",
+    "cellapp.commands.docs.handbook": "chapters are read without the mathematics",
+    "cellapp.ground.scale.gather": "dask is loaded by who uses a cluster",
+    **{
+        f"drivers.{module}": "a profile is read without any driver"
+        for module in (
+            "arms.simulated_settings",
+            "arms.ur_settings",
+            "sensors.serial_settings",
+            "sensors.simulated_settings",
+            "trackers.bridge_settings",
+            "trackers.lmf_settings",
+            "trackers.simulated_settings",
+        )
+    },
+}
+"""Modules and packages that import this house inside functions, for a faster start; all others do at the top."""
 BROUGHT_ALONG = {
     "pydantic_core": ["pydantic"],
     "markupsafe": ["jinja2"],
@@ -51,10 +76,6 @@ BROUGHT_ALONG = {
     "rtde_receive": ["ur-rtde"],
 }
 """Modules that no installed package names as its own, and those of packages that a declared one needs."""
-REGISTRIES = "drivers.plugins"
-"""How all registries find plug-ins, those of effects and exports as well; it knows no device."""
-PRIORITY = "drivers.priority"
-"""How a thread is preferred, one that reads keys as well; it knows no device."""
 
 
 @functools.cache
@@ -72,19 +93,18 @@ def _syntax_is_forgotten() -> Iterator[None]:
 
 @functools.cache
 def imported(path: Path) -> tuple[str, ...]:
-    """Every module that a file imports, at its top or inside a function, in full dotted names."""
-    return tuple(_imports(path))
+    """Every module that a file imports, at its top, inside a function or for its types, in full dotted names."""
+    return tuple(name for node in nodes_of(path) for name in _imports(path, node))
 
 
-def _imports(path: Path) -> Iterator[str]:
-    for node in nodes_of(path):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            package = path.relative_to(ROOT).with_suffix("").parts[: -node.level] if node.level else ()
-            module = ".".join([*package, *([node.module] if node.module else [])])
-            yield module
-            yield from (f"{module}.{alias.name}" for alias in node.names)
+def _imports(path: Path, node: ast.AST) -> Iterator[str]:
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom):
+        package = path.relative_to(ROOT).with_suffix("").parts[: -node.level] if node.level else ()
+        module = ".".join([*package, *([node.module] if node.module else [])])
+        yield module
+        yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
 def imports_of(path: Path, package: str) -> list[str]:
@@ -113,6 +133,49 @@ def modules_below(folder: str) -> list[Path]:
     return found
 
 
+def module_of(path: Path) -> str:
+    """Dotted name of a file; of a package without its ``__init__``."""
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+@functools.cache
+def imports_between_files() -> dict[str, frozenset[str]]:
+    """Module -> the modules of this house that it imports anywhere; a name that it takes counts for its module."""
+    ours = {module_of(path) for path in MODULES}
+    found: dict[str, frozenset[str]] = {}
+    for path in MODULES:
+        named = set()
+        for node in nodes_of(path):
+            modules = [module for module in _imports(path, node) if module in ours]
+            if isinstance(node, ast.ImportFrom) and len(modules) > 1:
+                modules = modules[1:] if len(modules) > len(node.names) else modules
+            named |= set(modules)
+        found[module_of(path)] = frozenset(named - {module_of(path)})
+    return found
+
+
+def room_of(module: str) -> str:
+    """Folder or file directly in a group of the program, or in ``drivers``."""
+    return ".".join(module.split(".")[:3])
+
+
+def circles(imports: Mapping[str, Collection[str]]) -> list[list[str]]:
+    """What imports itself through others: groups of names, each of which leads to all of its group."""
+
+    def reached(start: str) -> set[str]:
+        seen: set[str] = set()
+        open_ = [start]
+        while open_:
+            new = set(imports.get(open_.pop(), ())) - seen
+            seen |= new
+            open_ += new
+        return seen
+
+    leads = {name: reached(name) for name in imports}
+    found = {tuple(sorted(other for other in leads[name] if name in leads.get(other, ()))) for name in leads}
+    return [list(one) for one in sorted(found) if one]
+
+
 def test_the_modules_are_found() -> None:
     names = {name(path) for path in MODULES}
     assert {"cellapp/interfaces/cli/app.py", "cellapp/robot/kinematics/chain.py", "drivers/plant/plant.py"} <= names
@@ -124,21 +187,45 @@ def test_the_modules_are_found() -> None:
 
 def test_every_name_in_these_rules_is_a_module() -> None:
     """A rule about a module that was renamed would hold whatever is written."""
-    packages = [f"cellapp.{package}" for package in (*PURE, *OPEN_DEVICES, *OUTER)]
-    assert [
-        module for module in (*packages, *READINGS, *SETTINGS, *DRIVERS, REGISTRIES, PRIORITY) if not is_ours(module)
-    ] == []
+    groups = [f"cellapp.{group}" for group in GROUPS]
+    named = (*groups, *OPEN_DEVICES, *READ_SETTINGS, *SETTINGS, *DRIVERS, *LOADED_LATER, REGISTRIES)
+    assert [module for module in named if not is_ours(module)] == []
     assert not is_ours("cellapp.cell.run.csv_io")
+    assert {path.parent.name for path in (ROOT / "cellapp").glob("*/__init__.py")} == {*GROUPS, "docs"}
 
 
-def test_no_two_packages_import_each_other_but_these() -> None:
-    imports: dict[str, set[str]] = {}
-    for path in modules_below("cellapp"):
-        package = path.relative_to(ROOT / "cellapp").with_suffix("").parts[0]
-        used = (module.split(".")[1] for module in imports_of(path, "cellapp") if "." in module)
-        imports.setdefault(package, set()).update(used)
-    both = {(one, other) for one in imports for other in imports[one] if one < other and one in imports.get(other, ())}
-    assert both == EACH_OTHER
+def test_imports_go_down() -> None:
+    for module, others in imports_between_files().items():
+        group = module.split(".")[1] if module.startswith("cellapp.") else ""
+        if group in GROUPS:
+            above = tuple(f"cellapp.{one}." for one in GROUPS[: GROUPS.index(group)])
+            assert [other for other in others if f"{other}.".startswith(above)] == [], module
+
+
+def test_no_files_import_each_other() -> None:
+    assert circles({"a": ["b"], "b": ["c"], "c": ["b"], "d": ["a"]}) == [["b", "c"]]
+    files = {one: others for one, others in imports_between_files().items() if not one.startswith(MOVING_OUT)}
+    assert circles(files) == []
+
+
+def test_no_rooms_import_each_other() -> None:
+    rooms: dict[str, set[str]] = {}
+    for module, others in imports_between_files().items():
+        room = room_of(module)
+        rooms.setdefault(room, set()).update({room_of(one) for one in others} - {room})
+    assert circles(rooms) == []
+
+
+def test_late_imports_are_for_start_up() -> None:
+    """An import inside a function hides what a module rests on; it is there for a faster start or not at all."""
+    found = set()
+    for path in MODULES:
+        late = (node for one in nodes_of(path) if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)
+                for node in ast.walk(one))  # fmt: skip
+        if any(module for node in late for module in _imports(path, node) if is_ours(module)):
+            module = module_of(path)
+            found.add(next((one for one in LOADED_LATER if f"{module}.".startswith(f"{one}.")), module))
+    assert found == set(LOADED_LATER)
 
 
 def test_drivers_stand_alone() -> None:
@@ -153,14 +240,15 @@ def test_the_plant_knows_no_driver_either() -> None:
         assert [module for module in found if not module.startswith("drivers.plant")] == [], name(path)
 
 
-def test_only_the_profile_imports_settings_and_only_some_packages_open_devices() -> None:
+def test_only_some_rooms_read_settings_and_fewer_open_devices() -> None:
     for path in modules_below("cellapp"):
-        package = path.relative_to(ROOT / "cellapp").parts[0]
-        if package in OPEN_DEVICES:
+        module = f"{module_of(path)}."
+        if module.startswith(tuple(f"{room}." for room in OPEN_DEVICES)):
             continue
-        allowed = tuple(f"{module}." for module in (REGISTRIES, PRIORITY, *(SETTINGS if package == "profile" else ())))
+        reads = module.startswith(tuple(f"{room}." for room in READ_SETTINGS))
+        allowed = tuple(f"{one}." for one in (REGISTRIES, *(SETTINGS if reads else ())))
         found = imports_of(path, "drivers")
-        assert [module for module in found if not f"{module}.".startswith(allowed)] == [], name(path)
+        assert [one for one in found if not f"{one}.".startswith(allowed)] == [], name(path)
 
 
 def test_loading_the_profile_loads_no_driver() -> None:
@@ -182,28 +270,11 @@ def test_generic_code_compares_no_kinds_of_devices() -> None:
                     assert not ast.unparse(part).endswith("driver.kind"), place(path, node)
 
 
-@pytest.mark.parametrize("package", PURE)
-def test_mathematics_knows_neither_devices_nor_those_who_use_them(package: str) -> None:
-    for path in modules_below(f"cellapp/{package}"):
-        for module in OUTER:
-            assert imports_of(path, f"cellapp.{module}") == [], name(path)
-
-
-@pytest.mark.parametrize("package", [*PURE, "discovery", "iso9283"])
-def test_mathematics_reads_and_writes_no_run(package: str) -> None:
-    inside = tuple(f"{module}." for module in READINGS)
-    offered = [one for one in imported(ROOT / "cellapp/cell/run/__init__.py") if one.startswith(inside)]
-    allowed = {"cellapp.cell.run", *READINGS, *(f"cellapp.cell.run.{one.rpartition('.')[2]}" for one in offered)}
-    for path in modules_below(f"cellapp/{package}"):
-        found = [one for one in imports_of(path, "cellapp.cell.run") if not one.startswith(inside)]
-        assert set(found) <= allowed, name(path)
-
-
 def test_mathematics_opens_no_file() -> None:
     """But a model reads and writes its own: ``CellModel.load`` is how a program without a run comes to one."""
     opening = {"open", "read_text", "write_text", "read_bytes", "write_bytes", "mkdir", "unlink"}
     found = set()
-    for path in (path for package in (*PURE, "discovery", "iso9283") for path in modules_below(f"cellapp/{package}")):
+    for path in (path for group in PURE for path in modules_below(f"cellapp/{group}")):
         called = [node.func for node in nodes_of(path) if isinstance(node, ast.Call)]
         names = {ast.unparse(one).rpartition(".")[2] for one in called if isinstance(one, ast.Name | ast.Attribute)}
         found |= {(name(path), one) for one in names & opening}

@@ -59,7 +59,7 @@ def test_a_section_says_what_it_is_what_imitates_it_and_what_to_do(slug: str) ->
 
 def test_what_the_handbook_repeats_of_declarations_is_up_to_date() -> None:
     text = chapter_text("effects")
-    assert with_declarations(text) == text, "renew them: python -m cellapp.docs"
+    assert with_declarations(text) == text, "renew them: python -m tests.handbook"
     assert text.count("<!-- declared: ") == len(EFFECTS)
     assert "<!--" not in topic_text("effects") + topic_text("backlash"), "people need not see the markers"
 

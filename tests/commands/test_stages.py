@@ -29,7 +29,7 @@ from cellapp.interfaces.page.page import page_text, write_page
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES, small_twin
 
-OLD_RUN = Path(__file__).parents[2] / "fixtures" / "run-schema-2"
+OLD_RUN = Path(__file__).parents[1] / "fixtures" / "run-schema-2"
 NOON = datetime(2026, 1, 2, 12, tzinfo=UTC)
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())[:2]
 

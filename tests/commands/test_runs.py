@@ -269,7 +269,7 @@ def test_other_versions_of_results_are_said_to_be_unreadable(finished_copy: Path
 
 
 def test_a_run_of_an_older_schema(tmp_path: Path) -> None:
-    old = Path(__file__).parents[2] / "fixtures" / "run-schema-2"
+    old = Path(__file__).parents[1] / "fixtures" / "run-schema-2"
     folder = Path(shutil.copytree(old, tmp_path / "old"))
     row = summarise(folder)
     assert row.problem == ""

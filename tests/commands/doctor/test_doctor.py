@@ -27,7 +27,7 @@ from drivers.arms.ur_rtde_reader import UrSample
 from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
 from drivers.findings import Finding
 from drivers.plant import Plant
-from tests.cell.commissioning.free_ports import on_free_ports
+from tests.commands.free_ports import on_free_ports
 
 pytestmark = pytest.mark.fast
 
