@@ -14,6 +14,8 @@ M is the tracker, B a robot base, F a flange, S the centre of the retroreflector
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from cellapp.ground.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from cellapp import api as api
     from cellapp import dataframes as dataframes
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
     from cellapp.interfaces.python.readings import CellReadings as CellReadings
     from cellapp.robot.model import CellModel as CellModel
 
-__version__ = "0.1.0"
 
 _HOMES = {
     "Calibration": "cellapp.interfaces.python.fitted",

@@ -24,7 +24,6 @@ from cellapp.ground.errors import InputError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from cellapp.commands.confirm import Ask
     from cellapp.commands.view.table import Table
     from cellapp.ground.control import JobControl
     from cellapp.ground.outputs import Outputs
@@ -185,7 +184,7 @@ class Work:
 
     listener: Listener
     control: JobControl
-    ask: Callable[[str], Ask | None]
+    ask: Callable[[str], Callable[[str], bool] | None]
     outputs: Outputs
     result_page: Callable[[Result, Path], Path] = field(default=_no_result_page)
     certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 
 def plain_data(value: Any) -> Any:
     """Mappings as dict, sequences and arrays as list, numpy's numbers as those of Python; other values as they are."""
@@ -14,4 +12,4 @@ def plain_data(value: Any) -> Any:
         return {str(key): plain_data(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
         return [plain_data(part) for part in value]
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return value.tolist() if hasattr(value, "tolist") else value

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from cellapp import __version__
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import plugins_of_devices
+from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
 from drivers.plugins import Plugin
 

@@ -28,8 +28,8 @@ from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.bridge_token import read_token
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused
-from tests.trials.bridge import ALL_FAULTS, bridge_trial
 from tests.commands.free_ports import on_free_ports
+from tests.trials.bridge import ALL_FAULTS, bridge_trial
 from tests.twin import PROFILES, small_twin, write_profile
 
 PATIENT_S = 30.0

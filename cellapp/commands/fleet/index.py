@@ -16,12 +16,12 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from cellapp import __version__
 from cellapp.cell.run.sqlite_file import FILE_NAME, connect
 from cellapp.commands.basis import sha256_of
 from cellapp.commands.fleet.reading import read_record
 from cellapp.commands.runs.history import run_folders
 from cellapp.estimation.monitoring.fleet.record import RunRecord
+from cellapp.ground.version import __version__
 
 INDEX_FILE = ".cellapp-index.sqlite"
 _VERSION = f"1, cellapp {__version__}"

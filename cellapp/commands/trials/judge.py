@@ -15,7 +15,6 @@ from pathlib import Path
 from pydantic import ValidationError
 
 import cellapp
-from cellapp import __version__
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.result import arm_result
@@ -34,6 +33,7 @@ from cellapp.ground.results import CALIBRATE, Record
 from cellapp.ground.scale.executor import IN_PROCESS, Resources
 from cellapp.ground.scale.gather import gather
 from cellapp.ground.scale.task import Batch, TaskKind, as_given
+from cellapp.ground.version import __version__
 from cellapp.robot.model import CellModel
 
 TRIAL_RESULT = "sealed-trial"

@@ -21,7 +21,6 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import JsonValue
 
-from cellapp import __version__
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.run import RunFile
@@ -36,6 +35,7 @@ from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile, Sensors
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.ground.results import Record, Result
+from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.transforms import Array
 from drivers.no_driver import NoDriver
 from drivers.plant import suggest, suggest_other_law

@@ -11,8 +11,8 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
 
-from cellapp import __version__
 from cellapp.ground.results import Record
+from cellapp.ground.version import __version__
 
 _SHOWN_ONLY = ("interfaces", "docs")
 """Packages that show results and compute none."""

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from cellapp import __version__
 from cellapp.commands.registry import VERBS
+from cellapp.ground.version import __version__
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import command_of, group_of
 from cellapp.interfaces.cli.job import Job, open_run, require_none

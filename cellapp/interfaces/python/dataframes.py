@@ -7,30 +7,14 @@ column that has a unit to it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
-from typing import Any
 
-import numpy as np
-
-from cellapp.cell.exports.parameters import ParameterRow, parameter_rows
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.readings.columns import COLUMNS, Column
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.python.api import Run
-from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model import CellModel
-
-try:
-    import pandas as pd
-except ImportError as error:
-    raise ImportError(
-        "tables of a result or a run need pandas; install it with: pip install 'cellapp[pandas]'"
-    ) from error
+from cellapp.interfaces.python.frames import parameters_frame, pd, readings_frame, residuals_frame, targets_frame
 
 __all__ = ["parameters", "readings", "residuals", "targets"]
-
-_AXES = "xyz"
 
 
 def readings(run: Run) -> pd.DataFrame:
@@ -42,20 +26,6 @@ def readings(run: Run) -> pd.DataFrame:
     return readings_frame(_measured(run))
 
 
-def readings_frame(measured: Mapping[str, Readings]) -> pd.DataFrame:
-    """``readings`` of arms by name, of which there is at least one."""
-    given = [
-        column
-        for column in COLUMNS
-        if column.required or any(column.is_given(getattr(arm, column.name)) for arm in measured.values())
-    ]
-    parts = [_arm_readings(name, arm, given) for name, arm in measured.items()]
-    frame = pd.concat(parts, ignore_index=True).sort_values("configuration", kind="stable", ignore_index=True)
-    joints = max(arm.joints for arm in measured.values())
-    units = {name: column.unit for column in given for name in column.csv_names(joints)}
-    return _with_units(frame, units)
-
-
 def residuals(run: Run) -> pd.DataFrame:
     """Measured minus computed SMR position of each reading in the tracker frame, with the model in force [mm].
 
@@ -65,33 +35,12 @@ def residuals(run: Run) -> pd.DataFrame:
     return residuals_frame(measured, {name: run.residuals(name) for name in measured})
 
 
-def residuals_frame(measured: Mapping[str, Readings], residuals_M: Mapping[str, Array]) -> pd.DataFrame:
-    """``residuals`` of arms by name, from the vectors (n, 3) [m] of each."""
-    parts = []
-    for name, arm in measured.items():
-        vectors_mm = residuals_M[name] * 1e3
-        columns: dict[str, Any] = {"configuration": arm.configuration, "arm": name, "split": arm.split}
-        columns |= {f"d{axis}_mm": vectors_mm[:, place] for place, axis in enumerate(_AXES)}
-        parts.append(pd.DataFrame({**columns, "residual_mm": np.linalg.norm(vectors_mm, axis=1)}))
-    frame = pd.concat(parts, ignore_index=True)
-    return _with_units(frame, {name: "mm" for name in frame.columns if name.endswith("_mm")})
-
-
 def parameters(run: Run) -> pd.DataFrame:
     """Every parameter of every arm's model in force, effects included: nominal, identified, standard error.
 
     All three are in the ``unit`` of their row. The standard error is NaN where a parameter was not identified.
     """
     return parameters_frame(run.calibrated_model())
-
-
-def parameters_frame(model: CellModel) -> pd.DataFrame:
-    """``parameters`` of a model."""
-    rows = [
-        {"arm": name, **asdict(row)} for name, arm in model.arms.items() for row in parameter_rows(arm, arm.geometry)
-    ]
-    frame = pd.DataFrame(rows, columns=["arm", *ParameterRow.__dataclass_fields__])
-    return frame.astype({"standard_error": np.float64})
 
 
 def targets(run: Run) -> pd.DataFrame:
@@ -116,60 +65,7 @@ def targets(run: Run) -> pd.DataFrame:
     return targets_frame(found)
 
 
-def targets_frame(found: Sequence[MeasuredTarget | TargetCommand]) -> pd.DataFrame:
-    """``targets`` of the records of a result."""
-    frame = pd.DataFrame([_target(target) for target in found])
-    return _with_units(frame, _units_of_targets(list(frame.columns)))
-
-
 def _measured(run: Run) -> Mapping[str, Readings]:
     if not run.measured:
         raise InputError(f"{run.folder} holds no readings yet")
     return run.measured
-
-
-def _arm_readings(name: str, arm: Readings, given: Sequence[Column]) -> pd.DataFrame:
-    table: dict[str, Any] = {}
-    for column in given:
-        values = getattr(arm, column.name)
-        names = column.csv_names(arm.joints)
-        if values is None:
-            table |= dict.fromkeys(names, None if column.dtype is str else np.nan)
-        elif isinstance(values, tuple):
-            table[names[0]] = list(values)
-        else:
-            table |= dict(zip(names, column.matrix(values).T))
-    table |= {extra: list(texts) for extra, texts in arm.extras.items()}
-    frame = pd.DataFrame(table)
-    frame.insert(1, "arm", name)
-    return frame
-
-
-def _target(target: MeasuredTarget | TargetCommand) -> dict[str, Any]:
-    row: dict[str, Any] = {"target": target.name, "arm": target.arm, "frame": target.frame}
-    row |= _numbered(target.position, [f"{axis}_m" for axis in _AXES])
-    row |= _numbered(target.rpy, ["roll_rad", "pitch_rad", "yaw_rad"])
-    row["tolerance_mm"] = target.tolerance_mm
-    if isinstance(target, MeasuredTarget):
-        q = target.q
-        row |= {"nominal_mm": target.nominal_mm, "compensated_mm": target.compensated_mm, "final_mm": target.final_mm}
-    else:
-        q = target.q_compensated
-        row |= {"uncertainty_mm": target.uncertainty_mm, "refusal": target.refusal}
-    row |= {"within_mm": target.within_mm, "verdict": target.verdict, "note": target.note}
-    return row | {f"q{joint}": value for joint, value in enumerate(q or (), start=1)}
-
-
-def _numbered(values: Sequence[float] | None, names: Sequence[str]) -> dict[str, float | None]:
-    return dict(zip(names, values if values is not None else [None] * len(names)))
-
-
-def _units_of_targets(columns: Sequence[str]) -> dict[str, str]:
-    suffixes = {"_mm": "mm", "_m": "m", "_rad": "rad"}
-    units = {name: unit for name in columns for suffix, unit in suffixes.items() if name.endswith(suffix)}
-    return units | {name: "rad" for name in columns if name[0] == "q" and name[1:].isdigit()}
-
-
-def _with_units(frame: pd.DataFrame, units: Mapping[str, str]) -> pd.DataFrame:
-    frame.attrs["units"] = {name: units[name] for name in frame.columns if units.get(name)}
-    return frame

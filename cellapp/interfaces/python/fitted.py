@@ -120,13 +120,13 @@ class Fitted(Charted):
 
     def residuals(self) -> pd.DataFrame:
         """``residuals_M`` as a table with a row for each reading [mm]. Needs pandas."""
-        from cellapp.interfaces.python.dataframes import residuals_frame
+        from cellapp.interfaces.python.frames import residuals_frame
 
         return residuals_frame(self.readings, self.residuals_M)
 
     def parameters(self) -> pd.DataFrame:
         """Every parameter of every arm, effects included: nominal, identified, standard error. Needs pandas."""
-        from cellapp.interfaces.python.dataframes import parameters_frame
+        from cellapp.interfaces.python.frames import parameters_frame
 
         return parameters_frame(self.model)
 
@@ -258,7 +258,7 @@ class Compensation(Printed):
 
     def frame(self) -> pd.DataFrame:
         """A row for each target and arm: target, command, predicted uncertainty, refusal. Needs pandas."""
-        from cellapp.interfaces.python.dataframes import targets_frame
+        from cellapp.interfaces.python.frames import targets_frame
 
         return targets_frame(self.result.targets)
 

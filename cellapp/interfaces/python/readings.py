@@ -63,7 +63,7 @@ class CellReadings(Printed, Mapping[str, Readings]):
 
     def frame(self) -> pd.DataFrame:
         """One row for each arm and stop, in the columns of a CSV file of readings. Needs pandas."""
-        from cellapp.interfaces.python.dataframes import readings_frame
+        from cellapp.interfaces.python.frames import readings_frame
 
         return readings_frame(self.arms)
 

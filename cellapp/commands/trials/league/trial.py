@@ -10,7 +10,6 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp import __version__
 from cellapp.commands.trials.league.draws import DRAWS, DrawTask, HeldOutScore, LeagueDraw
 from cellapp.commands.trials.league.series import SERIES, Entrant, Group, Rows, draw_rows, parse_entrants, series_texts
 from cellapp.ground.errors import InputError
@@ -19,6 +18,7 @@ from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.executor import IN_PROCESS, Resources
 from cellapp.ground.scale.gather import gather
 from cellapp.ground.scale.task import Batch
+from cellapp.ground.version import __version__
 
 CURVE_SERIES = "C"
 """The longest series."""
