@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cellapp.commands.record import Asked, Writes
 
 RunFolder = Annotated[Path, Asked("The run's folder.", "DIR", argument=True)]
 ProfilePath = Annotated[Path, Asked("The cell, as YAML.", "PROFILE", argument=True)]
-TargetsPath = Annotated[Path, Asked("Target list: .yaml or .csv.", "TARGETS", argument=True)]
+TargetsPath = Annotated[Path | tuple[Any, ...], Asked("Target list: .yaml or .csv.", "TARGETS", argument=True)]
+"""A list's file; a program that has targets may give them as they are."""
 NewRun = Annotated[
     Path, Asked("Folder of the new run; must not hold one yet.", "DIR", option="--run", writes=Writes.OWN_FOLDER)
 ]

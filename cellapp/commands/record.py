@@ -15,6 +15,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -22,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from cellapp.ground.errors import InputError
 
 if TYPE_CHECKING:
+    from cellapp.cell.run import RunFile
     from cellapp.commands.confirm import Ask
     from cellapp.commands.view.table import Table
     from cellapp.ground.control import JobControl
@@ -96,6 +98,10 @@ class Request(BaseModel):
         """Whether the arms may move for this request of a verb that moves arms."""
         return True
 
+    def job_name(self) -> str:
+        """What its job is called, where that says more than the verb's name; else empty."""
+        return ""
+
     @classmethod
     def option_of(cls, name: str) -> str:
         """How the command line calls a field: its option, or the metavar of an argument."""
@@ -107,11 +113,17 @@ class Request(BaseModel):
 class View:
     """A result for people: tables and sentences in the order in which they are read; ``failed`` says what did not hold.
 
-    Interfaces draw it: as text in a terminal, as widgets, as HTML.
+    Interfaces draw it: as text in a terminal, as widgets, as HTML. ``checks`` is what failed, where it is not what the
+    verb checks.
     """
 
     parts: Sequence[Table | str] = ()
     failed: Sequence[str] = ()
+    checks: str = ""
+
+
+def _no_page(run: RunFile) -> Path:
+    raise InputError(f"{run.path}: no page can be written from here")
 
 
 @dataclass(frozen=True)
@@ -130,6 +142,8 @@ class Work:
         Show a result, or a sentence, before the verb ends, as the addresses of a server.
     choose : callable
         Question and possible answers -> the answer of a person; empty where nobody can be asked.
+    write_page : callable
+        Write the page of a run into its folder; its path.
     secret : callable
         Question, and whether it is asked twice -> what a person typed unseen; None where nobody can be asked.
     """
@@ -140,6 +154,7 @@ class Work:
     outputs: Outputs
     announce: Callable[[Result], None] = field(default=lambda result: None)
     say: Callable[[str], None] = field(default=lambda sentence: None)
+    write_page: Callable[[RunFile], Path] = field(default=_no_page)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")
     secret: Callable[[str, bool], str | None] = field(default=lambda question, twice: None)
 

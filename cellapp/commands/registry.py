@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from cellapp.commands.calibrate.request import VERB as CALIBRATE
+from cellapp.commands.discover.request import VERB as DISCOVER
+from cellapp.commands.import_.request import VERB as IMPORT
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.record import Verb
 
-VERBS: tuple[Verb, ...] = (LOCATE,)
+VERBS: tuple[Verb, ...] = (IMPORT, CALIBRATE, DISCOVER, LOCATE)

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
+from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.compensate.words import all_measured, arms_words, shown_tolerance
 from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.locate.view import location_tables
+from cellapp.commands.record import Request, View
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.table import Cell, Column, Interval, Table, most_urgent, number_column, part_table
 from cellapp.commands.view.words import geometry_unit
@@ -30,6 +32,18 @@ _DETAILED_COLUMNS = (
 _TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
 _PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
+
+
+def view(result: CalibrateResult, request: Request | None = None) -> View:
+    """Held-out errors, the parameters if they are asked for, and what the tracker's own uncertainty is beside them."""
+    parameters = isinstance(request, CalibrateRequest) and request.parameters
+    shown = parameters_view(result).parts if parameters else ()
+    return View((*calibration_tables(result), *shown, *tracker_sentences(result), *result.notes))
+
+
+def parameters_view(result: CalibrateResult) -> View:
+    """Identified parameters, and which were merged into others."""
+    return View((*parameter_tables(result), *merged_sentences(result)))
 
 
 def all_tables(results: RunResults) -> list[Table]:
@@ -118,6 +132,15 @@ def parameter_tables(result: CalibrateResult) -> list[Table]:
             rows.append((parameter, estimate.value * factor, None if error is None else error * factor, unit))
         tables.append(Table(f"Arm {name}: identified parameters", columns, tuple(rows)))
     return tables
+
+
+def merged_sentences(result: CalibrateResult) -> list[str]:
+    """Which parameters were dropped, and which identified ones take their place."""
+    return [
+        f"arm {name}: {parameter} is merged into {merged_words(shares)}"
+        for name, arm in result.arms.items()
+        for parameter, shares in arm.merged.items()
+    ]
 
 
 def merged_words(shares: Mapping[str, float]) -> str:

@@ -7,7 +7,6 @@ import math
 
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.in_order import order_sentences
-from cellapp.commands.calibrate.view import merged_words
 from cellapp.commands.run_results import (
     HistoryResult,
     LogResult,
@@ -17,7 +16,6 @@ from cellapp.commands.run_results import (
     UnseenArmState,
 )
 from cellapp.commands.view.table import Column, Table, number_column
-from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.profile import Profile
 from cellapp.ground.times import second_of
 
@@ -108,15 +106,6 @@ def log_lines(log: LogResult) -> list[str]:
 def profile_text(profile: Profile) -> str:
     """The profile as indented JSON."""
     return json.dumps(json.loads(profile_to_json(profile)), indent=1)
-
-
-def merged_sentences(result: CalibrateResult) -> list[str]:
-    """Which parameters were dropped, and which identified ones take their place."""
-    return [
-        f"arm {name}: {parameter} is merged into {merged_words(shares)}"
-        for name, arm in result.arms.items()
-        for parameter, shares in arm.merged.items()
-    ]
 
 
 def _holds(stage: StageState) -> str:

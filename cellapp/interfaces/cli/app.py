@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from cellapp import __version__
-from cellapp.commands.locate.request import VERB as LOCATE
+from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.interfaces.cli.at_rest import at_rest
 from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
@@ -29,9 +29,7 @@ from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import (
     AllowMotion,
     JsonOption,
-    NewRun,
     OutOfDate,
-    PriorOption,
     ProfilePath,
     RunFolder,
     TargetsPath,
@@ -40,7 +38,7 @@ from cellapp.interfaces.cli.program import run_program
 from cellapp.interfaces.cli.report import report
 from cellapp.interfaces.cli.request_commands import abort, pause, resume, stop
 from cellapp.interfaces.cli.runs import compare, runs
-from cellapp.interfaces.cli.show import schema, show, show_discovery
+from cellapp.interfaces.cli.show import schema, show
 from cellapp.interfaces.cli.trials import trials_app
 from cellapp.interfaces.cli.whole_run import demo, run
 
@@ -192,81 +190,8 @@ def replay(
         job.result(result)
 
 
-@app.command("import")
-def import_(
-    profile: ProfilePath,
-    csv: Annotated[Path, typer.Argument(metavar="CSV", help="Readings; 'cellapp docs files' has the columns.")],
-    folder: NewRun,
-    in_order: Annotated[
-        bool,
-        typer.Option(
-            "--in-order",
-            help="Rows stand in the order of measurement (with time_s: by time); derive missing approach and step.",
-        ),
-    ] = False,
-    json_file: JsonOption = None,
-) -> None:
-    """Make a run from readings that were measured elsewhere."""
-    from cellapp.cell.profile import load_profile
-    from cellapp.commands.import_.run import import_new_run
-
-    with Job(json_file) as job:
-        result = import_new_run(load_profile(profile), csv, folder, in_order=in_order)
-        job.say(*(f"arm {name}: {count} readings" for name, count in result.readings.items()), *result.notes)
-        job.result(result)
-
-
-@app.command()
-def calibrate(
-    folder: RunFolder,
-    parameters: Annotated[
-        bool, typer.Option("--parameters", help="Print the parameters too; 'show DIR parameters' prints stored ones.")
-    ] = False,
-    prior: PriorOption = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Identify arms and pair, evaluate on held-out stops, write calibration.json."""
-    from cellapp.commands.calibrate.run import calibrate_run
-    from cellapp.commands.calibrate.view import calibration_tables, parameter_tables, tracker_sentences
-    from cellapp.commands.show.tables import merged_sentences
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = calibrate_run(opened, job.listen, job.control, prior=prior)
-        job.show(calibration_tables(result))
-        if parameters:
-            job.show(parameter_tables(result))
-            job.say(*merged_sentences(result))
-        job.say(*tracker_sentences(result), *result.notes)
-        job.result(result)
-
-
-@app.command()
-def discover(
-    folder: RunFolder,
-    propose: Annotated[
-        int | None,
-        typer.Option(
-            "--propose", metavar="N", min=1, max=1000, help="Plan N further stops that best resolve what is open."
-        ),
-    ] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
-    from cellapp.commands.discover.proposal_view import proposal_lines
-    from cellapp.commands.discover.run import discover_run, propose_run
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        if propose is None:
-            result = discover_run(opened, job.listen, job.control)
-        else:
-            result = propose_run(opened, propose, job.listen, job.control)
-        show_discovery(job, result)
-        if result.proposal is not None:
-            job.say("", *proposal_lines(result.proposal))
-        job.result(result)
-
-
-app.command(LOCATE.name)(command_of(LOCATE))
+for verb in VERBS:
+    app.command(verb.name)(command_of(verb))
 
 
 @app.command()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
+import operator
 import os
 import sys
 from collections.abc import Callable
-from typing import Annotated, Any, get_args, get_origin
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
 
 import annotated_types
 import typer
@@ -16,6 +19,7 @@ from cellapp.commands.record import Asked, Verb, View, Work
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
+from cellapp.interfaces.page import write_page
 
 PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
 """Environment variable with the passphrase of a signing key, where nobody can be asked."""
@@ -32,7 +36,7 @@ def command_of(verb: Verb) -> Callable[..., None]:
             shown = verb.view(result, request)
             show_view(job, shown)
             job.result(result)
-            require_none(shown.failed, verb.checks or verb.name)
+            require_none(shown.failed, shown.checks or verb.checks or verb.name)
 
     own = [
         _parameter(name, field, words)
@@ -63,6 +67,7 @@ def _work(job: Job, *, allowed: bool) -> Work:
         job.outputs,
         announce=job.result,
         say=job.say,
+        write_page=write_page,
         choose=_choose,
         secret=_secret,
     )
@@ -110,7 +115,9 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 
 
 def _typed(annotation: Any) -> Any:
-    """The type as typer reads it: several values as a list."""
+    """The type as typer reads it: several values as a list; of what may be typed or given by a program, the former."""
     if get_origin(annotation) is tuple:
         return list.__class_getitem__(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return functools.reduce(operator.or_, (one for one in get_args(annotation) if get_origin(one) is not tuple))
     return annotation

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cellapp.ground.errors import InputError
+from cellapp.interfaces.cli.derived import show_view
 from cellapp.interfaces.cli.job import Job, open_run
 from cellapp.interfaces.cli.options import JsonOption, RunFolder, Strict
 from cellapp.interfaces.cli.plan import state_check
@@ -259,30 +260,24 @@ def _show_result(job: Job, run: RunFile, part: Part) -> None:
 
 
 def _show_calibration(job: Job, results: RunResults) -> None:
-    from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
+    from cellapp.commands.calibrate.view import view
 
     assert results.calibrate is not None
-    job.show(calibration_tables(results.calibrate))
-    job.say(*tracker_sentences(results.calibrate), *results.calibrate.notes)
+    show_view(job, view(results.calibrate))
 
 
 def _show_parameters(job: Job, results: RunResults) -> None:
-    from cellapp.commands.calibrate.view import parameter_tables
-    from cellapp.commands.show.tables import merged_sentences
+    from cellapp.commands.calibrate.view import parameters_view
 
     assert results.calibrate is not None
-    job.show(parameter_tables(results.calibrate))
-    job.say(*merged_sentences(results.calibrate))
+    show_view(job, parameters_view(results.calibrate))
 
 
 def show_discovery(job: Job, result: DiscoverResult) -> None:
-    """Print a discovery: what was found, the values of the effects, what they mean."""
-    from cellapp.commands.discover.tables import size_tables
-    from cellapp.commands.discover.view import discovery_lines, meaning_lines
+    """Print a discovery."""
+    from cellapp.commands.discover.view import view
 
-    job.say(*discovery_lines(result))
-    job.show(size_tables(result))
-    job.say("", *meaning_lines(result))
+    show_view(job, view(result))
 
 
 def _show_discovery(job: Job, results: RunResults) -> None:

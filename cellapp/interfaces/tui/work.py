@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.record import Request, Verb, Work
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, RENEWED
 from cellapp.ground.progress import Listener
+from cellapp.interfaces.page import write_page
 from cellapp.interfaces.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
@@ -36,9 +37,16 @@ def verb_job(verb: Verb, request: Request) -> Job:
     """The job of a verb."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        return verb.run(request, Work(listener, control, lambda profile_name: ask, NEW_ONLY))
+        given = Work(listener, control, lambda profile_name: ask, NEW_ONLY, write_page=write_page)
+        return verb.run(request, given)
 
-    return Job(verb.name, work, getattr(request, "folder", None), moves=verb.moves_arms and request.moves())
+    folder, moves = getattr(request, "folder", None), verb.moves_arms and request.moves()
+    return Job(request.job_name() or verb.name, work, folder, moves=moves)
+
+
+def job_of(verb: Verb, **values: Any) -> Job:
+    """The job of a verb, for these values of its request's fields."""
+    return verb_job(verb, verb.asked(values))
 
 
 def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job:
@@ -212,30 +220,6 @@ def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
         return collect_stops(run, listener, control, resume=resume, accept_drift=accept_drift, ask=ask)
 
     return on_run("collect", folder, work, moves=True)
-
-
-def calibrate(folder: Path, prior: Path | None = None) -> Job:
-    """Identify arms and pair and evaluate them on held-out stops; ``prior`` is the folder of an earlier run."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.calibrate.run import calibrate_run
-
-        return calibrate_run(run, listener, control, prior=prior)
-
-    return on_run("calibrate", folder, work)
-
-
-def discover(folder: Path, propose: int | None = None) -> Job:
-    """Search for missing effects; with ``propose`` also write that many further stops into the plan."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.discover.run import discover_run, propose_run
-
-        if propose is None:
-            return discover_run(run, listener, control)
-        return propose_run(run, propose, listener, control)
-
-    return on_run("discover" if propose is None else "propose", folder, work)
 
 
 def compensate(folder: Path, targets: Sequence[Target]) -> Job:
