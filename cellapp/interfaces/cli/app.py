@@ -29,13 +29,10 @@ from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import (
     AllowMotion,
     JsonOption,
-    OutOfDate,
     ProfilePath,
     RunFolder,
-    TargetsPath,
 )
 from cellapp.interfaces.cli.program import run_program
-from cellapp.interfaces.cli.report import report
 from cellapp.interfaces.cli.request_commands import abort, pause, resume, stop
 from cellapp.interfaces.cli.runs import compare, runs
 from cellapp.interfaces.cli.show import schema, show
@@ -194,63 +191,8 @@ for verb in VERBS:
     app.command(verb.name)(command_of(verb))
 
 
-@app.command()
-def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = None) -> None:
-    """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
-    from cellapp.cell.targets.targets import load_targets
-    from cellapp.commands.compensate.run import compensate_run
-    from cellapp.commands.compensate.tables import predicted_tables
-    from cellapp.commands.compensate.words import compensate_lines
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = compensate_run(opened, load_targets(targets, opened.profile))
-        job.show(predicted_tables(result))
-        job.say(*compensate_lines(result))
-        job.result(result)
-
-
-@app.command()
-def push(
-    folder: RunFolder,
-    targets: TargetsPath,
-    verify: Annotated[bool, typer.Option("--verify", help="Measure where the SMR really goes.")] = False,
-    iterate: Annotated[
-        int | None,
-        typer.Option("--iterate", metavar="N", help="Correct what remains by measuring, at most N times a target."),
-    ] = None,
-    out_of_date: OutOfDate = False,
-    allow_motion: AllowMotion = False,
-    json_file: JsonOption = None,
-) -> None:
-    """Move the arms to compensated targets; with --verify, measure them before and after compensation."""
-    from cellapp.cell.targets.targets import load_targets
-    from cellapp.commands.calibrate.view import verification_tables
-    from cellapp.commands.compensate.words import push_lines
-    from cellapp.commands.push.run import push_run
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        listed = load_targets(targets, opened.profile)
-        ask = asking(job, opened.profile.name, allowed=allow_motion)
-        result = push_run(
-            opened,
-            listed,
-            job.listen,
-            job.control,
-            verify=verify,
-            iterate=iterate,
-            out_of_date=out_of_date,
-            ask=ask,
-        )
-        job.show(verification_tables(result))
-        job.say(*push_lines(result))
-        job.result(result)
-        if verify:
-            require_none(result.complaints(), "verification")
-
-
 for command in (
     check,
-    report,
     follow,
     init,
     export,

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The run's folder.")]
-TargetsPath = Annotated[Path, typer.Argument(metavar="TARGETS", help="Target list: .yaml or .csv.")]
 JsonOption = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output."),

@@ -9,7 +9,7 @@ import typer
 
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.derived import show_view
-from cellapp.interfaces.cli.job import Job, open_run
+from cellapp.interfaces.cli.job import Job, open_run, require_none
 from cellapp.interfaces.cli.options import JsonOption, RunFolder, Strict
 from cellapp.interfaces.cli.plan import state_check
 
@@ -75,7 +75,7 @@ def show(
     json_file: JsonOption = None,
 ) -> None:
     """Print what a run holds; nothing is changed, and only --check and --forecast compute anything."""
-    from cellapp.commands.out_of_date import check_nothing_out_of_date
+    from cellapp.commands.out_of_date import complaints_of
 
     _check_options(part, level is not None or last is not None, check, forecast, target is not None)
     with Job(json_file) as job, open_run(folder) as run:
@@ -101,7 +101,7 @@ def show(
             case _:
                 _show_result(job, run, part)
         if strict:
-            check_nothing_out_of_date(run, "show")
+            require_none(complaints_of(run), "show")
 
 
 def _check_options(part: Part, of_log: bool, check: bool, forecast: bool, of_target: bool) -> None:
@@ -327,18 +327,14 @@ def _show_paths(job: Job, results: RunResults) -> None:
 
 
 def _show_targets(job: Job, results: RunResults) -> None:
-    from cellapp.commands.compensate.tables import stored_tables
-    from cellapp.commands.compensate.words import compensate_lines
+    from cellapp.commands.compensate.view import view
 
     assert results.compensate is not None
-    job.show(stored_tables(results.compensate))
-    job.say(*compensate_lines(results.compensate))
+    show_view(job, view(results.compensate))
 
 
 def _show_verification(job: Job, results: RunResults) -> None:
-    from cellapp.commands.compensate.tables import all_measured_tables
-    from cellapp.commands.compensate.words import verify_lines
+    from cellapp.commands.push.view import view
 
     assert results.verify is not None
-    job.show(all_measured_tables(results.verify))
-    job.say(*verify_lines(results.verify))
+    show_view(job, view(results.verify))

@@ -15,7 +15,6 @@ from cellapp.interfaces.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
-    from cellapp.cell.targets.targets import Target
     from cellapp.commands.report.data import ReportData
     from cellapp.commands.runs.result import RunComparison, RunSummary
     from cellapp.estimation.monitoring.fleet.records import FleetResult
@@ -27,8 +26,6 @@ if TYPE_CHECKING:
     from cellapp.interfaces.tui.dialogs.own_readings import OwnReadingsRequest
 
 
-PDF_FILE = "report.pdf"
-"""As the command names it."""
 VERIFY = "verify"
 """Name of a push that measures: only its result says whether a verification held."""
 
@@ -222,40 +219,6 @@ def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
     return on_run("collect", folder, work, moves=True)
 
 
-def compensate(folder: Path, targets: Sequence[Target]) -> Job:
-    """Compute commands for targets."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.compensate.run import compensate_run
-
-        return compensate_run(run, targets)
-
-    return on_run("compensate", folder, work)
-
-
-def push(
-    folder: Path,
-    targets: Sequence[Target],
-    *,
-    verify: bool,
-    iterate: int | None = None,
-    out_of_date: bool = False,
-) -> Job:
-    """Move the arms to compensated targets; with ``verify`` measure them before and after compensation.
-
-    ``iterate`` is how often at most what remains is corrected by measuring.
-    """
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.push.run import push_run
-
-        return push_run(
-            run, targets, listener, control, verify=verify, iterate=iterate, out_of_date=out_of_date, ask=ask
-        )
-
-    return on_run(VERIFY if verify else "push", folder, work, moves=True)
-
-
 def follow(folder: Path, request: FollowRequest) -> Job:
     """Plan paths, and drive and measure them where that is asked for."""
 
@@ -276,18 +239,6 @@ def follow(folder: Path, request: FollowRequest) -> Job:
         )
 
     return on_run("follow", folder, work, moves=request.driving != "plan")
-
-
-def report(folder: Path, *, pdf: bool = False) -> Job:
-    """Write the page of the run; with ``pdf`` print it to a file, too."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.report.run import report_run
-        from cellapp.interfaces.page.page import write_page
-
-        return report_run(run, write_page, folder / PDF_FILE if pdf else None)
-
-    return on_run("report", folder, work)
 
 
 def export_arms(folder: Path, request: ExportRequest) -> Job:

@@ -12,6 +12,8 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.record import Work
+from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.run_results import ReportResult
 from cellapp.commands.runs import history
 from cellapp.commands.runs.result import RunsResult
@@ -20,7 +22,6 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.comparison import Comparison
 from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.jobs import Job
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, MovingJob, ended, opened, shown_text, until
 
@@ -270,8 +271,8 @@ async def test_a_report_that_is_missing_is_written_then_opened(logs: Path, monke
         run.append_stage("calibrate", None, "{}", None)
     page = LOGS / "first" / "report.html"
 
-    def report(folder: Path) -> Job:
-        return Job("report", lambda *_: ReportResult(run=str(folder), page=str(page)), folder)
+    def report(request: ReportRequest, given: Work) -> ReportResult:
+        return ReportResult(run=str(request.folder), page=str(page))
 
     said: list[Path] = []
 
@@ -279,7 +280,7 @@ async def test_a_report_that_is_missing_is_written_then_opened(logs: Path, monke
         said.append(path)
         return "opened"
 
-    monkeypatch.setattr("cellapp.interfaces.tui.work.report", report)
+    monkeypatch.setattr("cellapp.commands.report.run.run", report)
     monkeypatch.setattr("cellapp.interfaces.tui.screens.runs.open_page", open_page)
     app = app_without_offer(monkeypatch)
     async with app.run_test(size=SMALL) as pilot:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cellapp.commands.compensate.target_list import stale_model
+from cellapp.commands.report.request import VERB as REPORT
 from cellapp.estimation.iso9283.records import IsoCommands
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283
 from cellapp.interfaces.tui import work, work_acceptance
@@ -126,7 +127,7 @@ def ask_report(screen: AcceptScreen) -> None:
 
     def begin(answer: str | None) -> None:
         if answer in ("page", "pdf"):
-            screen.start(work.report(folder, pdf=answer == "pdf"))
+            screen.start(work.job_of(REPORT, folder=folder, pdf=answer == "pdf"))
 
     text = f"Write report.html in {folder}; an installed Chromium prints it to report.pdf."
     screen.app.push_screen(Choice("Write the report?", text, _PAGES), begin)

@@ -19,6 +19,7 @@ from textual.message import Message
 from textual.widgets import DataTable, Input, Static
 from textual.worker import get_current_worker
 
+from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.run_results import ReportResult
 from cellapp.commands.runs.result import RunsResult
 from cellapp.commands.runs.view import run_lines, runs_sentences
@@ -333,7 +334,7 @@ class RunsScreen(DayScreen):
             if page.is_file():
                 self._open_page(page)
             elif any(stage.name == "calibrate" for stage in run.stages):
-                self.start(jobs_of_verbs.report(Path(run.run)))
+                self.start(jobs_of_verbs.job_of(REPORT, folder=Path(run.run)))
             else:
                 self.say(f"{run.run} is not calibrated; there is nothing to report yet.", "warning")
 
