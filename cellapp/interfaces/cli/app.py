@@ -24,20 +24,16 @@ from cellapp.interfaces.cli.fleet import fleet, recalibrate
 from cellapp.interfaces.cli.follow import follow
 from cellapp.interfaces.cli.init import init
 from cellapp.interfaces.cli.iso9283 import app as iso9283_app
-from cellapp.interfaces.cli.job import Job, open_run, require_none
-from cellapp.interfaces.cli.motion import asking
+from cellapp.interfaces.cli.job import Job
 from cellapp.interfaces.cli.options import (
-    AllowMotion,
     JsonOption,
     ProfilePath,
-    RunFolder,
 )
 from cellapp.interfaces.cli.program import run_program
 from cellapp.interfaces.cli.request_commands import abort, pause, resume, stop
 from cellapp.interfaces.cli.runs import compare, runs
 from cellapp.interfaces.cli.show import schema, show
 from cellapp.interfaces.cli.trials import trials_app
-from cellapp.interfaces.cli.whole_run import demo, run
 
 app = Commands(
     help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
@@ -70,10 +66,6 @@ def tui(
         from cellapp.interfaces.tui import run_app
 
         raise typer.Exit(run_app())
-
-
-for whole in (run, demo):
-    app.command()(whole)
 
 
 @app.command()
@@ -145,46 +137,6 @@ def plan(
 
     with Job(json_file) as job:
         run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan, freeze, view))
-
-
-@app.command()
-def collect(
-    folder: RunFolder,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue a run that was interrupted.")] = False,
-    accept_drift: Annotated[
-        bool, typer.Option("--accept-drift", help="Count drift from new reference measurements on.")
-    ] = False,
-    allow_motion: AllowMotion = False,
-    json_file: JsonOption = None,
-) -> None:
-    """Drive the planned stops and measure; every stop is committed before the next move."""
-    from cellapp.commands.collect.run import collect_stops
-    from cellapp.commands.collect.view import collect_lines, other_notes
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        ask = asking(job, opened.profile.name, allowed=allow_motion)
-        result = collect_stops(opened, job.listen, job.control, resume=resume, accept_drift=accept_drift, ask=ask)
-        job.say(*collect_lines(result), *other_notes(result, result.notes))
-        job.result(result)
-        require_none(result.complaints(), "collect")
-
-
-@app.command()
-def replay(
-    folder: RunFolder,
-    speed: Annotated[
-        float, typer.Option("--speed", metavar="X", help="Times the recorded pace, from 1 to 100.")
-    ] = 10.0,
-    json_file: JsonOption = None,
-) -> None:
-    """Play the collecting of a run back: the same events, the same running model; nothing moves, nothing is written."""
-    from cellapp.cell.driving.replay import replay_run
-    from cellapp.commands.collect.view import replay_lines
-
-    with Job(json_file) as job, open_run(folder) as opened:
-        result = replay_run(opened, job.listen, job.control, speed=speed)
-        job.say(*replay_lines(result))
-        job.result(result)
 
 
 for verb in VERBS:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cellapp.commands.replay.request import VERB as REPLAY
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.follow_path import FollowPath, FollowRequest
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
@@ -122,7 +123,7 @@ def offer_replay(app: CellApp, folder: Path) -> None:
     """Play back a run through the screen Collect."""
 
     def play(answer: str | None) -> None:
-        if answer is not None and app.start_job(work.replay(folder, float(answer[1:]))):
+        if answer is not None and app.start_job(work.job_of(REPLAY, folder=folder, speed=float(answer[1:]))):
             app.action_show("collect")
 
     answers = [Answer(f"x{speed}", f"{speed} times", key) for speed, key in _SPEEDS]

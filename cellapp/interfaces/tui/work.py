@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.record import Request, Verb, Work
+from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, RENEWED
 from cellapp.ground.progress import Listener
@@ -46,23 +48,22 @@ def job_of(verb: Verb, **values: Any) -> Job:
     return verb_job(verb, verb.asked(values))
 
 
-def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job:
+def whole_day(profile: Path, folder: Path, agreed: Profile) -> Job:
     """Plan, collect, calibrate, discover, compensate, verify, report.
 
     ``agreed`` is what a person was asked about; the job refuses a file that holds something else by now.
     """
+    job = job_of(RUN, profile=profile, folder=folder)
 
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result | None:
         from cellapp.cell.profile import load_profile
-        from cellapp.commands.run.run import run_whole
         from cellapp.ground.errors import InputError
-        from cellapp.interfaces.page.page import write_page
 
-        if agreed is not None and load_profile(profile) != agreed:
+        if load_profile(profile) != agreed:
             raise InputError(f"{profile} was edited since it was read; it is read again now, then F5 asks again")
-        return run_whole(profile, folder, write_page, listener, control, ask=ask)
+        return job.work(listener, control, ask)
 
-    return Job("run", work, folder, moves=True)
+    return replace(job, work=work)
 
 
 def plan(profile: Path, folder: Path) -> Job:
@@ -208,17 +209,6 @@ def replan(folder: Path) -> Job:
     return on_run("plan", folder, work)
 
 
-def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
-    """Measure the planned stops that are not stored yet."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.collect.run import collect_stops
-
-        return collect_stops(run, listener, control, resume=resume, accept_drift=accept_drift, ask=ask)
-
-    return on_run("collect", folder, work, moves=True)
-
-
 def follow(folder: Path, request: FollowRequest) -> Job:
     """Plan paths, and drive and measure them where that is asked for."""
 
@@ -269,19 +259,6 @@ def correct(folder: Path, request: CorrectRequest) -> Job:
         )
 
     return _of_run("correct", folder, work)
-
-
-def replay(folder: Path, speed: float) -> Job:
-    """Play back what a run recorded; nothing moves."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.driving.replay import replay_run
-        from cellapp.cell.run import RunFile
-
-        with RunFile.open(folder) as run:
-            return replay_run(run, listener, control, speed=speed)
-
-    return Job(f"replay x{speed:g}", work, folder)
 
 
 def doctor(profile: Path) -> Job:

@@ -22,6 +22,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.comparison import Comparison
 from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
 from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.jobs import Job
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, MovingJob, ended, opened, shown_text, until
 
@@ -218,17 +219,21 @@ async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
 
 
 async def test_a_run_is_replayed_at_a_speed(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[tuple[Path, float]] = []
-    monkeypatch.setattr("cellapp.interfaces.tui.work.replay", lambda folder, speed: started.append((folder, speed)))
+    started: list[tuple[Path | None, str]] = []
+
+    def start_job(job: Job) -> bool:
+        started.append((job.folder, job.name))
+        return False
+
     app = app_without_offer(monkeypatch)
-    monkeypatch.setattr(app, "start_job", lambda job: False)
+    monkeypatch.setattr(app, "start_job", start_job)
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")
         await pilot.press("y")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         await pilot.press("3")
-        await until(pilot, lambda: started == [(LOGS / "first", 100.0)], "the replay")
+        await until(pilot, lambda: started == [(LOGS / "first", "replay x100")], "the replay")
 
 
 async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

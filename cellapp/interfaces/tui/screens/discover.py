@@ -9,6 +9,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.widgets import Static, TabbedContent, TabPane
 
+from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.discover import request
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.proposal_view import proposal_lines
@@ -105,7 +106,7 @@ The handbook explains each effect: key **h**.
 
         def begin(answer: str | None) -> None:
             if answer == "begin":
-                self.start(work.collect(folder, resume=True))
+                self.start(work.job_of(COLLECT, folder=folder, resume=True))
                 self.cell_app.action_show("collect")
 
         self.app.push_screen(Choice("Collect?", text, BEGIN), begin)
