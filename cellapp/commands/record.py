@@ -86,7 +86,12 @@ class Asked:
 class Request(BaseModel):
     """What a verb is asked for. Subclasses declare the fields, each ``Annotated`` with ``Asked``; immutable."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        arbitrary_types_allowed=True,
+        defer_build=True,  # most starts of the program make one request or none
+    )
 
     @classmethod
     def asked(cls) -> Iterator[tuple[str, Asked]]:
@@ -160,6 +165,31 @@ class Work:
 
 
 @dataclass(frozen=True)
+class Stored:
+    """How what a verb stored in a run is shown.
+
+    Attributes
+    ----------
+    part : str
+        What it is called there.
+    missing : str
+        Subject and verb where there is none, as "no calibration is".
+    stages : tuple of str
+        Names of the stages in which it is; the first one that is there is shown.
+    made_by : str
+        What follows ``cellapp`` on the command line to store it; empty: the verb's name.
+    view : str
+        The function of the verb's view that shows it.
+    """
+
+    part: str
+    missing: str
+    stages: tuple[str, ...]
+    made_by: str = ""
+    view: str = "view"
+
+
+@dataclass(frozen=True)
 class Verb:
     """The record of a verb.
 
@@ -177,6 +207,8 @@ class Verb:
         Title of its dialog.
     checks : str
         What is said to have failed where the view names something that does not hold; the name where empty.
+    stored : tuple of Stored
+        What it stores in a run, as far as that is shown.
     """
 
     name: str
@@ -185,6 +217,7 @@ class Verb:
     moves_arms: bool = False
     question: str = ""
     checks: str = ""
+    stored: tuple[Stored, ...] = ()
 
     @property
     def summary(self) -> str:
@@ -218,6 +251,11 @@ class Verb:
     def view(self, result: Result, request: Request | None = None) -> View:
         """How a result is shown; ``request`` is what was asked for, None for a result that is stored."""
         view: View = self._part("view").view(result, request)
+        return view
+
+    def stored_view(self, stored: Stored, result: Result) -> View:
+        """How one of its stored results is shown."""
+        view: View = getattr(self._part("view"), stored.view)(result)
         return view
 
     def _part(self, name: str) -> Any:

@@ -9,15 +9,19 @@ from cellapp.commands.demo.request import VERB as DEMO
 from cellapp.commands.discover.request import VERB as DISCOVER
 from cellapp.commands.import_.request import VERB as IMPORT
 from cellapp.commands.locate.request import VERB as LOCATE
+from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Verb
 from cellapp.commands.replay.request import VERB as REPLAY
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.run.request import VERB as RUN
+from cellapp.commands.show.later import LATER
+from cellapp.commands.show.request import show_verb
 
-VERBS: tuple[Verb, ...] = (
+_VERBS: tuple[Verb, ...] = (
     RUN,
     DEMO,
+    PLAN,
     COLLECT,
     REPLAY,
     IMPORT,
@@ -28,3 +32,6 @@ VERBS: tuple[Verb, ...] = (
     PUSH,
     REPORT,
 )
+STORING: tuple[Verb, ...] = (*_VERBS, *LATER)
+"""What ``show`` shows the results of."""
+VERBS: tuple[Verb, ...] = (*_VERBS, show_verb(STORING))

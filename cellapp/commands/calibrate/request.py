@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from cellapp.commands.fields import Prior, RunFolder
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, Request, Stored, Verb
 
 
 class CalibrateRequest(Request):
@@ -16,4 +16,12 @@ class CalibrateRequest(Request):
     prior: Prior = None
 
 
-VERB = Verb("calibrate", CalibrateRequest, chapter="tutorial")
+VERB = Verb(
+    "calibrate",
+    CalibrateRequest,
+    chapter="tutorial",
+    stored=(
+        Stored("calibration", "no calibration is", ("calibrate",)),
+        Stored("parameters", "no calibration is", ("calibrate",), view="parameters_view"),
+    ),
+)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cellapp.commands.fields import RunFolder, TargetsPath
-from cellapp.commands.record import Request, Verb
+from cellapp.commands.record import Request, Stored, Verb
 
 
 class CompensateRequest(Request):
@@ -13,4 +13,9 @@ class CompensateRequest(Request):
     targets: TargetsPath
 
 
-VERB = Verb("compensate", CompensateRequest, chapter="targets")
+VERB = Verb(
+    "compensate",
+    CompensateRequest,
+    chapter="targets",
+    stored=(Stored("targets", "no compensated targets are", ("compensate",)),),
+)

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, Request, Stored, Verb
 
 
 class DiscoverRequest(Request):
@@ -22,4 +22,9 @@ class DiscoverRequest(Request):
         return "" if self.propose is None else "propose"
 
 
-VERB = Verb("discover", DiscoverRequest, chapter="discovery")
+VERB = Verb(
+    "discover",
+    DiscoverRequest,
+    chapter="discovery",
+    stored=(Stored("discovery", "no discovery is", ("discover",)),),
+)

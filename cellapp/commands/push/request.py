@@ -7,7 +7,7 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, model_validator
 
 from cellapp.commands.fields import OutOfDate, RunFolder, TargetsPath
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, Request, Stored, Verb
 
 MOST_ROUNDS = 20
 """Corrections of one target: each more than halves what remains, so that more only follow the noise."""
@@ -47,4 +47,12 @@ class PushRequest(Request):
         return self
 
 
-VERB = Verb("push", PushRequest, chapter="targets", moves_arms=True, question="Push and verify?", checks="verification")
+VERB = Verb(
+    "push",
+    PushRequest,
+    chapter="targets",
+    moves_arms=True,
+    question="Push and verify?",
+    checks="verification",
+    stored=(Stored("verification", "no verification is", ("verify",), "push --verify"),),
+)

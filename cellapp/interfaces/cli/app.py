@@ -32,7 +32,7 @@ from cellapp.interfaces.cli.options import (
 from cellapp.interfaces.cli.program import run_program
 from cellapp.interfaces.cli.request_commands import abort, pause, resume, stop
 from cellapp.interfaces.cli.runs import compare, runs
-from cellapp.interfaces.cli.show import schema, show
+from cellapp.interfaces.cli.show import schema
 from cellapp.interfaces.cli.trials import trials_app
 
 app = Commands(
@@ -90,55 +90,6 @@ def doctor(
             raise CheckFailed(f"{len(result.failed)} of {len(result.findings)} checks failed")
 
 
-@app.command()
-def plan(
-    profile: Annotated[Path | None, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            "--run",
-            metavar="DIR",
-            help="Folder of the new run; with --add, --replan, --freeze that of the run to change.",
-        ),
-    ] = None,
-    source: Annotated[
-        Path | None, typer.Option("--from", metavar="FILE", help="Take the plan from FILE exactly as it is written.")
-    ] = None,
-    keep: Annotated[
-        Path | None,
-        typer.Option("--keep", metavar="FILE", help="Freeze the stops of FILE; design the rest around."),
-    ] = None,
-    check: Annotated[
-        Path | None,
-        typer.Option("--check", metavar="FILE", help="Only check the plan in FILE; exit code 1 if unsafe."),
-    ] = None,
-    add: Annotated[
-        int | None, typer.Option("--add", metavar="N", min=1, max=100_000, help="Append N stops to the plan of a run.")
-    ] = None,
-    replan: Annotated[
-        bool, typer.Option("--replan", help="Design the stops of a run that are not measured again.")
-    ] = False,
-    freeze: Annotated[
-        str | None,
-        typer.Option(
-            "--freeze", metavar="LIST", help="Configurations, as 0-9,12, that later designs of the run leave."
-        ),
-    ] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Only say what the tracker sees of each arm's workspace; nothing is stored.")
-    ] = False,
-    json_file: JsonOption = None,
-) -> None:
-    """Plan the stops of a run: visible to the tracker, safe to stand at and to reach.
-
-    'cellapp export DIR --plan FILE' writes a plan as CSV, to be edited by hand.
-    """
-    from cellapp.interfaces.cli.plan import PlanChoice, run_plan
-
-    with Job(json_file) as job:
-        run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan, freeze, view))
-
-
 for verb in VERBS:
     app.command(verb.name)(command_of(verb))
 
@@ -158,7 +109,6 @@ for command in (
     compare,
     fleet,
     recalibrate,
-    show,
     schema,
     docs,
 ):

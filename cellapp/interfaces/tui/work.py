@@ -66,18 +66,6 @@ def whole_day(profile: Path, folder: Path, agreed: Profile) -> Job:
     return replace(job, work=work)
 
 
-def plan(profile: Path, folder: Path) -> Job:
-    """Make a new run with its plan."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.profile import load_profile
-        from cellapp.commands.plan.run import plan_new_run
-
-        return plan_new_run(load_profile(profile), folder, listener, control)
-
-    return Job("plan", work, folder)
-
-
 def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
     """Make profile and run of readings that were recorded elsewhere; ``home`` has the folders of profiles and runs."""
 
@@ -104,18 +92,6 @@ def at_rest(folder: Path, arm: str) -> Job:
         return AtRestResult(run=str(folder), arm=arm, counted_as_moving=note_at_rest(run, arm, BY_PERSON))
 
     return on_run("at rest", folder, work)
-
-
-def view(profile: Path) -> Job:
-    """Look at what the tracker sees of each arm's workspace; nothing is planned."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.planning.view import view_workspace
-        from cellapp.cell.profile import load_profile
-
-        return view_workspace(load_profile(profile), listener, control)
-
-    return Job("view", work)
 
 
 def check_plan(folder: Path) -> Job:
@@ -149,64 +125,6 @@ def write_plan(folder: Path, path: Path) -> Job:
         return export_run(run, None, None, path, RENEWED)
 
     return _of_run("export", folder, work)
-
-
-def check_plan_file(profile: Path, path: Path) -> Job:
-    """Check a plan that was edited by hand; nothing is stored."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.profile import load_profile
-        from cellapp.commands.plan.run import check_plan_file
-
-        return check_plan_file(load_profile(profile), path, listener, control)
-
-    return Job("check", work)
-
-
-def plan_with_file(profile: Path, path: Path, folder: Path, *, around: bool) -> Job:
-    """Make a run with the plan of a file, as it is written or with other stops designed ``around`` its own."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.profile import load_profile
-        from cellapp.commands.plan.run import plan_around_file, plan_from_file
-
-        make = plan_around_file if around else plan_from_file
-        return make(load_profile(profile), path, folder, listener, control)
-
-    return Job("plan", work, folder)
-
-
-def freeze_stops(folder: Path, stops: Sequence[int]) -> Job:
-    """Let later designs of a run's plan leave these stops, and no others."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.plan.run import freeze_stops
-
-        return freeze_stops(run, stops)
-
-    return on_run("freeze", folder, work)
-
-
-def extend_plan(folder: Path, count: int) -> Job:
-    """Append stops to the plan of a run."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.plan.run import extend_plan
-
-        return extend_plan(run, count, listener, control)
-
-    return on_run("plan", folder, work)
-
-
-def replan(folder: Path) -> Job:
-    """Design the stops of a run that are not measured again."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.plan.run import replan
-
-        return replan(run, listener, control)
-
-    return on_run("plan", folder, work)
 
 
 def follow(folder: Path, request: FollowRequest) -> Job:
