@@ -14,7 +14,6 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.basis import basis_of
 from cellapp.commands.stages import RunStages, read_history, read_stages
-from cellapp.ground.errors import CheckFailed
 from cellapp.ground.results import CERTIFICATE
 
 CERTIFICATE_FILE = "certificate.json"
@@ -40,10 +39,10 @@ def complaints_of(run: RunFile, stages: RunStages | None = None) -> list[str]:
     return [*outdated, *_page_complaints(run, stages), *_certificate_complaints(run, stages)]
 
 
-def check_nothing_out_of_date(run: RunFile, verb: str) -> None:
-    """Raise ``CheckFailed`` with all complaints if there are any: what ``--strict`` asks for."""
-    if complaints := complaints_of(run):
-        raise CheckFailed(f"{verb}: {'; '.join(complaints)}")
+def complaints_in(folder: Path) -> list[str]:
+    """``complaints_of`` the run in a folder, as it is now: what ``--strict`` asks for."""
+    with RunFile.open(folder) as run:
+        return complaints_of(run)
 
 
 def _page_complaints(run: RunFile, stages: RunStages) -> list[str]:

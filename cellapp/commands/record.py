@@ -15,6 +15,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -24,6 +25,7 @@ from cellapp.ground.errors import InputError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from cellapp.cell.run import RunFile
     from cellapp.commands.view.table import Table
     from cellapp.ground.control import JobControl
     from cellapp.ground.outputs import Outputs
@@ -115,6 +117,10 @@ class Request(BaseModel):
         """Whether the arms may move for this request of a verb that moves arms."""
         return True
 
+    def job_name(self) -> str:
+        """What its job is called, where that says more than the verb's name; else empty."""
+        return ""
+
     @classmethod
     def option_of(cls, name: str) -> str:
         """How the command line calls a field: its option, or the metavar of an argument."""
@@ -131,6 +137,8 @@ class View:
     parts : sequence of Table or str
     failed : sequence of str
         What did not hold.
+    checks : str
+        What is said to have failed, where that is not what the verb checks.
     refused : str
         Why nothing was done, where only the work showed that; empty where something was.
     is_json : bool
@@ -139,8 +147,13 @@ class View:
 
     parts: Sequence[Table | str] = ()
     failed: Sequence[str] = ()
+    checks: str = ""
     refused: str = ""
     is_json: bool = False
+
+
+def _no_run_page(run: RunFile) -> Path:
+    raise InputError(f"{run.path}: no page can be written from here")
 
 
 def _no_result_page(result: Result, path: Path) -> Path:
@@ -178,6 +191,8 @@ class Work:
         not shown again when the verb returns it.
     choose : callable
         Question and possible answers -> the answer of a person; empty where nobody can be asked.
+    write_page : callable
+        Write the page of a run into its folder; its path.
     secret : callable
         Question, and whether it is asked twice -> what a person typed unseen; None where nobody can be asked.
     """
@@ -191,6 +206,7 @@ class Work:
     screens: Callable[[Path, Path | None, Path], Sequence[Path]] = field(default=_no_screens)
     announce: Callable[[Result], None] = field(default=lambda result: None)
     say: Callable[[str], None] = field(default=lambda sentence: None)
+    write_page: Callable[[RunFile], Path] = field(default=_no_run_page)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")
     secret: Callable[[str, bool], str | None] = field(default=lambda question, twice: None)
 
@@ -201,6 +217,31 @@ class Variant:
 
     help: str
     fixed: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Stored:
+    """How what a verb stored in a run is shown.
+
+    Attributes
+    ----------
+    part : str
+        What it is called there.
+    missing : str
+        Subject and verb where there is none, as "no calibration is".
+    stages : tuple of str
+        Names of the stages in which it is; the first one that is there is shown.
+    made_by : str
+        What follows ``cellapp`` on the command line to store it; empty: the verb's name.
+    view : str
+        The function of the verb's view that shows it.
+    """
+
+    part: str
+    missing: str
+    stages: tuple[str, ...]
+    made_by: str = ""
+    view: str = "view"
 
 
 @dataclass(frozen=True)
@@ -223,6 +264,8 @@ class Verb:
         What is said to have failed where the view names something that does not hold; the name where empty.
     variants : mapping
         Word -> what it fixes, of a verb that is followed by one of several words. The first one may be left out.
+    stored : tuple of Stored
+        What it stores in a run, as far as that is shown.
     """
 
     name: str
@@ -232,6 +275,7 @@ class Verb:
     question: str = ""
     checks: str = ""
     variants: Mapping[str, Variant] = field(default_factory=dict)
+    stored: tuple[Stored, ...] = ()
 
     @property
     def summary(self) -> str:
@@ -265,6 +309,11 @@ class Verb:
     def view(self, result: Result, request: Request | None = None) -> View:
         """How a result is shown; ``request`` is what was asked for, None for a result that is stored."""
         view: View = self._part("view").view(result, request)
+        return view
+
+    def stored_view(self, stored: Stored, result: Result) -> View:
+        """How one of its stored results is shown."""
+        view: View = getattr(self._part("view"), stored.view)(result)
         return view
 
     def _part(self, name: str) -> Any:

@@ -9,7 +9,9 @@ from pathlib import Path
 from cellapp.cell.run.file import RunFile
 from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_arms, recorded_priors
+from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.calibrate.result import calibrate_result
+from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
@@ -23,6 +25,12 @@ from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.model import CellModel
+
+
+def run(request: CalibrateRequest, work: Work) -> CalibrateResult:
+    """Calibrate the run."""
+    with RunFile.open(request.folder, write=True) as opened:
+        return calibrate_run(opened, work.listener, work.control, prior=request.prior)
 
 
 def calibrate_run(

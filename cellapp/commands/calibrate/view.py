@@ -1,4 +1,4 @@
-"""Accuracy tables of a calibration, for terminal, TUI and page."""
+"""Accuracy tables of calibration and verification, for terminal, TUI and page."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import math
 from collections.abc import Mapping
 
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
-from cellapp.commands.view.table import Cell, Column, Interval, Table, View, number_column
+from cellapp.commands.calibrate.request import CalibrateRequest
+from cellapp.commands.record import Request, View
+from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column
 from cellapp.commands.view.words import geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult
 from cellapp.ground.results import METHODS, STAGES, ErrorSummary
@@ -23,7 +25,20 @@ _DETAILED_COLUMNS = (
     number_column("n", "d"),
 )
 _TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
+_PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
+
+
+def view(result: CalibrateResult, request: Request | None = None) -> View:
+    """Held-out errors, the parameters if they are asked for, and what the tracker's own uncertainty is beside them."""
+    parameters = isinstance(request, CalibrateRequest) and request.parameters
+    shown = parameters_view(result).parts if parameters else ()
+    return View((*calibration_tables(result), *shown, *tracker_sentences(result), *result.notes))
+
+
+def parameters_view(result: CalibrateResult) -> View:
+    """Identified parameters, and which were merged into others."""
+    return View((*parameter_tables(result), *merged_sentences(result)))
 
 
 def calibration_tables(result: CalibrateResult) -> list[Table]:
@@ -38,16 +53,6 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *ERROR_COLUMNS), tuple(rows)))
     return [*tables, *prior_tables(result)]
-
-
-def calibration_view(result: CalibrateResult) -> View:
-    """What ``show DIR calibration`` prints."""
-    return [*calibration_tables(result), *tracker_sentences(result), *result.notes]
-
-
-def parameters_view(result: CalibrateResult) -> View:
-    """What ``show DIR parameters`` prints: identified parameters, and which dropped ones are merged into them."""
-    return [*parameter_tables(result), *merged_sentences(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -163,11 +168,6 @@ def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSum
             if errors.distance_mm is not None:
                 found.append((f"{stage}, distance", "distance", errors.distance_mm))
     return found
-
-
-def error_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
-    """Cells of ``ERROR_COLUMNS``."""
-    return summary.mean, summary.rms, summary.std, summary.max, summary.n
 
 
 def _detailed_cells(summary: ErrorSummary) -> tuple[Cell, ...]:

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import SecretStr
 
 from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb, Writes
+from cellapp.commands.record import Asked, Request, Stored, Verb, Writes
 
 
 class CertificateRequest(Request):
@@ -59,4 +59,10 @@ class CertificateRequest(Request):
     strict: Annotated[bool, Asked("Exit code 1 unless all is verified, holds and conforms.")] = False
 
 
-VERB = Verb("certificate", CertificateRequest, chapter="certificate", question="Write the certificate")
+VERB = Verb(
+    "certificate",
+    CertificateRequest,
+    chapter="certificate",
+    question="Write the certificate",
+    stored=(Stored("certificate", "no certificate is", ("certificate",)),),
+)

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, Request, Stored, Verb
 
 STOPS = 20
 FEWEST_STOPS = 4
@@ -37,4 +37,11 @@ class CheckRequest(Request):
     ] = None
 
 
-VERB = Verb("check", CheckRequest, chapter="check", moves_arms=True, question="Check the calibration?")
+VERB = Verb(
+    "check",
+    CheckRequest,
+    chapter="check",
+    moves_arms=True,
+    question="Check the calibration?",
+    stored=(Stored("check", "no check is", ("check",)),),
+)

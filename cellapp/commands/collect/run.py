@@ -7,11 +7,26 @@ from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_share, reference_drifts
+from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import refuse_second_station
+from cellapp.commands.record import Work
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.threads import one_blas_thread
+
+
+def run(request: CollectRequest, work: Work) -> CollectResult:
+    """Measure the planned stops of the run."""
+    with RunFile.open(request.folder, write=True) as opened:
+        return collect_stops(
+            opened,
+            work.listener,
+            work.control,
+            resume=request.resume,
+            accept_drift=request.accept_drift,
+            ask=work.ask(opened.profile.name),
+        )
 
 
 def collect_stops(

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.driving.records import CollectionResult, CollectResult, ReplayResult
+from cellapp.cell.driving.records import CollectionResult, CollectResult
 from cellapp.cell.run.records import MissingReading
+from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.times import second_of
 
 _MOST_LISTED = 10
 """Missing readings that are printed one by one; ``show DIR collection`` has all."""
+
+
+def view(result: CollectResult, request: Request | None = None) -> View:
+    """What is stored, what is missing, and what was noticed."""
+    return View((*collect_lines(result), *other_notes(result, result.notes)), result.complaints())
 
 
 def collect_lines(result: CollectResult) -> list[str]:
@@ -25,16 +31,6 @@ def collect_lines(result: CollectResult) -> list[str]:
             lines.append(f"  and {len(groups) - _MOST_LISTED} more: 'cellapp show DIR collection' lists all")
     errors = ", ".join(f"{name} {error:.4f} mm" for name, error in result.standard_error_mm.items())
     return [*lines, f"standard error of a predicted position: {errors}"] if errors else lines
-
-
-def replay_lines(result: ReplayResult) -> list[str]:
-    """What was played back, and how fast."""
-    counts = ", ".join(f"{name} {count}" for name, count in result.readings.items())
-    pace = "recorded in" if result.timed else "without times, at a fixed pace"
-    return [
-        f"{result.stops} stops played back, readings: {counts}",
-        f"{pace} {result.duration_s / 60.0:.1f} min, played {result.speed:g} times as fast",
-    ]
 
 
 def other_notes(result: CollectResult | None, notes: Sequence[str]) -> list[str]:

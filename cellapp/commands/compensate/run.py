@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import Command, compensate, compensate_result
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
-from cellapp.cell.targets.targets import Target
+from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.cell.targets.unplaced_cell import UNPLACED, commanded_profile, is_unplaced
+from cellapp.commands.compensate.request import CompensateRequest
+from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force, stale_notes
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import COMPENSATE
 from cellapp.robot.model import CellModel
+
+
+def run(request: CompensateRequest, work: Work) -> CompensateResult:
+    """Compute and store the commands."""
+    with RunFile.open(request.folder, write=True) as opened:
+        return compensate_run(opened, listed_targets(request.targets, opened.profile))
+
+
+def listed_targets(targets: Path | tuple[Target, ...], profile: Profile) -> tuple[Target, ...]:
+    """The targets of a request: those of its file, or as a program gave them."""
+    return load_targets(targets, profile) if isinstance(targets, Path) else targets
 
 
 def compensate_run(run: RunFile, targets: Sequence[Target]) -> CompensateResult:

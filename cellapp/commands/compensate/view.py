@@ -1,13 +1,14 @@
-"""What a compensation says."""
+"""The result of ``compensate`` as tables and sentences."""
 
 from __future__ import annotations
 
 from cellapp.cell.targets.records import CompensateResult
-from cellapp.commands.compensate.tables import stored_tables
+from cellapp.commands.compensate.tables import predicted_tables, stored_tables
 from cellapp.commands.compensate.words import compensate_lines
-from cellapp.commands.view.table import View
+from cellapp.commands.record import Request, View
 
 
-def compensation_view(result: CompensateResult) -> View:
-    """What ``show DIR targets`` prints: commands, uncertainties, predictions, and what must be known of them."""
-    return [*stored_tables(result), *compensate_lines(result)]
+def view(result: CompensateResult, request: Request | None = None) -> View:
+    """What is expected at the targets; of a stored result also the commands and what makes them uncertain."""
+    tables = stored_tables(result) if request is None else predicted_tables(result)
+    return View((*tables, *compensate_lines(result)))

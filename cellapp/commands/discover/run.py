@@ -11,7 +11,9 @@ from cellapp.cell.planning.proposed_stops import append_proposed_stops, why_not_
 from cellapp.cell.run import RunFile
 from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
+from cellapp.commands.discover.request import DiscoverRequest
 from cellapp.commands.discover.result import discover_result, proposal_result
+from cellapp.commands.record import Work
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import append_with_model, export_model, model_of
 from cellapp.estimation.calibration.calibrate import provenance_of
@@ -27,6 +29,14 @@ from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.model import CellModel
+
+
+def run(request: DiscoverRequest, work: Work) -> DiscoverResult:
+    """Search the run; propose stops if that is asked for."""
+    with RunFile.open(request.folder, write=True) as opened:
+        if request.propose is None:
+            return discover_run(opened, work.listener, work.control)
+        return propose_run(opened, request.propose, work.listener, work.control)
 
 
 def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> DiscoverResult:

@@ -7,8 +7,9 @@ import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 
+from cellapp.commands.discover.proposal_view import proposal_lines
 from cellapp.commands.discover.tables import gap_steps, noise_floor, noise_floor_words, size_tables
-from cellapp.commands.view.table import View
+from cellapp.commands.record import Request, View
 from cellapp.commands.view.words import place_words, probability_words, ranges, short_reason
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
@@ -32,6 +33,12 @@ _NOT_IMPROBABLE = 0.05
 """Probability from which an effect that was not accepted is mentioned."""
 _GAP_DEG = 10.0
 """The widest range of a joint without readings is named from here on: narrower ones are plain sampling."""
+
+
+def view(result: DiscoverResult, request: Request | None = None) -> View:
+    """What was found, the sizes of the effects, what they mean, and the stops that were proposed."""
+    proposed = () if result.proposal is None else ("", *proposal_lines(result.proposal))
+    return View((*discovery_lines(result), *size_tables(result), "", *meaning_lines(result), *proposed))
 
 
 def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
@@ -68,11 +75,6 @@ def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
     for note in result.notes or ():
         lines += _hanging("Note  ", note, width)
     return lines
-
-
-def discovery_view(result: DiscoverResult) -> View:
-    """What ``show DIR discovery`` prints: what was found, the values of the effects, what they mean."""
-    return [*discovery_lines(result), *size_tables(result), "", *meaning_lines(result)]
 
 
 def _accepted_lines(accepted: Sequence[AcceptedEffect], width: int) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import model_validator
 
 from cellapp.commands.fields import OutOfDate, RunFolder
-from cellapp.commands.record import Asked, Request, Verb, Writes
+from cellapp.commands.record import Asked, Request, Stored, Verb, Writes
 
 
 class FollowRequest(Request):
@@ -67,4 +67,11 @@ class FollowRequest(Request):
         return self
 
 
-VERB = Verb("follow", FollowRequest, chapter="paths", moves_arms=True, question="Follow paths")
+VERB = Verb(
+    "follow",
+    FollowRequest,
+    chapter="paths",
+    moves_arms=True,
+    question="Follow paths",
+    stored=(Stored("paths", "no paths are", ("follow", "path")),),
+)

@@ -5,9 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 from cellapp.cell.driving.records import ImportResult
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import import_csv
 from cellapp.cell.run.in_order import read_in_order
+from cellapp.commands.import_.request import ImportRequest
+from cellapp.commands.record import Work
 from cellapp.ground.profile import Profile
+
+
+def run(request: ImportRequest, work: Work) -> ImportResult:
+    """Make the run."""
+    return import_new_run(load_profile(request.profile), request.csv, request.folder, in_order=request.in_order)
 
 
 def import_new_run(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> ImportResult:

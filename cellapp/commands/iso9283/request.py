@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from cellapp.commands.fields import OutOfDate
-from cellapp.commands.record import Asked, Request, Variant, Verb
+from cellapp.commands.record import Asked, Request, Stored, Variant, Verb
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands, IsoTest
 
 _HELP: Mapping[IsoTest, str] = {
@@ -132,4 +132,5 @@ VERB = Verb(
     question="Measure by ISO 9283?",
     variants={"all": Variant("All tests; this word may be left out.", {"tests": ISO_TESTS})}
     | {test: Variant(_HELP[test], {"tests": (test,)}) for test in ISO_TESTS},
+    stored=(Stored("iso9283", "no test by ISO 9283 is", ("iso9283",)),),
 )

@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, Request, Stored, Verb
 
 _POSE = "x,y,z,r,p,y in m, deg"
 
@@ -39,5 +39,11 @@ class LocateRequest(Request):
 
 
 VERB = Verb(
-    "locate", LocateRequest, chapter="check", moves_arms=True, question="Locate the tracker?", checks="location"
+    "locate",
+    LocateRequest,
+    chapter="check",
+    moves_arms=True,
+    question="Locate the tracker?",
+    checks="location",
+    stored=(Stored("location", "no station of the tracker is", ("locate",)),),
 )

@@ -10,8 +10,8 @@ from cellapp.cell.planning.design_records import ArmDesign, FactorCorrelation, P
 from cellapp.cell.planning.joint_draws import joint_ranges
 from cellapp.cell.planning.records import PlannedTime
 from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.commands.plan.check_view import duration_words
 from cellapp.commands.plan.result import PlannedStop
-from cellapp.commands.plan.view import duration_words
 from cellapp.commands.view.charts import Array, Axis, Chart, bar_chart, enumerated, mm, series
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

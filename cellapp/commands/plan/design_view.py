@@ -6,7 +6,7 @@ import math
 
 from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.planning.design_records import ArmDesign, FactorCorrelation, ObservabilityIndices, PlanDesignResult
-from cellapp.commands.plan.view import TIME_RESTS_ON, duration_words, time_sentence
+from cellapp.commands.plan.check_view import TIME_RESTS_ON, duration_words, time_sentence
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 
 _SINGULAR = 1e-9

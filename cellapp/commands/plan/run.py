@@ -17,6 +17,7 @@ import numpy as np
 from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
+from cellapp.cell.planning.design_records import ViewResult
 from cellapp.cell.planning.duration import planned_time
 from cellapp.cell.planning.method import make_stops, plan_run
 from cellapp.cell.planning.plan_csv import PlanFile, read_plan_csv, write_plan_csv
@@ -24,9 +25,13 @@ from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
 from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
 from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops, write_planned_stops
+from cellapp.cell.planning.view import view_workspace
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.commands.plan.check_view import file_refusal_sentence
+from cellapp.commands.plan.request import PlanRequest
 from cellapp.commands.plan.result import PlannedStop, StopsResult
-from cellapp.commands.plan.view import file_refusal_sentence
+from cellapp.commands.record import Work
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
@@ -39,6 +44,33 @@ _CHANGED = "plan changed: "
 _NUMBERS = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
 _SEED = 0xADD
 """Beside the profile's seed: other candidates than those of which some could not be reached."""
+
+
+def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | ViewResult:
+    """Make, change or check a plan, or look at what can be planned, as is asked for."""
+    if request.profile is None:
+        assert request.folder is not None, "the request says so"
+        return _changed(request, request.folder, work)
+    profile, watched = load_profile(request.profile), (work.listener, work.control)
+    if request.check is not None:
+        return check_plan_file(profile, request.check, *watched)
+    if request.view:
+        return view_workspace(profile, *watched)
+    assert request.folder is not None, "the request says so"
+    if request.source is not None:
+        return plan_from_file(profile, request.source, request.folder, *watched)
+    if request.keep is not None:
+        return plan_around_file(profile, request.keep, request.folder, *watched)
+    return plan_new_run(profile, request.folder, *watched)
+
+
+def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
+    with RunFile.open(folder, write=True) as opened:
+        if request.freeze is not None:
+            return freeze_stops(opened, stop_numbers(request.freeze), work.control)
+        if request.add is not None:
+            return extend_plan(opened, request.add, work.listener, work.control)
+        return replan(opened, work.listener, work.control)
 
 
 def default_folder(profile_name: str) -> Path:

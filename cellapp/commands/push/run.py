@@ -16,9 +16,11 @@ from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target
 from cellapp.commands.certificate.evidence import evidence_of
-from cellapp.commands.compensate.run import compensated_commands
+from cellapp.commands.compensate.run import compensated_commands, listed_targets
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import profile_at_station
+from cellapp.commands.push.request import VERB, PushRequest
+from cellapp.commands.record import Work
 from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force
@@ -29,9 +31,6 @@ from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import PUSH, VERIFY
-
-MOST_ROUNDS = 20
-"""Corrections of one target: each more than halves what remains, so that more only follow the noise."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +53,19 @@ class PushJob:
     out_of_date: bool
 
 
-def check_rounds(iterate: int | None, *, verify: bool) -> None:
-    """Raise ``InputError`` unless a number of corrections makes sense; None asks for none."""
-    if iterate is None:
-        return
-    if not 1 <= iterate <= MOST_ROUNDS:
-        raise InputError(f"push: --iterate: expected 1 to {MOST_ROUNDS} rounds, got {iterate}; nothing was moved")
-    if not verify:
-        raise InputError("push: --iterate corrects what was measured; add --verify. Nothing was moved")
+def run(request: PushRequest, work: Work) -> VerifyResult:
+    """Push the targets."""
+    with RunFile.open(request.folder, write=True) as opened:
+        return push_run(
+            opened,
+            listed_targets(request.targets, opened.profile),
+            work.listener,
+            work.control,
+            verify=request.verify,
+            iterate=request.iterate,
+            out_of_date=request.out_of_date,
+            ask=work.ask(opened.profile.name),
+        )
 
 
 def push_run(
@@ -93,7 +97,8 @@ def push_run(
     Cancelled
     """
     control = control or JobControl()
-    check_rounds(iterate, verify=verify)
+    asked = {"folder": run.folder, "targets": tuple(targets), "verify": verify, "iterate": iterate}
+    VERB.asked(asked)  # refuses a number of corrections that makes no sense
     with running_job(run, control, "verify" if verify else "push", listener) as listener:
         return push_targets(
             run, targets, listener, control, ask, verify=verify, iterate=iterate, out_of_date=out_of_date

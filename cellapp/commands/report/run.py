@@ -6,12 +6,21 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.record import Work
+from cellapp.commands.report.request import PDF_FILE, ReportRequest
 from cellapp.commands.report.result import ReportResult, read_results, shown_by
 from cellapp.ground.chromium import print_pdf
 from cellapp.ground.outputs import RENEWED, Outputs
 
 PageWriter = Callable[[RunFile], Path]
 """Writes the page of a run into its folder and returns the page's path."""
+
+
+def run(request: ReportRequest, work: Work) -> ReportResult:
+    """Write the page; an own PDF is written as other files are, the usual one is renewed."""
+    printed_to = (request.out or request.folder / PDF_FILE) if request.pdf else None
+    with RunFile.open(request.folder) as opened:
+        return report_run(opened, work.write_page, printed_to, RENEWED if request.out is None else work.outputs)
 
 
 def report_run(

@@ -13,11 +13,19 @@ from cellapp.commands.confirm import Ask, asked_once, require_permission
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import default_folder, new_planned_run
 from cellapp.commands.push.run import push_targets
+from cellapp.commands.record import Work
 from cellapp.commands.report.result import read_results, shown_by
 from cellapp.commands.report.run import PageWriter
+from cellapp.commands.run.request import RunRequest
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Listener, ignore
+
+
+def run(request: RunRequest, work: Work) -> WholeRunResult:
+    """Do everything."""
+    ask = work.ask(load_profile(request.profile).name)
+    return run_whole(request.profile, request.folder, work.write_page, work.listener, work.control, ask=ask)
 
 
 def run_whole(

@@ -101,7 +101,7 @@ class Table:
         )
 
 
-View: TypeAlias = Sequence[Table | str]
+Parts: TypeAlias = Sequence[Table | str]
 """What a result says, in the order of reading: tables, and lines between them."""
 
 

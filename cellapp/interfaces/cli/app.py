@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,24 +11,9 @@ from cellapp.commands.registry import VERBS
 from cellapp.ground.version import __version__
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import command_of, group_of
-from cellapp.interfaces.cli.job import Job, open_run, require_none
-from cellapp.interfaces.cli.motion import asking
-from cellapp.interfaces.cli.options import (
-    AllowMotion,
-    JsonOption,
-    NewRun,
-    OutOfDate,
-    PriorOption,
-    ProfilePath,
-    RunFolder,
-    TargetsPath,
-)
 from cellapp.interfaces.cli.program import run_program
-from cellapp.interfaces.cli.report import report
 from cellapp.interfaces.cli.request_commands import abort, pause, resume, stop
-from cellapp.interfaces.cli.show import show, show_discovery
 from cellapp.interfaces.cli.trials import trials_app
-from cellapp.interfaces.cli.whole_run import demo, run
 
 app = Commands(
     help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
@@ -64,247 +48,11 @@ def tui(
         raise typer.Exit(run_app())
 
 
-for whole in (run, demo):
-    app.command()(whole)
-
-
-@app.command()
-def plan(
-    profile: Annotated[Path | None, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            "--run",
-            metavar="DIR",
-            help="Folder of the new run; with --add, --replan, --freeze that of the run to change.",
-        ),
-    ] = None,
-    source: Annotated[
-        Path | None, typer.Option("--from", metavar="FILE", help="Take the plan from FILE exactly as it is written.")
-    ] = None,
-    keep: Annotated[
-        Path | None,
-        typer.Option("--keep", metavar="FILE", help="Freeze the stops of FILE; design the rest around."),
-    ] = None,
-    check: Annotated[
-        Path | None,
-        typer.Option("--check", metavar="FILE", help="Only check the plan in FILE; exit code 1 if unsafe."),
-    ] = None,
-    add: Annotated[
-        int | None, typer.Option("--add", metavar="N", min=1, max=100_000, help="Append N stops to the plan of a run.")
-    ] = None,
-    replan: Annotated[
-        bool, typer.Option("--replan", help="Design the stops of a run that are not measured again.")
-    ] = False,
-    freeze: Annotated[
-        str | None,
-        typer.Option(
-            "--freeze", metavar="LIST", help="Configurations, as 0-9,12, that later designs of the run leave."
-        ),
-    ] = None,
-    view: Annotated[
-        bool, typer.Option("--view", help="Only say what the tracker sees of each arm's workspace; nothing is stored.")
-    ] = False,
-    json_file: JsonOption = None,
-) -> None:
-    """Plan the stops of a run: visible to the tracker, safe to stand at and to reach.
-
-    'cellapp export DIR --plan FILE' writes a plan as CSV, to be edited by hand.
-    """
-    from cellapp.interfaces.cli.plan import PlanChoice, run_plan
-
-    with Job(json_file) as job:
-        run_plan(job, PlanChoice(profile, folder, source, keep, check, add, replan, freeze, view))
-
-
-@app.command()
-def collect(
-    folder: RunFolder,
-    resume: Annotated[bool, typer.Option("--resume", help="Continue a run that was interrupted.")] = False,
-    accept_drift: Annotated[
-        bool, typer.Option("--accept-drift", help="Count drift from new reference measurements on.")
-    ] = False,
-    allow_motion: AllowMotion = False,
-    json_file: JsonOption = None,
-) -> None:
-    """Drive the planned stops and measure; every stop is committed before the next move."""
-    from cellapp.commands.collect.run import collect_stops
-    from cellapp.commands.collect.view import collect_lines, other_notes
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        ask = asking(job, opened.profile.name, allowed=allow_motion)
-        result = collect_stops(opened, job.listen, job.control, resume=resume, accept_drift=accept_drift, ask=ask)
-        job.say(*collect_lines(result), *other_notes(result, result.notes))
-        job.result(result)
-        require_none(result.complaints(), "collect")
-
-
-@app.command()
-def replay(
-    folder: RunFolder,
-    speed: Annotated[
-        float, typer.Option("--speed", metavar="X", help="Times the recorded pace, from 1 to 100.")
-    ] = 10.0,
-    json_file: JsonOption = None,
-) -> None:
-    """Play the collecting of a run back: the same events, the same running model; nothing moves, nothing is written."""
-    from cellapp.cell.driving.replay import replay_run
-    from cellapp.commands.collect.view import replay_lines
-
-    with Job(json_file) as job, open_run(folder) as opened:
-        result = replay_run(opened, job.listen, job.control, speed=speed)
-        job.say(*replay_lines(result))
-        job.result(result)
-
-
-@app.command("import")
-def import_(
-    profile: ProfilePath,
-    csv: Annotated[Path, typer.Argument(metavar="CSV", help="Readings; 'cellapp docs files' has the columns.")],
-    folder: NewRun,
-    in_order: Annotated[
-        bool,
-        typer.Option(
-            "--in-order",
-            help="Rows stand in the order of measurement (with time_s: by time); derive missing approach and step.",
-        ),
-    ] = False,
-    json_file: JsonOption = None,
-) -> None:
-    """Make a run from readings that were measured elsewhere."""
-    from cellapp.cell.profile import load_profile
-    from cellapp.commands.import_.run import import_new_run
-
-    with Job(json_file) as job:
-        result = import_new_run(load_profile(profile), csv, folder, in_order=in_order)
-        job.say(*(f"arm {name}: {count} readings" for name, count in result.readings.items()), *result.notes)
-        job.result(result)
-
-
-@app.command()
-def calibrate(
-    folder: RunFolder,
-    parameters: Annotated[
-        bool, typer.Option("--parameters", help="Print the parameters too; 'show DIR parameters' prints stored ones.")
-    ] = False,
-    prior: PriorOption = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Identify arms and pair, evaluate on held-out stops, write calibration.json."""
-    from cellapp.commands.calibrate.run import calibrate_run
-    from cellapp.commands.calibrate.view import (
-        calibration_tables,
-        merged_sentences,
-        parameter_tables,
-        tracker_sentences,
-    )
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = calibrate_run(opened, job.listen, job.control, prior=prior)
-        job.show(calibration_tables(result))
-        if parameters:
-            job.show(parameter_tables(result))
-            job.say(*merged_sentences(result))
-        job.say(*tracker_sentences(result), *result.notes)
-        job.result(result)
-
-
-@app.command()
-def discover(
-    folder: RunFolder,
-    propose: Annotated[
-        int | None,
-        typer.Option(
-            "--propose", metavar="N", min=1, max=1000, help="Plan N further stops that best resolve what is open."
-        ),
-    ] = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Find where model and measurement disagree, name the missing effect, add it, show the gap shrink."""
-    from cellapp.commands.discover.proposal_view import proposal_lines
-    from cellapp.commands.discover.run import discover_run, propose_run
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        if propose is None:
-            result = discover_run(opened, job.listen, job.control)
-        else:
-            result = propose_run(opened, propose, job.listen, job.control)
-        show_discovery(job, result)
-        if result.proposal is not None:
-            job.say("", *proposal_lines(result.proposal))
-        job.result(result)
-
-
 for verb in VERBS:
     if verb.variants:
         app.add_typer(group_of(verb), name=verb.name)
     else:
         app.command(verb.name)(command_of(verb))
-
-
-@app.command()
-def compensate(folder: RunFolder, targets: TargetsPath, json_file: JsonOption = None) -> None:
-    """Joint positions that bring the real arms to Cartesian targets, from the calibrated model."""
-    from cellapp.cell.targets.targets import load_targets
-    from cellapp.commands.compensate.run import compensate_run
-    from cellapp.commands.compensate.tables import predicted_tables
-    from cellapp.commands.compensate.words import compensate_lines
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        result = compensate_run(opened, load_targets(targets, opened.profile))
-        job.show(predicted_tables(result))
-        job.say(*compensate_lines(result))
-        job.result(result)
-
-
-@app.command()
-def push(
-    folder: RunFolder,
-    targets: TargetsPath,
-    verify: Annotated[bool, typer.Option("--verify", help="Measure where the SMR really goes.")] = False,
-    iterate: Annotated[
-        int | None,
-        typer.Option("--iterate", metavar="N", help="Correct what remains by measuring, at most N times a target."),
-    ] = None,
-    out_of_date: OutOfDate = False,
-    allow_motion: AllowMotion = False,
-    json_file: JsonOption = None,
-) -> None:
-    """Move the arms to compensated targets; with --verify, measure them before and after compensation."""
-    from cellapp.cell.targets.targets import load_targets
-    from cellapp.commands.compensate.tables import verification_tables
-    from cellapp.commands.compensate.words import push_lines
-    from cellapp.commands.push.run import push_run
-
-    with Job(json_file) as job, open_run(folder, write=True) as opened:
-        listed = load_targets(targets, opened.profile)
-        ask = asking(job, opened.profile.name, allowed=allow_motion)
-        result = push_run(
-            opened,
-            listed,
-            job.listen,
-            job.control,
-            verify=verify,
-            iterate=iterate,
-            out_of_date=out_of_date,
-            ask=ask,
-        )
-        job.show(verification_tables(result))
-        job.say(*push_lines(result))
-        job.result(result)
-        if verify:
-            require_none(result.complaints(), "verification")
-
-
-for command in (
-    report,
-    pause,
-    resume,
-    stop,
-    abort,
-    show,
-):
-    app.command()(command)
-
-
+for request in (pause, resume, stop, abort):
+    app.command()(request)
 app.add_typer(trials_app, name="trials")

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
+import operator
 import os
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+from types import MappingProxyType, UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
 import annotated_types
 import typer
@@ -22,6 +24,7 @@ from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
+from cellapp.interfaces.page import certificate_page, write_page, write_result_page
 
 if TYPE_CHECKING:
     from cellapp.ground.outputs import Outputs
@@ -67,7 +70,7 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
                 _show(job, shown, result)
             if shown.refused:
                 raise InputError(shown.refused)
-            require_none(shown.failed, verb.checks or verb.name)
+            require_none(shown.failed, shown.checks or verb.checks or verb.name)
 
     own = [
         _parameter(name, field, words)
@@ -98,26 +101,15 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         job.control,
         lambda profile_name: asking(job, profile_name, allowed=allowed),
         job.outputs,
-        result_page=partial(_result_page, job.outputs),
-        certificate_page=_certificate_page,
+        write_page=write_page,
+        result_page=partial(write_result_page, outputs=job.outputs),
+        certificate_page=certificate_page,
         screens=partial(_screens, job.outputs),
         announce=announce,
         say=job.say,
         choose=_choose,
         secret=_secret,
     )
-
-
-def _result_page(outputs: Outputs, result: Result, path: Path) -> Path:
-    from cellapp.interfaces.page.result_pages import write_result_page  # 1 s; most commands write no page
-
-    return write_result_page(result, path, outputs)
-
-
-def _certificate_page(result: Any) -> str:
-    from cellapp.interfaces.page.certificate_page import certificate_page  # 1 s; most commands write no page
-
-    return certificate_page(result)
 
 
 def _screens(outputs: Outputs, profile: Path, run: Path | None, folder: Path) -> list[Path]:
@@ -169,7 +161,9 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 
 
 def _typed(annotation: Any) -> Any:
-    """The type as typer reads it: several values as a list."""
+    """The type as typer reads it: several values as a list; of what may be typed or given by a program, the former."""
     if get_origin(annotation) is tuple:
         return list.__class_getitem__(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return functools.reduce(operator.or_, (one for one in get_args(annotation) if get_origin(one) is not tuple))
     return annotation

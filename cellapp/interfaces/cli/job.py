@@ -20,7 +20,7 @@ from cellapp.interfaces.cli.command_outputs import current_outputs
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
-    from cellapp.commands.view.table import Table, View
+    from cellapp.commands.view.table import Parts, Table
     from cellapp.ground.results import Result
 
 INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
@@ -120,7 +120,7 @@ class Job:
         for table in tables:
             console.print(rich_table(table, cut=False), crop=False)
 
-    def show_view(self, view: View) -> None:
+    def show_view(self, view: Parts) -> None:
         """Print the tables and lines of a view in their order."""
         for part in view:
             if isinstance(part, str):

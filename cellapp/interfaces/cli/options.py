@@ -14,12 +14,6 @@ if TYPE_CHECKING:
 
 ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")]
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The run's folder.")]
-NewRun = Annotated[Path, typer.Option("--run", metavar="DIR", help="Folder of the new run; must not hold one yet.")]
-TargetsPath = Annotated[Path, typer.Argument(metavar="TARGETS", help="Target list: .yaml or .csv.")]
-PriorOption = Annotated[
-    Path | None,
-    typer.Option("--prior", metavar="EARLIER", help="Folder of an earlier calibrated run of the same arms, as prior."),
-]
 JsonOption = Annotated[
     str | None,
     typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output."),

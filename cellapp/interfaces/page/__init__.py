@@ -1,1 +1,33 @@
-"""The page of a run, a certificate or a fleet as one HTML file."""
+"""The page of a run, a certificate or a fleet as one HTML file. What draws them takes a second to load: it is late."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cellapp.cell.run import RunFile
+    from cellapp.commands.certificate.result import CertificateResult
+    from cellapp.ground.outputs import Outputs
+    from cellapp.ground.results import Result
+
+
+def write_page(run: RunFile) -> Path:
+    """Write the page of a run into its folder and return the page's path. Raises ``InputError`` before calibration."""
+    from cellapp.interfaces.page import page
+
+    return page.write_page(run)
+
+
+def certificate_page(result: CertificateResult) -> str:
+    """The page of a certificate as HTML."""
+    from cellapp.interfaces.page.certificate_page import certificate_page as drawn
+
+    return drawn(result)
+
+
+def write_result_page(result: Result, path: Path, outputs: Outputs) -> Path:
+    """Write the page of a result of a fleet to a file and return its path."""
+    from cellapp.interfaces.page.result_pages import write_result_page as write
+
+    return write(result, path, outputs)

@@ -9,13 +9,13 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.path_records import PathResult
 from cellapp.commands.check.charts import check_charts
 from cellapp.commands.check.view import check_sentences, check_tables
+from cellapp.commands.collect.state import collection_state
 from cellapp.commands.follow.view import stored_paths
 from cellapp.commands.iso9283.charts import iso9283_charts
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.report.data import ReportData
 from cellapp.ground.results import LOCATE
-from cellapp.interfaces.page.collection_section import collection_state
 from cellapp.interfaces.page.plan_section import PlanSection, plan_section
 from cellapp.interfaces.page.result_section import ResultSection, result_section
 from cellapp.interfaces.page.targets_section import TargetsSection, targets_section

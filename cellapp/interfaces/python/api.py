@@ -22,7 +22,7 @@ from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.report.tables import all_tables, out_of_date_sentences
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
-from cellapp.commands.view.table import View
+from cellapp.commands.view.table import Parts
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -95,7 +95,7 @@ class Run(Printed):
             f"{str(self.folder)!r}, cell {self.profile.name}, readings: {counts}, {', '.join(stored) or 'no results'}"
         )
 
-    def view(self) -> View:
+    def view(self) -> Parts:
         """Errors of the stored results, and which of them do not hold any more."""
         return [*all_tables(self.results), *out_of_date_sentences(self.results)]
 

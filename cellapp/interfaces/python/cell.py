@@ -10,7 +10,7 @@ from typing import Any
 from cellapp.cell.profile import load_profile, profile_from_dict
 from cellapp.commands.calibrate.run import calibrate_cell
 from cellapp.commands.doctor.profile_view import profile_tables
-from cellapp.commands.view.table import View
+from cellapp.commands.view.table import Parts
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.interfaces.python.fitted import Calibration
@@ -97,6 +97,6 @@ class Cell(Printed):
         arms = ", ".join(f"{name} {arm.type.model}" for name, arm in self.profile.arms.items())
         return f"{self.profile.name}: {arms}"
 
-    def view(self) -> View:
+    def view(self) -> Parts:
         """Arms, tracker and plan, one quantity a row."""
         return profile_tables(self.profile)

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import pandas as pd
+
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.python.api import Run
-from cellapp.interfaces.python.frames import parameters_frame, pd, readings_frame, residuals_frame, targets_frame
+from cellapp.interfaces.python.frames import parameters_frame, readings_frame, residuals_frame, targets_frame
 
 __all__ = ["parameters", "readings", "residuals", "targets"]
 

@@ -21,15 +21,16 @@ from cellapp.commands.calibrate.charts_accuracy import (
     stop_error_chart,
 )
 from cellapp.commands.calibrate.held_out import HeldOutArm
-from cellapp.commands.calibrate.view import calibration_view, parameters_view
+from cellapp.commands.calibrate.view import parameters_view
+from cellapp.commands.calibrate.view import view as calibration_view
 from cellapp.commands.compensate.run import compensate_targets
-from cellapp.commands.compensate.view import compensation_view
+from cellapp.commands.compensate.view import view as compensation_view
 from cellapp.commands.compensate.words import compensate_summary
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.run import discover_effects
-from cellapp.commands.discover.view import discovery_view
+from cellapp.commands.discover.view import view as discovery_view
 from cellapp.commands.view.charts import Chart
-from cellapp.commands.view.table import View
+from cellapp.commands.view.table import Parts
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
@@ -174,9 +175,9 @@ class Calibration(Fitted):
         errors = {name: arm.validate_[arm.best_stage].position_mm for name, arm in self.result.arms.items()}
         return "held out: " + ", ".join(f"{name} {one.mean:.4f} mm (n = {one.n})" for name, one in errors.items())
 
-    def view(self) -> View:
+    def view(self) -> Parts:
         """Held-out errors, notes and identified parameters, as ``cellapp show`` prints them."""
-        return [*calibration_view(self.result), "", *parameters_view(self.result)]
+        return [*calibration_view(self.result).parts, "", *parameters_view(self.result).parts]
 
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
         """Errors of the held-out readings: by stage, by configuration, as a histogram, and of the pair."""
@@ -210,9 +211,9 @@ class Discovery(Fitted):
             for name, arm in self.result.arms.items()
         )
 
-    def view(self) -> View:
+    def view(self) -> Parts:
         """What was found, the values of the effects and what they mean, as ``cellapp show`` prints it."""
-        return discovery_view(self.result)
+        return discovery_view(self.result).parts
 
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
         """The error after each step, probabilities, what each effect looks like, errors of the held-out readings."""
@@ -266,9 +267,9 @@ class Compensation(Printed):
         """How many targets can be commanded."""
         return compensate_summary(self.result)[0]
 
-    def view(self) -> View:
+    def view(self) -> Parts:
         """Commands, uncertainties and what must be known of them, as ``cellapp show`` prints them."""
-        return compensation_view(self.result)
+        return compensation_view(self.result).parts
 
 
 def _error_charts(newest: Fitted, calibration: Calibration) -> dict[str, Callable[[], Sequence[Chart]]]:

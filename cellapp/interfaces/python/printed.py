@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from cellapp.commands.view.charts import Chart
-from cellapp.commands.view.table import View
+from cellapp.commands.view.table import Parts
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.render.html_view import html_view
 from cellapp.interfaces.render.plain import plain_text
@@ -23,7 +23,7 @@ class Printed(ABC):
     """A result that prints itself: ``print(result)``, or by its name at the end of a cell of a notebook."""
 
     @abstractmethod
-    def view(self) -> View:
+    def view(self) -> Parts:
         """Tables and lines that say everything, in the order of reading."""
 
     @abstractmethod

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from cellapp.cell.run.csv_import import readings_of_table
 from cellapp.cell.run.csv_text import CsvTable, read_csv_table
 from cellapp.cell.run.table_in_memory import is_frame, table_of_arrays, table_of_frame
-from cellapp.commands.view.table import Column, Table, View, number_column
+from cellapp.commands.view.table import Column, Parts, Table, number_column
 from cellapp.estimation.calibration.calibrate import missing_splits
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.columns import COLUMNS
@@ -55,7 +55,7 @@ class CellReadings(Printed, Mapping[str, Readings]):
         """Number of readings of each arm."""
         return ", ".join(f"{name}: {len(arm)} readings of {arm.joints} joints" for name, arm in self.arms.items())
 
-    def view(self) -> View:
+    def view(self) -> Parts:
         """What each arm's readings hold, and the notes."""
         columns = (Column("arm"), number_column("readings", "d"), number_column("joints", "d"), Column("given"))
         rows = tuple((name, len(arm), arm.joints, ", ".join(_given(arm))) for name, arm in self.arms.items())

@@ -5,10 +5,10 @@ from __future__ import annotations
 from html import escape
 from itertools import groupby
 
-from cellapp.commands.view.table import Table, View
+from cellapp.commands.view.table import Parts, Table
 
 
-def html_view(view: View) -> str:
+def html_view(view: Parts) -> str:
     """Tables and lines in their order as one ``div``; everything in them is escaped."""
     parts = []
     for are_lines, group in groupby(view, lambda part: isinstance(part, str)):

@@ -6,11 +6,11 @@ import io
 
 from rich.console import Console
 
-from cellapp.commands.view.table import View
+from cellapp.commands.view.table import Parts
 from cellapp.interfaces.render.terminal import rich_table
 
 
-def plain_text(view: View, width: int = 100) -> str:
+def plain_text(view: Parts, width: int = 100) -> str:
     """Tables and lines in their order; tables are at most ``width`` characters wide."""
     text = io.StringIO()
     console = Console(file=text, width=width, color_system=None, force_terminal=False, legacy_windows=False)

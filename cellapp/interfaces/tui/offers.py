@@ -10,6 +10,7 @@ from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request
+from cellapp.commands.replay.request import VERB as REPLAY
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
@@ -138,7 +139,7 @@ def offer_replay(app: Host, folder: Path) -> None:
     """Play back a run through the screen Collect."""
 
     def play(answer: str | None) -> None:
-        if answer is not None and app.start_job(work.replay(folder, float(answer[1:]))):
+        if answer is not None and app.start_job(work.job_of(REPLAY, folder=folder, speed=float(answer[1:]))):
             app.action_show("collect")
 
     answers = [Answer(f"x{speed}", f"{speed} times", key) for speed, key in _SPEEDS]

@@ -120,11 +120,12 @@ async def _first_run(size: tuple[int, int]) -> str:
 
 async def _replay_half(app: CellApp, pilot: Pilot[None], run: Path) -> None:
     """Play back the first half of the stops, and pause: the screen as people see it while arms move."""
+    from cellapp.commands.replay.request import VERB as REPLAY
     from cellapp.interfaces.tui import work
 
     stops = app.workspace.stops
     half = 0 if stops is None else sum(stop.measured for stop in stops.stops) // 2
-    app.start_job(work.replay(run, REPLAY_SPEED))
+    app.start_job(work.job_of(REPLAY, folder=run, speed=REPLAY_SPEED))
     async with asyncio.timeout(_WAIT_S):
         while app.jobs.running and min(map(len, app.record.stops.values()), default=0) < half:
             await asyncio.sleep(_LOOK_S)

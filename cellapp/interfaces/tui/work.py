@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.record import Request, Verb, Work
+from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.progress import Listener, ignore
+from cellapp.interfaces.page import certificate_page, write_page
 from cellapp.interfaces.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
-    from cellapp.cell.targets.targets import Target
     from cellapp.commands.report.data import ReportData
     from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.profile import Profile
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
     from cellapp.interfaces.tui.dialogs.own_readings import OwnReadingsRequest
 
 
-PDF_FILE = "report.pdf"
-"""As the command names it."""
 VERIFY = "verify"
 """Name of a push that measures: only its result says whether a verification held."""
 
@@ -32,45 +32,41 @@ def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
     """The job of a verb; ``outputs`` says what it may replace."""
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        return verb.run(request, Work(listener, control, lambda profile_name: ask, outputs))
+        given = Work(
+            listener,
+            control,
+            lambda profile_name: ask,
+            outputs,
+            write_page=write_page,
+            certificate_page=certificate_page,
+        )
+        return verb.run(request, given)
 
-    return Job(verb.name, work, getattr(request, "folder", None), moves=verb.moves_arms and request.moves())
+    folder, moves = getattr(request, "folder", None), verb.moves_arms and request.moves()
+    return Job(request.job_name() or verb.name, work, folder, moves=moves)
 
 
-def looked(verb: Verb, request: Request) -> Result:
-    """What a verb finds that only reads. For a thread of its own."""
-    return verb.run(request, Work(ignore, JobControl(), lambda profile_name: None, NEW_ONLY))
+def job_of(verb: Verb, **values: Any) -> Job:
+    """The job of a verb, for these values of its request's fields."""
+    return verb_job(verb, verb.asked(values))
 
 
-def whole_day(profile: Path, folder: Path, agreed: Profile | None = None) -> Job:
+def whole_day(profile: Path, folder: Path, agreed: Profile) -> Job:
     """Plan, collect, calibrate, discover, compensate, verify, report.
 
     ``agreed`` is what a person was asked about; the job refuses a file that holds something else by now.
     """
+    job = job_of(RUN, profile=profile, folder=folder)
 
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
+    def work(listener: Listener, control: JobControl, ask: Ask) -> Result | None:
         from cellapp.cell.profile import load_profile
-        from cellapp.commands.run.run import run_whole
         from cellapp.ground.errors import InputError
-        from cellapp.interfaces.page.page import write_page
 
-        if agreed is not None and load_profile(profile) != agreed:
+        if load_profile(profile) != agreed:
             raise InputError(f"{profile} was edited since it was read; it is read again now, then F5 asks again")
-        return run_whole(profile, folder, write_page, listener, control, ask=ask)
+        return job.work(listener, control, ask)
 
-    return Job("run", work, folder, moves=True)
-
-
-def plan(profile: Path, folder: Path) -> Job:
-    """Make a new run with its plan."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.profile import load_profile
-        from cellapp.commands.plan.run import plan_new_run
-
-        return plan_new_run(load_profile(profile), folder, listener, control)
-
-    return Job("plan", work, folder)
+    return replace(job, work=work)
 
 
 def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
@@ -87,18 +83,6 @@ def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
         return imported.model_copy(update={"notes": (*written.notes, *imported.notes)})
 
     return Job("import", work, request.run)
-
-
-def view(profile: Path) -> Job:
-    """Look at what the tracker sees of each arm's workspace; nothing is planned."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.planning.view import view_workspace
-        from cellapp.cell.profile import load_profile
-
-        return view_workspace(load_profile(profile), listener, control)
-
-    return Job("view", work)
 
 
 def check_plan(folder: Path) -> Job:
@@ -121,158 +105,6 @@ def forecast_plan(folder: Path) -> Job:
         return forecast_run(run, listener, control)
 
     return _of_run("forecast", folder, work)
-
-
-def check_plan_file(profile: Path, path: Path) -> Job:
-    """Check a plan that was edited by hand; nothing is stored."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.profile import load_profile
-        from cellapp.commands.plan.run import check_plan_file
-
-        return check_plan_file(load_profile(profile), path, listener, control)
-
-    return Job("check", work)
-
-
-def plan_with_file(profile: Path, path: Path, folder: Path, *, around: bool) -> Job:
-    """Make a run with the plan of a file, as it is written or with other stops designed ``around`` its own."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.profile import load_profile
-        from cellapp.commands.plan.run import plan_around_file, plan_from_file
-
-        make = plan_around_file if around else plan_from_file
-        return make(load_profile(profile), path, folder, listener, control)
-
-    return Job("plan", work, folder)
-
-
-def freeze_stops(folder: Path, stops: Sequence[int]) -> Job:
-    """Let later designs of a run's plan leave these stops, and no others."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.plan.run import freeze_stops
-
-        return freeze_stops(run, stops)
-
-    return on_run("freeze", folder, work)
-
-
-def extend_plan(folder: Path, count: int) -> Job:
-    """Append stops to the plan of a run."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.plan.run import extend_plan
-
-        return extend_plan(run, count, listener, control)
-
-    return on_run("plan", folder, work)
-
-
-def replan(folder: Path) -> Job:
-    """Design the stops of a run that are not measured again."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.plan.run import replan
-
-        return replan(run, listener, control)
-
-    return on_run("plan", folder, work)
-
-
-def collect(folder: Path, *, resume: bool, accept_drift: bool = False) -> Job:
-    """Measure the planned stops that are not stored yet."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.collect.run import collect_stops
-
-        return collect_stops(run, listener, control, resume=resume, accept_drift=accept_drift, ask=ask)
-
-    return on_run("collect", folder, work, moves=True)
-
-
-def calibrate(folder: Path, prior: Path | None = None) -> Job:
-    """Identify arms and pair and evaluate them on held-out stops; ``prior`` is the folder of an earlier run."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.calibrate.run import calibrate_run
-
-        return calibrate_run(run, listener, control, prior=prior)
-
-    return on_run("calibrate", folder, work)
-
-
-def discover(folder: Path, propose: int | None = None) -> Job:
-    """Search for missing effects; with ``propose`` also write that many further stops into the plan."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.discover.run import discover_run, propose_run
-
-        if propose is None:
-            return discover_run(run, listener, control)
-        return propose_run(run, propose, listener, control)
-
-    return on_run("discover" if propose is None else "propose", folder, work)
-
-
-def compensate(folder: Path, targets: Sequence[Target]) -> Job:
-    """Compute commands for targets."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.compensate.run import compensate_run
-
-        return compensate_run(run, targets)
-
-    return on_run("compensate", folder, work)
-
-
-def push(
-    folder: Path,
-    targets: Sequence[Target],
-    *,
-    verify: bool,
-    iterate: int | None = None,
-    out_of_date: bool = False,
-) -> Job:
-    """Move the arms to compensated targets; with ``verify`` measure them before and after compensation.
-
-    ``iterate`` is how often at most what remains is corrected by measuring.
-    """
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.push.run import push_run
-
-        return push_run(
-            run, targets, listener, control, verify=verify, iterate=iterate, out_of_date=out_of_date, ask=ask
-        )
-
-    return on_run(VERIFY if verify else "push", folder, work, moves=True)
-
-
-def report(folder: Path, *, pdf: bool = False) -> Job:
-    """Write the page of the run; with ``pdf`` print it to a file, too."""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.report.run import report_run
-        from cellapp.interfaces.page.page import write_page
-
-        return report_run(run, write_page, folder / PDF_FILE if pdf else None)
-
-    return on_run("report", folder, work)
-
-
-def replay(folder: Path, speed: float) -> Job:
-    """Play back what a run recorded; nothing moves."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.driving.replay import replay_run
-        from cellapp.cell.run import RunFile
-
-        with RunFile.open(folder) as run:
-            return replay_run(run, listener, control, speed=speed)
-
-    return Job(f"replay x{speed:g}", work, folder)
 
 
 def _of_run(name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result]) -> Job:
@@ -329,3 +161,8 @@ def interrupted_run(logs: Path) -> RunSummary | None:
         return to_go_on_with(logs) if logs.is_dir() else None
     except CellappError:
         return None  # a folder that cannot be read offers nothing; the screen Runs says why
+
+
+def looked(verb: Verb, request: Request) -> Result:
+    """What a verb finds that only reads. For a thread of its own."""
+    return verb.run(request, Work(ignore, JobControl(), lambda profile_name: None, NEW_ONLY))

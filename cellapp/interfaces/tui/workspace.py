@@ -161,10 +161,10 @@ def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
 def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) -> Workspace:
     from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops
     from cellapp.cell.run import RunFile
+    from cellapp.commands.collect.state import collection_state
     from cellapp.commands.plan.run import planned_stops
     from cellapp.commands.report.result import read_results
     from cellapp.commands.show.overview import run_overview
-    from cellapp.interfaces.page.collection_section import collection_state
 
     with RunFile.open(folder) as run:
         return Workspace(

@@ -17,8 +17,8 @@ from cellapp.cell.planning.forecast import forecast_run
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
+from cellapp.commands.plan.check_view import check_sentences, coverage_bar, forecast_sentences, forecast_tables
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.plan.view import check_sentences, coverage_bar, forecast_sentences, forecast_tables
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress

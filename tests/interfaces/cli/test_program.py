@@ -11,6 +11,7 @@ import pytest
 
 import cellapp
 from cellapp.commands.doctor.result import DoctorResult, Finding
+from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.schemas import json_schemas
 from cellapp.interfaces.cli.program import wants_json
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
@@ -108,11 +109,12 @@ def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None: 
     """Profile and run go below the folder; a profile that is there is used as it is. The run itself is tested apart."""
     started: list[tuple[Path, Path]] = []
 
-    def run_whole(job: object, profile: Path, folder: Path, *, allowed: bool) -> None:
-        assert not allowed
+    def run_whole(profile: Path, folder: Path, *more: object, ask: object) -> WholeRunResult:
+        assert ask is None
         started.append((profile, folder))
+        return WholeRunResult(run=str(folder))
 
-    monkeypatch.setattr("cellapp.interfaces.cli.whole_run._run_whole", run_whole)
+    monkeypatch.setattr("cellapp.commands.run.run.run_whole", run_whole)
     assert "written: " in call("demo", "here").out
     assert "is used as it is" in call("demo", "here").out
     call("demo", "--full")

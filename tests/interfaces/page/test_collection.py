@@ -12,9 +12,10 @@ from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.run import Outcome, ReferenceRow, RunFile
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.collect.run import collect_stops
+from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collect_lines, collection_tables, other_notes
 from cellapp.commands.plan.run import plan_new_run
-from cellapp.interfaces.page.collection_section import collection_state, drift_figures
+from cellapp.interfaces.page.collection_section import drift_figures
 from cellapp.interfaces.page.page import page_text
 from tests.interfaces.page.parsed_page import NOON
 from tests.twin import small_twin

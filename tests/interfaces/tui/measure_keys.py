@@ -22,10 +22,11 @@ from textual.widgets import Input
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.discover.request import VERB as DISCOVER
 from cellapp.commands.import_.run import import_new_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.work import discover
+from cellapp.interfaces.tui.work import job_of
 from tests.interfaces.tui.pilot import until
 from tests.interfaces.tui.terminal import ROOT, Terminal, cellapp
 from tests.trials.storm_cell import emulated_cell
@@ -145,7 +146,7 @@ async def fields_s(profiles: Path, run_folder: Path) -> list[float]:
         await pilot.press("3", "slash")
         await until(pilot, lambda: isinstance(app.screen.focused, Input), "the search field")
         field = app.screen.query_one("#" + str(app.screen.focused.id), Input) if app.screen.focused else Input()
-        app.start_job(discover(run_folder))
+        app.start_job(job_of(DISCOVER, folder=run_folder))
         while app.jobs.running:
             before, sent_s = field.value, time.perf_counter()
             app.post_message(Key("z", "z"))

@@ -128,7 +128,7 @@ async def ask(pilot: Pilot[None], app: CellApp, key: str, dialog: type) -> None:
 async def test_the_verdict_what_comes_next_and_the_report(finished_copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     printed: list[Path | None] = []
 
-    def report_run(run: RunFile, write_page: object, pdf: Path | None = None) -> ReportResult:
+    def report_run(run: RunFile, write_page: object, pdf: Path | None, outputs: object) -> ReportResult:
         printed.append(pdf)
         return ReportResult(run=str(run.folder), page=str(run.folder / "report.html"))
 

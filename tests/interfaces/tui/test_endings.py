@@ -8,6 +8,7 @@ import pytest
 
 from cellapp.cell.run import sqlite_file
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
+from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import work
@@ -48,9 +49,10 @@ def test_the_page_is_named_as_it_is_written() -> None:
 
 
 def test_only_a_push_that_measured_is_judged() -> None:
-    assert ended(work.push(RUN, (), verify=True).name, WORSE)[1] == 1
-    assert "the verification held" in ended(work.push(RUN, (), verify=True).name, HELD)[0]
-    assert ended(work.push(RUN, (), verify=False).name, VerifyResult(arms={}, targets=TARGETS))[1] == 0
+    pushed, verified = (work.job_of(PUSH, folder=RUN, targets=TARGETS, verify=verify).name for verify in (False, True))
+    assert ended(verified, WORSE)[1] == 1
+    assert "the verification held" in ended(verified, HELD)[0]
+    assert ended(pushed, VerifyResult(arms={}, targets=TARGETS))[1] == 0
 
 
 def test_other_jobs_name_their_run() -> None:

@@ -13,11 +13,11 @@ from cellapp.cell.planning.stored_stops import read_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.count import CountQuestion
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
 from cellapp.interfaces.tui.widgets.plan_tables import PairsTable, StopsTable
@@ -68,9 +68,9 @@ async def test_marked_stops_are_frozen_and_others_are_added() -> None:
         assert np.flatnonzero(before.frozen).tolist() == [1, 2]
         await until(pilot, lambda: str(table(app).get_row_at(1)[2]) == "yes", "what is frozen, in the list")
         await pilot.press("a")
-        await fill(pilot, app, CountQuestion, "#count", "many")
-        assert "whole number from 1" in str(app.screen.query_one("#why", Static).render())
-        await fill(pilot, app, CountQuestion, "#count", "2")
+        await fill(pilot, app, VerbQuestion, "#add", "many")
+        assert "further stops: expected a whole number" in str(app.screen.query_one("#why", Static).render())
+        await fill(pilot, app, VerbQuestion, "#add", "2")
         await ended(pilot, app)
         await until(pilot, lambda: table(app).row_count == 10, "the added stops")
         assert np.array_equal(stored().q["left"][:8], before.q["left"])

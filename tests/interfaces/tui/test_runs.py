@@ -12,6 +12,8 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.record import Work
+from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.result import ReportResult
 from cellapp.commands.runs import history
 from cellapp.commands.runs.result import RunsResult
@@ -217,17 +219,21 @@ async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
 
 
 async def test_a_run_is_replayed_at_a_speed(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[tuple[Path, float]] = []
-    monkeypatch.setattr("cellapp.interfaces.tui.work.replay", lambda folder, speed: started.append((folder, speed)))
+    started: list[tuple[Path | None, str]] = []
+
+    def start_job(job: Job) -> bool:
+        started.append((job.folder, job.name))
+        return False
+
     app = app_without_offer(monkeypatch)
-    monkeypatch.setattr(app, "start_job", lambda job: False)
+    monkeypatch.setattr(app, "start_job", start_job)
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")
         await pilot.press("y")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         await pilot.press("3")
-        await until(pilot, lambda: started == [(LOGS / "first", 100.0)], "the replay")
+        await until(pilot, lambda: started == [(LOGS / "first", "replay x100")], "the replay")
 
 
 async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,8 +276,8 @@ async def test_a_report_that_is_missing_is_written_then_opened(logs: Path, monke
         run.append_stage("calibrate", None, "{}", None)
     page = LOGS / "first" / "report.html"
 
-    def report(folder: Path) -> Job:
-        return Job("report", lambda *_: ReportResult(run=str(folder), page=str(page)), folder)
+    def report(request: ReportRequest, given: Work) -> ReportResult:
+        return ReportResult(run=str(request.folder), page=str(page))
 
     said: list[Path] = []
 
@@ -279,7 +285,7 @@ async def test_a_report_that_is_missing_is_written_then_opened(logs: Path, monke
         said.append(path)
         return "opened"
 
-    monkeypatch.setattr("cellapp.interfaces.tui.work.report", report)
+    monkeypatch.setattr("cellapp.commands.report.run.run", report)
     monkeypatch.setattr("cellapp.interfaces.tui.screens.runs.open_page", open_page)
     app = app_without_offer(monkeypatch)
     async with app.run_test(size=SMALL) as pilot:

@@ -17,8 +17,9 @@ import pytest
 from textual.pilot import Pilot
 
 from cellapp.cell.run import RunFile
+from cellapp.commands.run.request import VERB as RUN
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.work import whole_day
+from cellapp.interfaces.tui.work import job_of
 from drivers.emulators.ur_controller import Control
 from tests.latency import attempts
 from tests.loopback import free_port, own_address
@@ -120,7 +121,7 @@ async def one_session(profile: Path, folder: Path, control: Control) -> dict[str
     app = CellApp(profile.parent)
     async with app.run_test(size=(140, 45)) as pilot:
         await until(lambda: app.workspace.profile is not None, "a profile")
-        assert app.start_job(whole_day(profile, folder))
+        assert app.start_job(job_of(RUN, profile=profile, folder=folder))
         stopped = await stopped_by(pilot, control, "escape")
         await until(lambda: app.record.state == "stopped", "the stop is shown")
         moves = [control(name, "status")["moves"] for name in ("left", "right")]

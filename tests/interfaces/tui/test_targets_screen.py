@@ -10,15 +10,16 @@ from textual.widgets import DataTable, Input, Static
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.target_text import targets_text
-from cellapp.cell.targets.targets import Target, load_targets
-from cellapp.commands.push import run as push_verb
+from cellapp.cell.targets.targets import load_targets
+from cellapp.commands.push.request import MOST_ROUNDS, PushRequest
+from cellapp.commands.record import Verb
 from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
 from cellapp.interfaces.tui.dialogs.target_form import TargetForm
-from cellapp.interfaces.tui.dialogs.verify_targets import MOST_ROUNDS, VerifyTargets
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.screens import targets_jobs
 from cellapp.interfaces.tui.screens.targets import TargetsScreen
@@ -259,13 +260,13 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
         await until(pilot, lambda: column(app, 3) == ["in, predicted", "out, predicted"], "the predictions")
         await ended(pilot, app)
         await pilot.press("v")
-        await until(pilot, lambda: isinstance(app.screen, VerifyTargets), "the question")
+        await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the question")
         assert "arm left to 2 targets" in asked(app)
         assert "the arms are simulated" in asked(app)
         app.screen.query_one("#iterate", Input).value = str(MOST_ROUNDS + 1)
         await pilot.press("b")
-        await until(pilot, lambda: f"from 0 to {MOST_ROUNDS}" in shown_text(app), "a word about the number")
-        app.screen.query_one("#iterate", Input).value = "0"
+        await until(pilot, lambda: f"expected 1 to {MOST_ROUNDS} rounds" in shown_text(app), "a word about the number")
+        app.screen.query_one("#iterate", Input).value = ""
         await pilot.press("b")
         await until(pilot, lambda: column(app, 3) == ["in, measured", "cannot say, measured"], "the verdicts")
         await pilot.press("s")
@@ -287,13 +288,13 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
 async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
     finished_copy: Path, few: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    started: list[tuple[tuple[Target, ...], bool, bool]] = []
+    started: list[PushRequest] = []
 
-    def push(folder: Path, targets: tuple[Target, ...], *, verify: bool, out_of_date: bool) -> Job:
-        started.append((targets, verify, out_of_date))
-        return Job("push", lambda listener, control, ask: None)
+    def job(verb: Verb, request: PushRequest) -> Job:
+        started.append(request)
+        return Job(verb.name, lambda listener, control, ask: None)
 
-    monkeypatch.setattr("cellapp.interfaces.tui.work.push", push)
+    monkeypatch.setattr("cellapp.interfaces.tui.work.verb_job", job)
     monkeypatch.setattr(targets_jobs, "stale_model", lambda results: "'discover' is out of date (new readings)")
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
@@ -305,11 +306,9 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
             await pilot.press(answer)
             await until(pilot, lambda: app.screen is app.day_screen, "the answer")
         await ended(pilot, app)
-    assert started == [(load_targets(few, small_twin()), False, True)]
-
-
-def test_the_question_allows_what_the_command_allows() -> None:
-    assert MOST_ROUNDS == push_verb.MOST_ROUNDS
+    (request,) = started
+    assert request.targets == load_targets(few, small_twin())
+    assert (request.verify, request.out_of_date) == (False, True)
 
 
 def test_undo_and_redo_are_a_stack() -> None:

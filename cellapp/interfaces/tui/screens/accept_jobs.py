@@ -9,6 +9,7 @@ from cellapp.commands.check_certificate.request import VERB as CHECK_CERTIFICATE
 from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.record import Request
+from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.sign_key.request import VERB as SIGN_KEY
 from cellapp.commands.sign_key.request import SignKeyRequest
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
@@ -148,7 +149,7 @@ def ask_report(screen: ScreenOfResults) -> None:
 
     def begin(answer: str | None) -> None:
         if answer in ("page", "pdf"):
-            screen.start(work.report(folder, pdf=answer == "pdf"))
+            screen.start(work.job_of(REPORT, folder=folder, pdf=answer == "pdf"))
 
     text = f"Write report.html in {folder}; an installed Chromium prints it to report.pdf."
     screen.app.push_screen(Choice("Write the report?", text, _PAGES), begin)

@@ -14,6 +14,7 @@ from textual.widgets import TabbedContent, TabPane
 
 from cellapp.cell.exports.records import ExportResult
 from cellapp.cell.run.sqlite_file import FILE_NAME
+from cellapp.commands.calibrate import request
 from cellapp.commands.calibrate.charts_accuracy import (
     error_histogram_chart,
     pair_histogram_chart,
@@ -112,7 +113,7 @@ The step after this one is Discover (5).
     def action_begin(self) -> None:
         """Calibrate the run that is open."""
         if folder := self.open_folder():
-            self.start(work.calibrate(folder))
+            self.start(work.job_of(request.VERB, folder=folder))
 
     def action_begin_with_prior(self) -> None:
         """Ask for an earlier run, and calibrate the run that is open with it as prior."""
@@ -122,7 +123,7 @@ The step after this one is Discover (5).
 
         def begin(path: Path | None) -> None:
             if path is not None:
-                self.start(work.calibrate(folder, path.parent))
+                self.start(work.job_of(request.VERB, folder=folder, prior=path.parent))
 
         title = f"{FILE_NAME} of the earlier run of the same arms"
         self.app.push_screen(FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME), begin)

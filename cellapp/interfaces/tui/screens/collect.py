@@ -19,6 +19,7 @@ from textual.widgets import Static
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.collect.charts import drift_chart, live_drift_chart, live_residual_chart, standard_error_chart
+from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.show.overview import run_log
 from cellapp.commands.view.charts import Chart
@@ -205,7 +206,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         folder, kind = self.workspace.folder, self.workspace.kind
         if folder is None:
             return
-        job = jobs.collect(folder, resume=resume, accept_drift=accept_drift)
+        job = jobs.job_of(COLLECT, folder=folder, resume=resume, accept_drift=accept_drift)
         if kind == "real" and not accept_drift:
             self.start(job)
             return

@@ -9,6 +9,8 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.widgets import Static, TabbedContent, TabPane
 
+from cellapp.commands.collect.request import VERB as COLLECT
+from cellapp.commands.discover import request
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.proposal_view import proposal_lines
 from cellapp.commands.discover.tables import discovery_tables
@@ -87,12 +89,12 @@ The handbook explains each effect: key **h**.
     def action_begin(self) -> None:
         """Search the run that is open."""
         if folder := self.open_folder():
-            self.start(work.discover(folder))
+            self.start(work.job_of(request.VERB, folder=folder))
 
     def action_propose(self) -> None:
         """Search, then plan further stops."""
         if folder := self.open_folder():
-            self.start(work.discover(folder, _PROPOSED))
+            self.start(work.job_of(request.VERB, folder=folder, propose=_PROPOSED))
 
     def action_collect(self) -> None:
         """Ask, then measure what is planned and not measured yet."""
@@ -104,7 +106,7 @@ The handbook explains each effect: key **h**.
 
         def begin(answer: str | None) -> None:
             if answer == "begin":
-                self.start(work.collect(folder, resume=True))
+                self.start(work.job_of(COLLECT, folder=folder, resume=True))
                 self.cell_app.action_show("collect")
 
         self.app.push_screen(Choice("Collect?", text, BEGIN), begin)

@@ -14,6 +14,7 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
+from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.screens.plan_edits import NO_PLANNED_RUN, PlanEdits
@@ -163,7 +164,7 @@ class PlanScreen(PlanEdits):
 
         def begin(folder: Path | None) -> None:
             if folder is not None:
-                self.start(verbs.plan(path, folder))
+                self.start(verbs.job_of(PLAN, profile=path, folder=folder))
 
         self.app.push_screen(NewRunQuestion(text, new_folder(profile)), begin)
 
@@ -172,7 +173,7 @@ class PlanScreen(PlanEdits):
         if self.workspace.file_profile is None or self.workspace.profile_path is None:
             self.say(NO_PROFILE, "warning")
             return
-        self.start(verbs.view(self.workspace.profile_path))
+        self.start(verbs.job_of(PLAN, profile=self.workspace.profile_path, view=True))
 
     def action_check(self) -> None:
         """Check the plan of the open run."""
@@ -252,7 +253,7 @@ class PlanScreen(PlanEdits):
 
         rows = [] if self._profile is None else constraint_words(self._profile)
         if self._forecast is not None:
-            from cellapp.commands.plan.view import TIME_RESTS_ON, time_sentence
+            from cellapp.commands.plan.check_view import TIME_RESTS_ON, time_sentence
 
             rows += [("time", time_sentence(self._forecast.time)), ("time rests on", TIME_RESTS_ON)]
             rows += [("note", note) for note in self._forecast.notes]
@@ -313,7 +314,7 @@ class PlanScreen(PlanEdits):
                 table.show(forecast.arms)
         words = _NO_FORECAST if has_plan else ""
         if forecast is not None:
-            from cellapp.commands.plan.view import time_sentence
+            from cellapp.commands.plan.check_view import time_sentence
 
             words = " ".join([time_sentence(forecast.time), *forecast.notes])
         line = self.query_one("#plan-time", Static)
@@ -358,7 +359,7 @@ def _planned(stops: StopsResult | None) -> tuple[object, ...]:
 
 def _check_rows(check: PlanCheckResult) -> tuple[str, list[tuple[str, str]]]:
     """The verdict of a check, and what it refuses as rows."""
-    from cellapp.commands.plan.view import check_sentences
+    from cellapp.commands.plan.check_view import check_sentences
 
     verdict, *refusals = check_sentences(check)
     kinds = ["detour" if one.is_avoided else "refused" for one in check.refused]

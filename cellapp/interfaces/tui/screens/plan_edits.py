@@ -6,13 +6,15 @@ from pathlib import Path
 
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.export.request import ExportRequest
+from cellapp.commands.plan.request import VERB as PLAN
+from cellapp.commands.record import Request
 from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.tui import work as verbs
-from cellapp.interfaces.tui.dialogs.count import CountQuestion
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.plan_tables import StopsTable
 from cellapp.interfaces.tui.workspace import NO_PROFILE, new_folder
@@ -20,8 +22,9 @@ from cellapp.interfaces.tui.workspace import NO_PROFILE, new_folder
 NO_PLANNED_RUN = "No run is open: plan one with g, or open one on the screen Runs (8)."
 _PLAN_FILE = "plan.csv"
 """What a plan as a table is called unless a person says otherwise."""
-_FURTHER, _MOST_FURTHER = 50, 100_000
-"""Stops that are appended unless a person says otherwise, and the most."""
+_FURTHER = 50
+"""Stops that are appended unless a person says otherwise."""
+_TAKE = (Answer("take", "Take", "t", "success"), Answer("no", "Close", "c"))
 
 
 class PlanEdits(DayScreen):
@@ -41,7 +44,8 @@ class PlanEdits(DayScreen):
     def action_freeze(self) -> None:
         """Let later designs leave the marked stops; without marks, none."""
         if folder := self.planned_folder():
-            self.start(verbs.freeze_stops(folder, sorted(self.query_one(StopsTable).marked)))
+            marked = ",".join(map(str, sorted(self.query_one(StopsTable).marked)))
+            self.start(verbs.job_of(PLAN, folder=folder, freeze=marked or "none"))
 
     def action_add(self) -> None:
         """Ask how many stops to append."""
@@ -49,12 +53,13 @@ class PlanEdits(DayScreen):
         if folder is None:
             return
 
-        def begin(count: int | None) -> None:
-            if count is not None:
-                self.start(verbs.extend_plan(folder, count))
+        def begin(request: Request | None) -> None:
+            if request is not None:
+                self.start(verbs.verb_job(PLAN, request))
 
         text = "They tell most beside those that are planned or measured already. Nothing moves."
-        self.app.push_screen(CountQuestion("How many further stops?", text, _FURTHER, _MOST_FURTHER), begin)
+        proposed = {"add": _FURTHER}
+        self.app.push_screen(VerbQuestion(PLAN, text, _TAKE, {"folder": folder}, proposed=proposed), begin)
 
     def action_replan(self) -> None:
         """Ask, then design again what is not measured."""
@@ -64,7 +69,7 @@ class PlanEdits(DayScreen):
 
         def begin(answer: str | None) -> None:
             if answer == "replan":
-                self.start(verbs.replan(folder))
+                self.start(verbs.job_of(PLAN, folder=folder, replan=True))
 
         text = (
             "Stops that are measured, proposed by discovery or frozen stay, as far as they could be reached; all others"
@@ -94,7 +99,7 @@ class PlanEdits(DayScreen):
 
         def begin(path: Path | None) -> None:
             if path is not None:
-                self.start(verbs.check_plan_file(profile, path))
+                self.start(verbs.job_of(PLAN, profile=profile, check=path))
 
         start = self.workspace.folder or Path()
         self.app.push_screen(FilePicker("A plan as CSV", start, lambda path: path.suffix == ".csv"), begin)
@@ -108,7 +113,8 @@ class PlanEdits(DayScreen):
         def into(around: bool) -> None:
             def begin(folder: Path | None) -> None:
                 if folder is not None:
-                    self.start(verbs.plan_with_file(path, file, folder, around=around))
+                    how_used = {"keep" if around else "source": file}
+                    self.start(verbs.job_of(PLAN, profile=path, folder=folder, **how_used))
 
             how = "with other stops designed around these" if around else "exactly as it is written"
             self.app.push_screen(

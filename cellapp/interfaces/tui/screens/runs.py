@@ -23,6 +23,7 @@ from cellapp.commands.compare.request import VERB as COMPARE
 from cellapp.commands.compare.request import CompareRequest
 from cellapp.commands.fleet.request import VERB as FLEET
 from cellapp.commands.fleet.request import FleetRequest
+from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.report.result import ReportResult
 from cellapp.commands.runs.columns import contains, run_cells, run_columns
 from cellapp.commands.runs.result import RunComparison, RunsResult
@@ -338,7 +339,7 @@ class RunsScreen(DayScreen):
             if page.is_file():
                 self._open_page(page)
             elif any(stage.name == "calibrate" for stage in run.stages):
-                self.start(jobs_of_verbs.report(Path(run.run)))
+                self.start(jobs_of_verbs.job_of(REPORT, folder=Path(run.run)))
             else:
                 self.say(f"{run.run} is not calibrated; there is nothing to report yet.", "warning")
 

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from cellapp.cell.targets.targets import Target
+from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.correct.request import ENDINGS
 from cellapp.commands.correct.request import VERB as CORRECT
 from cellapp.commands.locate.request import VERB as LOCATE
+from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Request
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.dialogs.verify_targets import VerifyTargets
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.targets_state import why_not
@@ -25,38 +27,36 @@ from cellapp.interfaces.tui.screens.targets_state import why_not
 def begin_compensate(screen: DayScreen, targets: Sequence[Target]) -> None:
     """Compute commands for a list."""
     if (folder := _ready(screen, targets)) is not None:
-        screen.start(work.compensate(folder, targets))
+        screen.start(work.job_of(COMPENSATE, folder=folder, targets=tuple(targets)))
 
 
 def ask_push(screen: DayScreen, targets: Sequence[Target]) -> None:
     """Ask, then drive to the targets."""
-    folder = _ready(screen, targets)
-    if folder is None:
+    if (given := _pushed(screen, targets, verify=False)) is None:
         return
-    stale = _stale(screen)
 
     def begin(answer: str | None) -> None:
         if answer == "begin":
-            screen.start(work.push(folder, targets, verify=False, out_of_date=bool(stale)))
+            screen.start(work.job_of(PUSH, **given))
 
+    stale = _stale(screen)
     text = _push_words(screen, targets, "", stale)
     screen.app.push_screen(Choice("Push?", text, USE_STALE if stale else BEGIN), begin)
 
 
 def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
     """Ask, also how often each target is corrected; then drive to the targets and measure."""
-    folder = _ready(screen, targets)
-    if folder is None:
+    if (given := _pushed(screen, targets, verify=True)) is None:
         return
+
+    def begin(request: Request | None) -> None:
+        if request is not None:
+            screen.start(work.verb_job(PUSH, request))
+
     stale = _stale(screen)
-
-    def begin(rounds: int | None) -> None:
-        if rounds is not None:
-            screen.start(work.push(folder, targets, verify=True, iterate=rounds or None, out_of_date=bool(stale)))
-
     measured = " with the nominal and the compensated command, measured by the tracker"
     text = _push_words(screen, targets, measured, stale)
-    screen.app.push_screen(VerifyTargets(text, USE_STALE if stale else BEGIN), begin)
+    screen.app.push_screen(VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given), begin)
 
 
 def ask_locate(screen: DayScreen) -> None:
@@ -112,6 +112,14 @@ def _ready(screen: DayScreen, targets: Sequence[Target]) -> Path | None:
         screen.say(reason, "warning")
         return None
     return screen.workspace.folder
+
+
+def _pushed(screen: DayScreen, targets: Sequence[Target], *, verify: bool) -> dict[str, Any] | None:
+    """What a push of a list is asked for, but what the question asks; None with a sentence if it cannot be pushed."""
+    if (folder := _ready(screen, targets)) is None:
+        return None
+    stale = bool(_stale(screen))
+    return {"folder": folder, "targets": tuple(targets), "verify": verify, "out_of_date": stale}
 
 
 def _stale(screen: DayScreen) -> str:

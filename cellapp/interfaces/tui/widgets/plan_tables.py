@@ -100,7 +100,7 @@ def _same_ways(one: PlannedStops | None, other: PlannedStops | None) -> bool:
 
 def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, ...], str]:
     """Cells and sentence of one stop, counted from 1."""
-    from cellapp.commands.plan.view import stop_words
+    from cellapp.commands.plan.check_view import stop_words
 
     number, state = stop.configuration + 1, "measured" if stop.measured else "planned"
     joints = "; ".join(
@@ -129,7 +129,7 @@ class CoverageTable(_RowTable):
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw the joints of all arms."""
-        from cellapp.commands.plan.view import coverage_bar
+        from cellapp.commands.plan.check_view import coverage_bar
 
         rows = []
         for name, arm in arms.items():
@@ -153,7 +153,7 @@ class EffectsTable(_RowTable):
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw the effects of all arms, those that cannot be seen first."""
-        from cellapp.commands.plan.view import effect_sentence, effect_title
+        from cellapp.commands.plan.check_view import effect_sentence, effect_title
 
         entries = [(name, one) for name, arm in arms.items() for one in arm.effects]
         entries.sort(key=lambda entry: entry[1].visible)
@@ -174,7 +174,7 @@ class AccuracyTable(_RowTable):
 
     def show(self, arms: Mapping[str, ArmForecast]) -> None:
         """Draw predicted positions and parameters of all arms."""
-        from cellapp.commands.plan.view import accuracy_table
+        from cellapp.commands.plan.check_view import accuracy_table
 
         rows = []
         for name, arm in arms.items():

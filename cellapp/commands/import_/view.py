@@ -1,0 +1,11 @@
+"""The result of ``import`` as sentences."""
+
+from __future__ import annotations
+
+from cellapp.cell.driving.records import ImportResult
+from cellapp.commands.record import Request, View
+
+
+def view(result: ImportResult, request: Request | None = None) -> View:
+    """How many readings each arm has, and what was noticed."""
+    return View((*(f"arm {name}: {count} readings" for name, count in result.readings.items()), *result.notes))

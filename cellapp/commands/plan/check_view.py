@@ -1,0 +1,202 @@
+"""A plan before it is measured: its check and its forecast as tables and sentences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.records import (
+    ArmForecast,
+    JointCoverage,
+    PlanCheckResult,
+    PlanForecastResult,
+    PlannedTime,
+    PlanRefusal,
+)
+from cellapp.commands.view.charts import enumerated
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.words import display_unit, geometry_unit, short_reason
+from cellapp.estimation.discovery.records import PlannedEffect
+from cellapp.robot.effects import EFFECTS
+
+TIME_RESTS_ON = (
+    "the profile's speeds and averaging time, 1 s to find each SMR, 0.2 s of rest; waits and persons are not counted"
+)
+_MOST_SIZES = 6
+"""Parameters of one effect whose smallest sizes are named: those of the first joints."""
+
+
+def check_sentences(check: PlanCheckResult) -> list[str]:
+    """The verdict first, then every refusal."""
+    refusals = [
+        refusal_sentence(one) if check.file is None else file_refusal_sentence(check, one) for one in check.refused
+    ]
+    if check.is_safe:
+        detours = f"; {len(refusals)} ways take a detour" if refusals else ""
+        kept = f"{check.stops} stops and {check.ways} ways keep their clearance"
+        return [f"Safe: {kept}, the tracker sees every SMR{detours}.", *refusals]
+    bad = sum(not one.is_avoided for one in check.refused)
+    return [f"Not safe: {bad} of {check.stops} stops and {check.ways} ways are refused.", *refusals]
+
+
+def refusal_sentence(one: PlanRefusal) -> str:
+    """One refusal: where, why, what follows."""
+    stop = "home" if one.configuration is None else f"stop {one.configuration + 1}"
+    if one.what != "way":
+        return f"{stop}: {one.reason}; plan again, or change base, limits or clearance in the profile"
+    before = "home" if one.before is None else f"stop {one.before + 1}"
+    after = "no way via home is free either: the stop would be left out"
+    if one.is_avoided:
+        after = f"the arms go {one.detour or 'via home'}"
+    return f"from {before} to {stop}: {one.reason}; {after}"
+
+
+def stop_words(stops: PlannedStops, stop: int) -> str:
+    """How a stop is reached and what it is for: way, last motion, rest, repetition."""
+    words = []
+    if (source := int(stops.repeat_of[stop])) >= 0:
+        words.append(f"repeats stop {source + 1}")
+    if legs := len(stops.legs[stop]):
+        words.append(f"via {legs} position{'s' if legs > 1 else ''}")
+    if starts := stops.approach_starts(stop):
+        sizes = [math.degrees(float(np.abs(stops.q[name][stop] - q).max())) for name, q in starts.items()]
+        words.append(f"last motion {enumerated(f'{size:.1f}' for size in sizes)} deg")
+    rests = [float(rest[stop]) for rest in stops.dwell_s.values()]
+    if any(rests):
+        words.append(f"rests {enumerated(f'{rest:.0f}' for rest in rests)} s")
+    return ", ".join(words) or "straight"
+
+
+def file_refusal_sentence(check: PlanCheckResult, one: PlanRefusal) -> str:
+    """One refusal of a hand-edited plan, by line and configuration."""
+    where = f"{check.file}:{one.line}: configuration {one.configuration}"
+    if one.configuration is None:
+        where = f"{check.file}:{one.line}: home after configuration {one.before}"
+    detour = f"; the arms go {one.detour or 'via home'}" if one.is_avoided else ""
+    return f"{where}: {'the way there: ' if one.what == 'way' else ''}{one.reason}{detour}"
+
+
+def forecast_tables(forecast: PlanForecastResult) -> list[Table]:
+    """Joint ranges, expected standard errors, effects and parameters, for each arm."""
+    tables = []
+    for name, arm in forecast.arms.items():
+        tables += [coverage_table(name, arm), accuracy_table(name, arm), effects_table(name, arm)]
+    return tables
+
+
+def forecast_sentences(forecast: PlanForecastResult) -> list[str]:
+    """Time and what it rests on, what the effects' sizes rest on, notes."""
+    noise = ", ".join(f"arm {name} {arm.noise_rms_mm:.3f} mm" for name, arm in forecast.arms.items())
+    return [
+        f"{time_sentence(forecast.time)} It rests on {TIME_RESTS_ON}.",
+        f"Sizes of effects are for the tracker's noise alone (rms {noise}); scatter of the arms makes them larger.",
+        *forecast.notes,
+    ]
+
+
+def time_sentence(time: PlannedTime) -> str:
+    """How long collecting takes, and on what it is spent; the estimate rests on ``TIME_RESTS_ON``."""
+    parts = (
+        ("motions", time.moving_s),
+        ("rests", time.resting_s),
+        ("measuring", time.measuring_s),
+        ("references", time.references_s),
+        ("warm-up", time.warm_up_s),
+    )
+    spent = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in parts if seconds > 0.0)
+    return f"Collecting takes about {duration_words(time.total_s)} ({spent})."
+
+
+def duration_words(seconds: float) -> str:
+    """A duration as "1 h 05 min", "12 min" or "40 s"."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def coverage_table(name: str, arm: ArmForecast) -> Table:
+    """Allowed and used range and the largest gap of each joint."""
+    columns = (
+        number_column("joint", "d"),
+        number_column("allowed from", ".0f", "deg"),
+        number_column("to", ".0f", "deg"),
+        number_column("used from", ".0f", "deg"),
+        number_column("to", ".0f", "deg"),
+        number_column("share", ".0f", "%"),
+        number_column("largest gap", ".0f", "deg"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (one.joint, *map(math.degrees, (*one.allowed, *one.used)), 100.0 * one.share, math.degrees(one.largest_gap))
+        for one in arm.coverage
+    ]
+    return Table(f"Arm {name}: joint ranges of {arm.stops} stops", columns, tuple(rows))
+
+
+def accuracy_table(name: str, arm: ArmForecast) -> Table:
+    """Expected standard errors of predicted positions and of parameters: a column for each scatter."""
+    headings = ["tracker alone" if one.scatter_mm == 0.0 else f"{one.scatter_mm:g} mm scatter" for one in arm.accuracy]
+    columns = (Column("standard error of"), *(number_column(title, ".4f") for title in headings), Column("unit"))
+    rows: list[tuple[Cell, ...]] = [
+        ("predicted position, rms", *(one.standard_error_mm for one in arm.accuracy), "mm"),
+        ("predicted position, largest", *(one.largest_mm for one in arm.accuracy), "mm"),
+    ]
+    for parameter in dict.fromkeys(key for one in arm.accuracy for key in one.parameters):
+        found = [one.parameters.get(parameter) for one in arm.accuracy]
+        unit = next(entry.unit for entry in found if entry is not None)
+        factor, shown = geometry_unit(unit)
+        errors = [
+            None if entry is None or entry.standard_error is None else factor * entry.standard_error for entry in found
+        ]
+        rows.append((parameter, *errors, shown))
+    return Table(f"Arm {name}: expected standard errors", columns, tuple(rows))
+
+
+def effects_table(name: str, arm: ArmForecast) -> Table:
+    """For each effect whether the plan can show it, and from which displacement of the SMR on."""
+    columns = (
+        Column("effect"),
+        Column("visible"),
+        number_column("seen from", ".4f", "mm rms"),
+        number_column("with scatter", ".4f", "mm rms"),
+        Column("why not"),
+    )
+    rows = tuple(
+        (
+            effect_title(one),
+            "yes" if one.visible else "no",
+            one.smallest_seen_rms_mm if one.visible else None,
+            one.with_scatter_rms_mm if one.visible else None,
+            "" if one.visible else short_reason(one.reason),
+        )
+        for one in arm.effects
+    )
+    return Table(f"Arm {name}: effects that the plan can show", columns, rows)
+
+
+def coverage_bar(one: JointCoverage, width: int) -> str:
+    """The allowed range as a bar of ``width`` cells, full where the plan uses it."""
+    low, high = one.allowed
+    scale = width / max(high - low, 1e-12)
+    first, last = (min(max(round((value - low) * scale), 0), width) for value in one.used)
+    return "░" * first + "█" * (last - first) + "░" * (width - last)
+
+
+def effect_title(one: PlannedEffect) -> str:
+    """Name of an effect in reports; its slug where this version does not know it."""
+    return EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect
+
+
+def effect_sentence(one: PlannedEffect) -> str:
+    """Whether and from which size on an effect would be seen, or why not."""
+    title = effect_title(one)
+    if not one.visible:
+        return f"{title} cannot be seen: {short_reason(one.reason)}."
+    words = []
+    for parameter, size in list(one.smallest_seen.items())[:_MOST_SIZES]:
+        factor, unit = display_unit(size.unit)
+        words.append(f"{parameter} {factor * size.value:.3g} {unit}")
+    sizes = f", for instance {'; '.join(words)}" if words else ""
+    return f"{title} would be seen from an rms displacement of {one.smallest_seen_rms_mm or 0.0:.3f} mm on{sizes}."

@@ -1,0 +1,58 @@
+"""What ``push`` is asked for."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, model_validator
+
+from cellapp.commands.fields import OutOfDate, RunFolder, TargetsPath
+from cellapp.commands.record import Asked, Request, Stored, Verb
+
+MOST_ROUNDS = 20
+"""Corrections of one target: each more than halves what remains, so that more only follow the noise."""
+
+
+def _few(rounds: int | None) -> int | None:
+    if rounds is not None and not 1 <= rounds <= MOST_ROUNDS:
+        raise ValueError(f"expected 1 to {MOST_ROUNDS} rounds, got {rounds}; nothing was moved")
+    return rounds
+
+
+class PushRequest(Request):
+    """Move the arms to compensated targets; with --verify, measure them before and after compensation."""
+
+    folder: RunFolder
+    targets: TargetsPath
+    verify: Annotated[bool, Asked("Measure where the SMR really goes.")] = False
+    iterate: Annotated[
+        int | None,
+        AfterValidator(_few),
+        Asked(
+            "Correct what remains by measuring, at most N times a target.",
+            "N",
+            label="corrections",
+            hint=f"of each target by measuring it, 1 to {MOST_ROUNDS}; empty: none",
+        ),
+    ] = None
+    out_of_date: OutOfDate = False
+
+    def job_name(self) -> str:
+        return "verify" if self.verify else ""
+
+    @model_validator(mode="after")
+    def _measured(self) -> Self:
+        if self.iterate is not None and not self.verify:
+            raise ValueError("--iterate corrects what was measured; add --verify. Nothing was moved")
+        return self
+
+
+VERB = Verb(
+    "push",
+    PushRequest,
+    chapter="targets",
+    moves_arms=True,
+    question="Push and verify?",
+    checks="verification",
+    stored=(Stored("verification", "no verification is", ("verify",), "push --verify"),),
+)

@@ -1,0 +1,17 @@
+"""The result of ``push`` as tables and sentences."""
+
+from __future__ import annotations
+
+from cellapp.cell.targets.records import VerifyResult
+from cellapp.commands.compensate.tables import all_measured_tables, verification_tables
+from cellapp.commands.compensate.words import push_lines, verify_lines
+from cellapp.commands.push.request import PushRequest
+from cellapp.commands.record import Request, View
+
+
+def view(result: VerifyResult, request: Request | None = None) -> View:
+    """What was reached and measured; of a stored verification every target. Only a push that measures can fail."""
+    if request is None:
+        return View((*all_measured_tables(result), *verify_lines(result)), result.complaints())
+    verified = isinstance(request, PushRequest) and request.verify
+    return View((*verification_tables(result), *push_lines(result)), result.complaints() if verified else ())

@@ -1,0 +1,21 @@
+"""What ``run`` is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cellapp.commands.fields import ProfilePath
+from cellapp.commands.record import Asked, Request, Verb
+
+
+class RunRequest(Request):
+    """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report."""
+
+    profile: ProfilePath
+    folder: Annotated[
+        Path | None, Asked("Folder of the new run; else a new one below logs/.", "DIR", option="--run")
+    ] = None
+
+
+VERB = Verb("run", RunRequest, chapter="tutorial", moves_arms=True)

@@ -1,0 +1,33 @@
+"""The result of ``run`` as tables and sentences."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
+from cellapp.commands.collect.view import collect_lines, other_notes
+from cellapp.commands.compensate.tables import verification_tables
+from cellapp.commands.discover import view as discovery
+from cellapp.commands.record import Request, View
+from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.view.table import Table
+
+
+def view(result: WholeRunResult, request: Request | None = None) -> View:
+    """What each step found, notes, and where run and page are; the first step that did not hold fails."""
+    parts: list[Table | str] = []
+    if result.collect is not None:
+        parts += collect_lines(result.collect)
+    if result.calibrate is not None:
+        parts += calibration_tables(result.calibrate)
+    if result.discover is not None:
+        parts += discovery.view(result.discover).parts
+    if result.verify is not None:
+        parts += verification_tables(result.verify)
+    if result.calibrate is not None:
+        parts += tracker_sentences(result.calibrate)
+    parts += other_notes(result.collect, result.notes)
+    parts.append(f"run: {result.run}   report: {Path(result.run) / 'report.html'}")
+    steps = (("collect", result.collect), ("verification", result.verify))
+    failed = [(name, step.complaints()) for name, step in steps if step is not None and step.complaints()]
+    return View(parts, failed[0][1], failed[0][0]) if failed else View(parts)

@@ -1,0 +1,54 @@
+"""What ``show`` is asked for; which parts there are comes from the verbs that store something."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, create_model, model_validator
+
+from cellapp.commands.fields import RunFolder, Strict
+from cellapp.commands.record import Asked, Request, Verb
+
+OWN_PARTS = ("overview", "plan", "collection", "log", "profile", "history")
+"""What a run holds beside the results of verbs."""
+
+
+class ShowRequest(Request):
+    """Print what a run holds; nothing is changed, and only --check and --forecast compute anything."""
+
+    folder: RunFolder
+    part: Annotated[str, Asked("What to print.", argument=True)] = "overview"
+    level: Annotated[str | None, Asked("With log: only lines of this level.", "WORD")] = None
+    last: Annotated[int | None, Field(ge=1), Asked("With log: the last N lines.", "N")] = None
+    check: Annotated[bool, Asked("With plan: run the safety gate over all stops and ways again.")] = False
+    forecast: Annotated[bool, Asked("With plan: time, joint ranges, expected errors, effects it can show.")] = False
+    target: Annotated[str | None, Asked("With targets: all about one of them.", "NAME")] = None
+    strict: Strict = False
+
+    @model_validator(mode="after")
+    def _belongs_to_the_part(self) -> Self:
+        if self.part != "log" and (self.level is not None or self.last is not None):
+            raise ValueError("--level and --last belong to 'log'")
+        if (self.check or self.forecast) and (self.part != "plan" or (self.check and self.forecast)):
+            raise ValueError("--check and --forecast belong to 'plan'; give one of them")
+        if self.part != "targets" and self.target is not None:
+            raise ValueError("--target belongs to 'targets'")
+        return self
+
+
+def show_verb(verbs: Sequence[Verb]) -> Verb:
+    """The record of ``show``, for verbs of which some store results."""
+    first, *others = OWN_PARTS
+    literal: Any = Literal  # typed as any: the words are known as late as here
+    annotated: Any = Annotated
+    parts = literal[(first, *(one.part for verb in verbs for one in verb.stored), *others)]
+    asked = next(words for name, words in ShowRequest.asked() if name == "part")
+    request = create_model(
+        "ShowRequest",
+        __base__=ShowRequest,
+        __module__=__name__,
+        __doc__=ShowRequest.__doc__,
+        part=(annotated[parts, asked], first),
+    )
+    return Verb("show", request, chapter="commands")

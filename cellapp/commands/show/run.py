@@ -1,0 +1,81 @@
+"""The verb ``show``: find what is stored. It only reads: the run is opened read-only."""
+
+from __future__ import annotations
+
+from cellapp.cell.planning.check import check_plan_run
+from cellapp.cell.planning.forecast import forecast_run
+from cellapp.cell.run import RunFile
+from cellapp.commands.collect.state import collection_state
+from cellapp.commands.compensate.details import stored_state
+from cellapp.commands.out_of_date import complaints_of
+from cellapp.commands.plan.run import stored_plan
+from cellapp.commands.record import Work
+from cellapp.commands.registry import STORING
+from cellapp.commands.report.result import read_results
+from cellapp.commands.show.overview import run_history, run_log, run_overview
+from cellapp.commands.show.request import ShowRequest
+from cellapp.commands.show.result import Shown
+from cellapp.commands.show.tables import profile_text
+from cellapp.ground.errors import InputError
+from cellapp.ground.results import Result
+
+
+def run(request: ShowRequest, work: Work) -> Shown:
+    """Find the part, or compute what is asked for of a plan."""
+    with RunFile.open(request.folder) as opened:
+        found = _found(opened, request, work)
+        return found.model_copy(update={"complaints": tuple(complaints_of(opened))}) if request.strict else found
+
+
+def _found(run: RunFile, request: ShowRequest, work: Work) -> Shown:
+    match request.part:
+        case "overview":
+            return Shown(part=request.part, result=run_overview(run))
+        case "history":
+            return Shown(part=request.part, result=run_history(run))
+        case "plan":
+            return Shown(part=request.part, result=_plan(run, request, work))
+        case "collection":
+            state = collection_state(run)
+            if state is None:
+                raise InputError(
+                    f"{run.path}: no session of collecting is recorded; an import or an older version made this run"
+                )
+            return Shown(part=request.part, result=state)
+        case "log":
+            return Shown(part=request.part, result=run_log(run, request.level, request.last))
+        case "profile":
+            return Shown(part=request.part, text=profile_text(run.profile))
+    return _stored(run, request.part) if request.target is None else _target(run, request.target)
+
+
+def _plan(run: RunFile, request: ShowRequest, work: Work) -> Result:
+    if request.check:
+        return check_plan_run(run, work.listener, work.control)
+    return forecast_run(run, work.listener, work.control) if request.forecast else stored_plan(run)
+
+
+def _target(run: RunFile, name: str) -> Shown:
+    """All that the last results say about one target; the JSON is that of ``compensate``, with it alone."""
+    results = read_results(run)
+    state = stored_state(results, name)
+    if state is None or results.compensate is None:
+        raise InputError(
+            f"{run.path}: no compensated target '{name}' is stored; 'cellapp show {run.folder} targets' lists them"
+        )
+    alone = results.compensate.model_copy(update={"targets": state.commands})
+    return Shown(part="targets", result=alone, results=results)
+
+
+def _stored(run: RunFile, part: str) -> Shown:
+    """The stored result of one verb, and whether it still holds."""
+    results = read_results(run)
+    verb, how = next((verb, how) for verb in STORING for how in verb.stored if how.part == part)
+    name = next((stage for stage in how.stages if getattr(results, stage) is not None), how.stages[-1])
+    reason = {str(key): text for key, text in results.out_of_date.items()}.get(name, "")
+    made_by = f"cellapp {how.made_by or verb.name}"
+    stored = getattr(results, name)
+    if stored is None:
+        why = f"{name} is stored, but {reason}" if reason else f"{how.missing} stored"
+        raise InputError(f"{run.path}: {why}; run '{made_by}' first")
+    return Shown(part=part, result=stored, out_of_date=reason, made_by=made_by)
