@@ -172,6 +172,21 @@ class RunStages:
         return next_command(self.next_verb(), folder)
 
 
+def next_command(verb: NextVerb, folder: Path) -> str:
+    """The command of the verb that comes next; empty if there is none."""
+    match verb:
+        case "":
+            return ""
+        case "push":
+            return f"cellapp push {folder} TARGETS --verify"
+        case "compensate":
+            return f"cellapp compensate {folder} TARGETS"
+        case "plan":
+            return "cellapp plan PROFILE --run NEW"
+        case _:
+            return f"cellapp {verb} {folder}"
+
+
 def tracker_moved(located: StoredStage | None) -> bool:
     """Whether the tracker stands elsewhere than where the readings were taken, by the stage of ``locate``."""
     return located is not None and says_moved(located.text)
@@ -372,19 +387,7 @@ def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, Readi
     return [] if same else ["the readings or their splits were changed since"]
 
 
-def next_command(verb: NextVerb, folder: Path) -> str:
-    """The command of the verb that comes next; empty if there is none."""
-    match verb:
-        case "":
-            return ""
-        case "push":
-            return f"cellapp push {folder} TARGETS --verify"
-        case "compensate":
-            return f"cellapp compensate {folder} TARGETS"
-        case "plan":
-            return "cellapp plan PROFILE --run NEW"
-        case _:
-            return f"cellapp {verb} {folder}"
+# -- what the stored text of a stage says, as far as it decides which stages hold; the whole result is not read --------
 
 
 def json_object(text: str) -> dict[str, object] | None:

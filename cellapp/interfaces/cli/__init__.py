@@ -1,4 +1,7 @@
-"""The command line: the verbs, the trials, and what every command shares."""
+"""The command line: the verbs, the trials, and what every command shares.
+
+A command imports what it needs when it is called, so that help and requests to a running job do not wait for the rest.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The terminal application: ``cellapp`` without arguments. Importing this package does not load Textual."""
+"""The terminal application: ``cellapp`` without arguments. Importing this package does not load Textual.
+
+Screens and jobs import what they need when they are first used, so that the first screen does not wait for the rest.
+"""
 
 from __future__ import annotations
 
