@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,7 +29,6 @@ def trial(app: Commands, name: str, *left_out: str) -> Callable[[TrialFunction],
     shared = {option: kind for option, kind in _SHARED.items() if option not in left_out}
 
     def register(function: TrialFunction) -> TrialFunction:
-        @functools.wraps(function)
         def command(**options: Any) -> None:
             given = {option: options.pop(option) for option in shared}
             with Job(given.pop("json_file")) as job:
@@ -39,6 +37,7 @@ def trial(app: Commands, name: str, *left_out: str) -> Callable[[TrialFunction],
 
         own = [*inspect.signature(function, eval_str=True, locals=_LATER).parameters.values()][1:]
         parameters = [*own, *_options(shared)]
+        command.__name__, command.__doc__, command.__module__ = function.__name__, function.__doc__, function.__module__
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = {one.name: one.annotation for one in parameters}
         app.command(name)(command)

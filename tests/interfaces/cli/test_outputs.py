@@ -323,7 +323,6 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         "cellapp/commands/certificate/sign_key.py",
         "cellapp/commands/trials/sealed.py",
         "cellapp/commands/trials/league/series.py",
-        "tests/handbook/__main__.py",
         "cellapp/cell/driving/requests/job_requests.py",
     }
     words = (".write_text(", ".write_bytes(", "os.replace(", '.open("w', '"wb")', "copyfile(")
