@@ -96,7 +96,7 @@ def test_the_tables_of_a_run_file_are_those_that_are_made() -> None:
 def test_every_format_and_every_result_is_listed() -> None:
     listed = set(re.findall(r"`([\w-]+)`", " ".join(rows("Exports"))))
     assert listed == set(all_formats())
-    assert results_part() in chapter_text("files"), "renew them: python -m cellapp.docs"
+    assert results_part() in chapter_text("files"), "renew them: python -m tests.handbook"
     assert len(rows("Results as JSON")) == len(VERB_RESULTS) + 2
 
 

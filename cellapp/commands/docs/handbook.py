@@ -77,8 +77,8 @@ def chapter_text(chapter: str) -> str:
 
 def effect_sections() -> dict[str, str]:
     """Section of each effect by slug: of the chapter on effects, or what the effect of a plug-in declares."""
+    from cellapp.commands.docs.declared import declared_part  # here, so that chapters are read without the mathematics
     from cellapp.robot.effects import EFFECTS
-    from tests.handbook.declarations import declared_part  # here, so that chapters are read without the mathematics
 
     text = chapter_text("effects")
     found = list(_SECTION.finditer(text))

@@ -34,7 +34,6 @@ READ = {
     *(
         "--run",
         "--from",
-        "--keep",
         "--check",
         "--prior",
         "--answers",
@@ -157,7 +156,6 @@ def test_every_command_has_its_outputs() -> None:
         "--page",
         "--markdown",
         "--store",
-        "--keep",
     }
 
 
