@@ -43,7 +43,7 @@ def test_the_chapter_shows_every_drawing_once_and_names_it() -> None:
 @pytest.mark.parametrize("stem", FIGURES)
 def test_drawings_are_drawn_again_alike_for_light_and_dark_pages(stem: str, twin: Profile) -> None:
     kept = (DOCS / "figures" / f"{stem}.svg").read_text("utf-8")
-    assert figure_svg(stem, twin) == kept, "draw them again: python -m tests.handbook.draw figures"
+    assert figure_svg(stem, twin) == kept, "draw them again: python -m tests.handbook"
     assert len(kept.encode()) < MOST_BYTES
     drawing = ElementTree.fromstring(kept)
     assert drawing.findtext("{*}title") == FIGURES[stem](twin).title

@@ -30,5 +30,5 @@ def test_the_command_draws_every_screen(finished_run: Path, tmp_path: Path) -> N
     assert "REPLAY x100, nothing moves, PAUSED" in texts["screen-collect"]
     assert "No readings yet" not in texts["screen-collect"], "each plot has its turn, however fast stops come"
     assert "held-out errors [mm]" in texts["screen-calibrate"]
-    with pytest.raises(InputError, match="docs: --run belongs to 'screens'"):
+    with pytest.raises(InputError, match="--run belongs to 'screens'"):
         CliRunner().invoke(app, ["docs", "figures", "--run", "x"], catch_exceptions=False)

@@ -170,6 +170,11 @@ def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSum
     return found
 
 
+def error_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
+    """Cells of ``ERROR_COLUMNS``."""
+    return summary.mean, summary.rms, summary.std, summary.max, summary.n
+
+
 def _detailed_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
     interval = None if summary.mean_ci95 is None else Interval(*summary.mean_ci95)
     return summary.mean, interval, summary.rms, summary.std, summary.p50, summary.p95, summary.max, summary.n

@@ -17,11 +17,11 @@ from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import TRUTH_FILE, seal_trials
 from cellapp.commands.trials.sealed_cases import FLIP, KINDS, ONE
 from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import CancelToken, Progress
 from cellapp.ground.results import Record, Result
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
 
 CONDITIONS: Mapping[str, Setup] = {
     "same": Setup(),
@@ -98,11 +98,9 @@ def blind_matrix(
     folder: Path,
     n: int,
     cells: Sequence[MatrixCell],
+    work: Work = IN_PLACE,
     *,
     seed: int | None = None,
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
 ) -> MatrixResult:
     """Seal ``n`` runs for each cell that has none yet, judge all that were not judged yet, and score them together.
 
@@ -117,16 +115,15 @@ def blind_matrix(
     Cancelled
         On request; what was judged so far is kept.
     """
-    cancel = cancel or CancelToken()
     results: dict[str, JudgeResult] = {}
     for place, cell in enumerate(cells):
-        cancel.check()
-        listener(Progress("matrix", place, len(cells), cell.name))
+        work.cancel.check()
+        work.listener(Progress("matrix", place, len(cells), cell.name))
         here = folder / cell.name
-        _seal(profile, here, n, cell.setup, None if seed is None else seed + place, cancel)
-        results[cell.name] = judge_trials(here, resources=resources, cancel=cancel)
+        _seal(profile, here, n, cell.setup, None if seed is None else seed + place, work.cancel)
+        results[cell.name] = judge_trials(here, Work(work.resources, cancel=work.cancel))
         _check(profile, here, cell.setup, results[cell.name])
-    listener(Progress("matrix", len(cells), len(cells), "done"))
+    work.listener(Progress("matrix", len(cells), len(cells), "done"))
     return _together(results)
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult
-from cellapp.commands.trials.league.series import Entrant, SeriesTexts, parse_entrants, series_texts
+from cellapp.commands.trials.league.series import Entrant, SeriesTexts, parse_entrants
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
@@ -23,11 +23,8 @@ from cellapp.estimation.monitoring.check.conclusion import judgement
 from cellapp.estimation.monitoring.check.linear import stop_rows
 from cellapp.estimation.monitoring.check.sequential import decided_prefix, design_of
 from cellapp.estimation.readings import Readings
-from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Record
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch, TaskKind
+from cellapp.ground.scale.task import TaskKind
 from cellapp.robot.model import CellModel
 
 _AMONG = 4
@@ -52,35 +49,23 @@ class RealChecks(Record):
 
 
 def real_check_trials(
-    series: Sequence[str],
+    texts: SeriesTexts,
     seeds: Sequence[int],
+    work: Work = IN_PLACE,
     *,
     rows: int,
     planned: int,
     checks: int,
-    data: Path,
-    profiles: Path,
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
 ) -> CheckTrialResult:
-    """Checks of measured series, in which nothing changed but what drifts.
-
-    Raises
-    ------
-    InputError
-        If a series is not there.
-    """
-    texts = series_texts(series, data, profiles)
+    """Checks of measured series, in which nothing changed but what drifts. Raises as ``Work.gather`` does."""
     tasks = [
         RealCheckTask(series=name, seed=seed, rows=rows, planned=planned, checks=checks)
         for name in texts.series
         for seed in seeds
     ]
-    names = [f"series {task.series}, seed {task.seed}" for task in tasks]
-    gathered = gather(Batch(REAL_CHECKS, texts, tasks, names), "check", resources, listener, cancel)
+    gathered = work.gather(REAL_CHECKS, "check", texts, tasks, "series {0.series}, seed {0.seed}")
     return CheckTrialResult(
-        profile=f"series {', '.join(series)}",
+        profile=f"series {', '.join(texts.series)}",
         cells=len(gathered.found),
         planned=planned,
         station_free=False,

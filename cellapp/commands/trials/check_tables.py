@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
-from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult, Group, share
-from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column
+from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult, Group, Share, share
+from cellapp.commands.trials.skeleton import Field, table_of
+from cellapp.commands.view.table import Interval, Table
 
 _PERCENT = ".1f"
 _TITLES: dict[Group, str] = {
@@ -47,66 +49,77 @@ def check_trial_sentences(result: CheckTrialResult) -> list[str]:
 
 
 def _groups(result: CheckTrialResult) -> Table:
-    rows: list[tuple[Cell, ...]] = []
-    for group, title in _TITLES.items():
-        for visible in (True, False):
-            some = result.some(group, visible=visible)
-            if some:
-                hidden = "" if visible or group == "unchanged" else ", not visible"
-                rows.append((f"{title}{hidden}", *_cells(some)))
-    columns = (
-        Column("changed"),
-        number_column("checks", "d"),
-        number_column("detected", _PERCENT, "%"),
-        number_column("95 %", _PERCENT, "%"),
-        number_column("named", _PERCENT, "%"),
-        number_column("listed", _PERCENT, "%"),
-        number_column("cannot say", "d"),
-        number_column("mean stops", ".1f"),
-        number_column("largest error", ".3f", "mm"),
+    titles = {
+        f"{title}{'' if visible or group == 'unchanged' else ', not visible'}": result.some(group, visible=visible)
+        for group, title in _TITLES.items()
+        for visible in (True, False)
+    }
+    return table_of(
+        f"{result.profile}: what was changed and what the check found",
+        [_Checks(title, some) for title, some in titles.items() if some],
+        ("changed", "title"),
+        ("checks", "found.n", "d"),
+        ("detected", "found.value", _PERCENT, "%"),
+        ("95 %", lambda its: Interval(100.0 * its.found.low, 100.0 * its.found.high), _PERCENT, "%"),
+        ("named", lambda its: its.of_changes(lambda one: one.named), _PERCENT, "%"),
+        ("listed", lambda its: its.of_changes(lambda one: one.listed), _PERCENT, "%"),
+        ("cannot say", lambda its: sum(one.verdict == "cannot say" for one in its.some), "d"),
+        ("mean stops", "stops", ".1f"),
+        ("largest error", "largest_mm", ".3f", "mm"),
     )
-    return Table(f"{result.profile}: what was changed and what the check found", columns, tuple(rows))
 
 
-def _cells(some: Sequence[CheckedChange]) -> tuple[Cell, ...]:
-    found = share(some, lambda one: one.alarm)
-    changed = some[0].group != "unchanged"
-    solved = [one.solved_mm for one in some if one.solved_mm is not None]
-    return (
-        found.n,
-        100.0 * found.value,
-        Interval(100.0 * found.low, 100.0 * found.high),
-        100.0 * share(some, lambda one: one.named).value if changed else None,
-        100.0 * share(some, lambda one: one.listed).value if changed else None,
-        sum(one.verdict == "cannot say" for one in some),
-        sum(one.stops for one in some) / len(some),
-        max(solved, default=None),
-    )
+@dataclass(frozen=True)
+class _Checks:
+    """A line of a table: some checks under a title."""
+
+    title: str
+    some: Sequence[CheckedChange]
+
+    @property
+    def found(self) -> Share:
+        return share(self.some, lambda one: one.alarm)
+
+    @property
+    def stops(self) -> float:
+        return sum(one.stops for one in self.some) / len(self.some)
+
+    @property
+    def moved_mm(self) -> float:
+        return sum(one.moved_mm for one in self.some) / len(self.some)
+
+    @property
+    def largest_mm(self) -> float | None:
+        return max((one.solved_mm for one in self.some if one.solved_mm is not None), default=None)
+
+    def of_changes(self, fact: Callable[[CheckedChange], bool]) -> float | None:
+        """Share of which a fact is true; None where nothing was changed."""
+        return share(self.some, fact).value if self.some[0].group != "unchanged" else None
+
+
+_STATISTICS: Mapping[str, Callable[[CheckedChange], bool]] = {
+    "stop by stop": lambda one: one.alarm,
+    "all directions, after all stops": lambda one: one.by_directions,
+    "chi-squared alone, after all stops": lambda one: one.by_chi_squared,
+}
 
 
 def _statistics(result: CheckTrialResult) -> Table:
     """The sequential test beside tests after all planned stops, each at 1 % false alarms."""
-    rows: list[tuple[Cell, ...]] = []
-    for name, fact in (
-        ("stop by stop", lambda one: one.alarm),
-        ("all directions, after all stops", lambda one: one.by_directions),
-        ("chi-squared alone, after all stops", lambda one: one.by_chi_squared),
-    ):
-        shares = [
-            share(result.some("unchanged"), fact),
-            share(result.some("parameter", visible=True), fact),
-            share(result.some("parameter", visible=False), fact),
-            share(result.some("effect", visible=True), fact),
-        ]
-        rows.append((name, *(100.0 * one.value if one.n else None for one in shares)))
-    columns = (
-        Column("statistic"),
-        number_column("unchanged", ".2f", "%"),
-        number_column("parameters", _PERCENT, "%"),
-        number_column("parameters not visible", _PERCENT, "%"),
-        number_column("effects", _PERCENT, "%"),
+
+    def of(heading: str, group: Group, visible: bool | None, number_format: str) -> Field:
+        some = result.some(group, visible=visible)
+        return heading, lambda name: share(some, _STATISTICS[name]).value if some else None, number_format, "%"
+
+    return table_of(
+        "Found by",
+        _STATISTICS,
+        ("statistic", str),
+        of("unchanged", "unchanged", None, ".2f"),
+        of("parameters", "parameter", True, _PERCENT),
+        of("parameters not visible", "parameter", False, _PERCENT),
+        of("effects", "effect", True, _PERCENT),
     )
-    return Table("Found by", columns, tuple(rows))
 
 
 def _hardest(result: CheckTrialResult) -> Table:
@@ -114,26 +127,15 @@ def _hardest(result: CheckTrialResult) -> Table:
     by: dict[str, list[CheckedChange]] = {}
     for one in (*result.some("parameter", visible=True), *result.some("effect", visible=True)):
         by.setdefault(one.what, []).append(one)
-    rows = sorted(
-        (
-            (
-                what,
-                len(some),
-                sum(one.moved_mm for one in some) / len(some),
-                100.0 * share(some, lambda one: one.alarm).value,
-                100.0 * share(some, lambda one: one.listed).value,
-                sum(one.stops for one in some) / len(some),
-            )
-            for what, some in by.items()
-        ),
-        key=lambda row: (row[3], row[4], row[2]),
+    lines = [_Checks(what, some) for what, some in by.items()]
+    lines.sort(key=lambda its: (its.found.value, its.of_changes(lambda one: one.listed) or 0.0, its.moved_mm))
+    return table_of(
+        "Visible changes that are hardest to find or to name",
+        lines[:_MOST_LINES],
+        ("changed", "title"),
+        ("checks", "found.n", "d"),
+        ("moves", "moved_mm", ".3f", "mm"),
+        ("detected", "found.value", _PERCENT, "%"),
+        ("listed", lambda its: its.of_changes(lambda one: one.listed), _PERCENT, "%"),
+        ("mean stops", "stops", ".1f"),
     )
-    columns = (
-        Column("changed"),
-        number_column("checks", "d"),
-        number_column("moves", ".3f", "mm"),
-        number_column("detected", _PERCENT, "%"),
-        number_column("listed", _PERCENT, "%"),
-        number_column("mean stops", ".1f"),
-    )
-    return Table("Visible changes that are hardest to find or to name", columns, tuple(rows[:_MOST_LINES]))

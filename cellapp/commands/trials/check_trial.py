@@ -20,6 +20,7 @@ from cellapp.commands.trials.check_changes import PlantChange, effect_changes, p
 from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult
 from cellapp.commands.trials.drawn_cell import calibrated_alone, drawn_cell, measured_stops, require_simulated, with_mix
 from cellapp.commands.trials.measured import measured_by
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.monitoring.check import CheckBelief, check_belief, choose_stops
 from cellapp.estimation.monitoring.check.conclusion import judgement
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, stop_rows
@@ -32,11 +33,8 @@ from cellapp.estimation.prior.changes import parameter_words
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Record
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch, Seed, TaskKind, as_given
+from cellapp.ground.scale.task import Seed, TaskKind, as_given
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array, apply
@@ -78,9 +76,7 @@ class CheckedCell(Record):
 def check_trials(
     plan: CheckPlan,
     seeds: Sequence[int],
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    work: Work = IN_PLACE,
 ) -> CheckTrialResult:
     """Checks of simulated cells, one for each seed.
 
@@ -92,8 +88,7 @@ def check_trials(
         On request.
     """
     require_simulated(plan.profile)
-    batch = Batch(CELLS, plan, [Seed(seed=seed) for seed in seeds], [f"seed {seed}" for seed in seeds])
-    gathered = gather(batch, "check", resources, listener, cancel)
+    gathered = work.gather(CELLS, "check", plan, [Seed(seed=seed) for seed in seeds])
     found = gathered.found
     return CheckTrialResult(
         profile=(with_mix(plan.profile, found[0].seed) if plan.mix else plan.profile).name,

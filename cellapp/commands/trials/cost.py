@@ -7,7 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.commands.trials.skeleton import table_of
+from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.store import Cost, ResultStore
@@ -63,21 +64,18 @@ def cost_of(path: Path, tasks: int) -> CostResult:
 
 def cost_table(result: CostResult) -> Table:
     """One line for each job."""
-    columns = (
-        Column("job"),
-        number_column("tasks", "d"),
-        number_column("mean", ".3g", "s"),
-        number_column("median", ".3g", "s"),
-        number_column("longest", ".3g", "s"),
-        number_column("wall/processor", ".2f"),
-        number_column("memory", ".0f", "MB"),
-        number_column(f"{result.tasks:,} tasks", ".4g", "core hours"),
+    return table_of(
+        "Processor time of one core and memory of one process",
+        result.jobs,
+        ("job", "job"),
+        ("tasks", "tasks", "d"),
+        ("mean", "mean_s", ".3g", "s"),
+        ("median", "median_s", ".3g", "s"),
+        ("longest", "longest_s", ".3g", "s"),
+        ("wall/processor", "waited", ".2f"),
+        ("memory", "peak_mb", ".0f", "MB"),
+        (f"{result.tasks:,} tasks", "core_hours", ".4g", "core hours"),
     )
-    rows = tuple(
-        (one.job, one.tasks, one.mean_s, one.median_s, one.longest_s, one.waited, one.peak_mb, one.core_hours)
-        for one in result.jobs
-    )
-    return Table("Processor time of one core and memory of one process", columns, rows)
 
 
 def _cost(job: str, costs: list[Cost], tasks: int) -> TaskCost:

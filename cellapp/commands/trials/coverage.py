@@ -9,14 +9,12 @@ import numpy as np
 from scipy.special import stdtrit
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, planned_cell
+from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, of_all_arms, planned_cell
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Record, Result
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch, TaskKind, as_given
+from cellapp.ground.scale.task import TaskKind, as_given
 from cellapp.robot.model.nominal import nominal_arm
 
 
@@ -65,19 +63,22 @@ def coverage_trials(
     profile: Profile,
     runs: int,
     stops: int = 100,
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    work: Work = IN_PLACE,
 ) -> CoverageResult:
     """Coverage of every arm of the profile. Raises as ``gather`` does."""
-    drawn = [ArmSeed(arm=arm, seed=seed) for arm in profile.arms for seed in range(runs)]
-    batch = Batch(INTERVALS, planned_cell(profile, stops), drawn, [f"arm {one.arm}, seed {one.seed}" for one in drawn])
-    gathered = gather(batch, "coverage", resources, listener, cancel)
-    by_arm: dict[str, list[Interval]] = {arm: [] for arm in profile.arms}
-    for one, found in zip(drawn, gathered.results, strict=True):
-        by_arm[one.arm] += () if found is None else (found,)
+    by_arm, failed = of_all_arms(INTERVALS, "coverage", planned_cell(profile, stops), range(runs), work)
     arms = {arm: _coverage(found) for arm, found in by_arm.items() if found}
-    return CoverageResult(arms=arms, failed=gathered.failed)
+    return CoverageResult(arms=arms, failed=failed)
+
+
+def coverage_sentences(result: CoverageResult) -> list[str]:
+    """The shares of every arm."""
+    return [
+        f"arm {name}: {100 * arm.share:.2f} % of {arm.intervals} stated 95 % intervals contain the truth"
+        f" ({arm.runs} runs; by parameter {100 * min(arm.by_parameter.values()):.1f} to"
+        f" {100 * max(arm.by_parameter.values()):.1f} %)"
+        for name, arm in result.arms.items()
+    ]
 
 
 def coverage(profile: Profile, arm: str, runs: int, stops: int = 100) -> ArmCoverage:

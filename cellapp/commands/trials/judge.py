@@ -23,14 +23,14 @@ from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, Ju
 from cellapp.commands.trials.run_score import score_run
 from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import GroundTruth, check_seal, digest_of, open_truth
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, Record
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
 from cellapp.ground.scale.gather import gather
 from cellapp.ground.scale.task import Batch, TaskKind, as_given
 from cellapp.ground.version import __version__
@@ -38,7 +38,7 @@ from cellapp.robot.model import CellModel
 
 TRIAL_RESULT = "sealed-trial"
 """Name of the document in which a run keeps what was found in it."""
-_SEARCHING = ("calibration", "design", "discovery", "effects", "kinematics", "model")
+_SEARCHING = ("estimation/calibration", "estimation/design", "estimation/discovery", "robot")
 
 
 class StoredFindings(Record):
@@ -58,17 +58,10 @@ class StoredTrial(Record):
     arms: Mapping[str, StoredFindings]
 
 
-def judge_trials(
-    folder: Path,
-    *,
-    resources: Resources = IN_PROCESS,
-    again: bool = False,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-) -> JudgeResult:
+def judge_trials(folder: Path, work: Work = IN_PLACE, *, again: bool = False) -> JudgeResult:
     """Calibrate and search all runs of a folder that were not yet, then open the truth and compare.
 
-    What was found is kept in the runs themselves, so that ``resources`` needs no store; workers of a cluster must see
+    What was found is kept in the runs themselves, so that a store is not needed; workers of a cluster must see
     the folder under the same path. ``again`` also repeats what was judged before. A run that fails is reported and does
     not stop the others.
 
@@ -81,14 +74,13 @@ def judge_trials(
     Cancelled
         On request; what was judged so far is kept.
     """
-    cancel = cancel or CancelToken()
     check_seal(folder)  # without parsing it: a broken seal is reported before hours of work
     runs = sorted(path for path in folder.glob("run-*") if path.is_dir())
     if not runs:
         raise InputError(f"{folder} holds no runs; give a folder that 'cellapp trials seal' made")
     source = source_digest()
     pending = runs if again else [run for run in runs if _stored(run) is None]
-    failures, jobs = _judge_all(pending, source, resources, len(runs), listener, cancel)
+    failures, jobs = _judge_all(pending, source, len(runs), work)
     opened = open_truth(folder)
     scored, sources, failed = _compare(folder, opened.trials, failures)
     return JudgeResult(
@@ -183,21 +175,20 @@ def _stored(folder: Path) -> StoredTrial | None:
         return None
 
 
-def _judge_all(
-    runs: Sequence[Path], source: str, resources: Resources, total: int, listener: Listener, cancel: CancelToken
-) -> tuple[dict[str, str], int]:
+def _judge_all(runs: Sequence[Path], source: str, total: int, work: Work) -> tuple[dict[str, str], int]:
     """Judge runs. Returns run -> what went wrong, for those that failed, and how many were judged at the same time."""
     before = total - len(runs)
-    listener(Progress("judge", before, total, f"{before} judged before" if before else ""))
+    work.listener(Progress("judge", before, total, f"{before} judged before" if before else ""))
     if not runs:
         return {}, 1
     tasks = [JudgedFolder(folder=str(run.absolute())) for run in runs]
     batch = Batch(RUNS, Source(source=source), tasks, [run.name for run in runs])
 
     def of_all(event: Progress) -> None:
-        listener(replace(event, done=before + event.done, total=total))
+        work.listener(replace(event, done=before + event.done, total=total))
 
-    gathered = gather(batch, "judge", replace(resources, store=None), of_all, cancel, all_may_fail=True)
+    unstored = replace(work.resources, store=None)
+    gathered = gather(batch, "judge", unstored, of_all, work.cancel, all_may_fail=True)
     return dict(gathered.failures), gathered.workers
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -17,15 +18,15 @@ import numpy as np
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.commands.trials.drawn_cell import drawn_cell
 from cellapp.commands.trials.measured import measured_plan
+from cellapp.commands.trials.skeleton import IN_PLACE, Work, table_of
+from cellapp.commands.view.table import Number, Table
 from cellapp.estimation.calibration.calibrate import ArmCalibration, calibrate_readings
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.progress import CancelToken
 from cellapp.ground.results import Method, Record, Result
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch, Seed, SimulatedCell, TaskKind, profile_of
+from cellapp.ground.scale.task import Seed, SimulatedCell, TaskKind, profile_of
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, register
 
@@ -82,14 +83,11 @@ class PaperResult(Result):
 def paper_trials(
     profile: Profile,
     seeds: Sequence[int],
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    work: Work = IN_PLACE,
 ) -> PaperResult:
     """Run the comparison for every seed. Raises as ``gather`` does, and ``InputError`` as ``paper_trial`` does."""
     drawn = [Seed(seed=seed) for seed in seeds]
-    batch = Batch(CELLS, SimulatedCell(profile=profile), drawn, [f"seed {seed}" for seed in seeds])
-    gathered = gather(batch, "paper", resources, listener, cancel)
+    gathered = work.gather(CELLS, "paper", SimulatedCell(profile=profile), drawn)
     return paper_result(gathered.found, gathered.failed)
 
 
@@ -169,6 +167,36 @@ def paper_result(trials: Sequence[PaperTrial], failed: tuple[str, ...] = ()) -> 
         trials=tuple(trials),
         failed=failed,
     )
+
+
+def paper_tables(result: PaperResult) -> list[Table]:
+    """The paper's methods over seeds beside the paper, and position errors at both tracker stations."""
+    gain = (result.gain.median, result.gain.worst, result.gain.paper)
+    rows = [
+        *((method, entry.median, entry.worst, entry.paper) for method, entry in result.cooperative_mm.items()),
+        ("proposed below method_1", *(None if share is None else Number(100 * share, 1, "%") for share in gain)),
+    ]
+    fields = [(title, itemgetter(place), ".4f") for place, title in enumerate(("median", "worst", "paper"), start=1)]
+    title = f"Mean cooperative error [mm], {len(result.trials)} simulated cells"
+    tables = [table_of(title, rows, ("method", itemgetter(0)), *fields)]
+    headings = {"position_mm": "Mean position error [mm]", "moved_mm": "At another tracker station [mm]"}
+    for where, heading in headings.items():
+        trials = [getattr(trial, where) for trial in result.trials]
+        stages = [(name, stage) for name, its in trials[0].items() for stage in its]
+        shown = {
+            f"{name}, {stage}": sorted(arms[name][stage] for arms in trials if stage in arms[name])
+            for name, stage in stages
+        }
+        tables.append(
+            table_of(
+                heading,
+                shown.items(),
+                ("arm, model", itemgetter(0)),
+                ("median", lambda one: one[1][len(one[1]) // 2], ".4f"),
+                ("worst", lambda one: one[1][-1], ".4f"),
+            )
+        )
+    return tables
 
 
 def _trial(profile: Profile, drawn: Seed) -> PaperTrial:

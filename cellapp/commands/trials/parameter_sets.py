@@ -13,16 +13,15 @@ from typing import Literal
 import numpy as np
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, planned_cell
+from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, of_all_arms, planned_cell
+from cellapp.commands.trials.skeleton import IN_PLACE, Work, table_of
+from cellapp.commands.view.table import Table
 from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, full_set, paper_set
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Record, Result
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch, TaskKind, as_given
+from cellapp.ground.scale.task import TaskKind, as_given
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import nominal_arm
@@ -99,21 +98,29 @@ class Solutions(Record):
 def parameter_set_trials(
     profile: Profile,
     seeds: Sequence[int],
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    work: Work = IN_PLACE,
 ) -> ParameterSetsResult:
     """Compare parameter sets for every arm of the profile. Raises as ``gather`` does."""
     planned = planned_cell(profile, IDENTIFY_STOPS + VALIDATE_STOPS)
-    drawn = [ArmSeed(arm=arm, seed=seed) for arm in profile.arms for seed in seeds]
-    batch = Batch(SETS, planned, drawn, [f"arm {one.arm}, seed {one.seed}" for one in drawn])
-    gathered = gather(batch, "parameter sets", resources, listener, cancel)
-    by_arm: dict[str, list[Solution]] = {arm: [] for arm in profile.arms}
-    for one, found in zip(drawn, gathered.results, strict=True):
-        by_arm[one.arm] += () if found is None else found.solutions
-    return ParameterSetsResult(
-        arms={arm: tuple(_summaries(found)) for arm, found in by_arm.items()}, failed=gathered.failed
-    )
+    by_arm, failed = of_all_arms(SETS, "parameter sets", planned, seeds, work)
+    solutions = {arm: [one for its in found for one in its.solutions] for arm, found in by_arm.items()}
+    return ParameterSetsResult(arms={arm: tuple(_summaries(found)) for arm, found in solutions.items()}, failed=failed)
+
+
+def parameter_set_tables(result: ParameterSetsResult) -> list[Table]:
+    """Redundant and reduced models, one table for each arm."""
+    return [
+        table_of(
+            f"Arm {arm}: redundant and reduced models, medians over seeds",
+            trials,
+            ("set (parameters), solver", lambda one: f"{one.parameter_set} ({one.parameters}), {one.solver}"),
+            ("iterations", "iterations", "g"),
+            ("converged", lambda one: f"{one.converged} of {one.seeds}"),
+            ("mean", "mean_mm", ".4g", "mm"),
+            ("max", "max_mm", ".4g", "mm"),
+        )
+        for arm, trials in result.arms.items()
+    ]
 
 
 def compared_sets(planned: PlannedCell, drawn: ArmSeed) -> Solutions:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import itemgetter
 
 import numpy as np
 
-from cellapp.cell.planning.plan_quality import ERROR_NAMES
+from cellapp.cell.planning.plan_quality import ERROR_NAMES, ErrorName
 from cellapp.commands.trials.plan_trial import BARS, PlanTrialsResult
+from cellapp.commands.trials.skeleton import table_of
 from cellapp.commands.trials.whole_plans import WholePlan
-from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.commands.view.table import Table
 
 _HEADINGS = {"parameters": "parameters, effects", "mean": "mean prediction", "worst": "worst prediction"}
 
@@ -22,74 +24,52 @@ def plan_trial_tables(result: PlanTrialsResult) -> list[Table]:
 
 
 def _information(result: PlanTrialsResult) -> Table:
+    first, seeds = result.trials[0], len({one.seed for one in result.trials})
     arms = dict.fromkeys(one.arm for one in result.trials)
-    first = result.trials[0]
-    rows = []
-    for arm in arms:
-        bound = next((one.bound for one in result.trials if one.arm == arm and one.bound), None)
-        for error in ERROR_NAMES:
-            ratios = [one.equal[error] / one.stops for one in result.trials if one.arm == arm]
-            rows.append(
-                (
-                    arm,
-                    _HEADINGS[error],
-                    float(np.median(ratios)),
-                    min(ratios),
-                    max(ratios),
-                    None if bound is None else bound[error] / first.stops,
-                    BARS[error],
-                )
-            )
-    seeds = len({one.seed for one in result.trials})
-    return Table(
+    return table_of(
         f"{result.profile}: random stops that one of {first.stops} designed stops is worth, {seeds} seeds",
-        (
-            Column("arm"),
-            Column("error"),
-            number_column("median", ".2f"),
-            number_column("least", ".2f"),
-            number_column("most", ".2f"),
-            number_column("best possible", ".2f"),
-            number_column("bar", ".1f"),
-        ),
-        tuple(rows),
+        [_worth(result, arm, error) for arm in arms for error in ERROR_NAMES],
+        ("arm", itemgetter(0)),
+        ("error", lambda row: _HEADINGS[row[1]]),
+        ("median", lambda row: float(np.median(row[2])), ".2f"),
+        ("least", lambda row: min(row[2]), ".2f"),
+        ("most", lambda row: max(row[2]), ".2f"),
+        ("best possible", itemgetter(3), ".2f"),
+        ("bar", lambda row: BARS[row[1]], ".1f"),
     )
 
 
+def _worth(result: PlanTrialsResult, arm: str, error: ErrorName) -> tuple[str, ErrorName, list[float], float | None]:
+    """Random stops that one designed stop of an arm is worth with each seed, and at best."""
+    its = [one for one in result.trials if one.arm == arm]
+    best = next((one.bound[error] / result.trials[0].stops for one in its if one.bound), None)
+    return arm, error, [one.equal[error] / one.stops for one in its], best
+
+
 def _order(profile: str, plans: Sequence[WholePlan]) -> Table:
-    return Table(
+    return table_of(
         f"{profile}: order and factors of {plans[0].asked} stops",
-        (
-            number_column("seed", "d"),
-            number_column("travel", ".0f", "s"),
-            number_column("random order", ".0f", "s"),
-            number_column("saved", ".1f", "%"),
-            number_column("correlation", ".3f"),
-            number_column("random plan", ".3f"),
-        ),
-        tuple(
-            (one.seed, one.travel_s, one.random_order_s, 100.0 * one.saved, one.correlation, one.random_correlation)
-            for one in plans
-        ),
+        plans,
+        ("seed", "seed", "d"),
+        ("travel", "travel_s", ".0f", "s"),
+        ("random order", "random_order_s", ".0f", "s"),
+        ("saved", "saved", ".1f", "%"),
+        ("correlation", "correlation", ".3f"),
+        ("random plan", "random_correlation", ".3f"),
     )
 
 
 def _safety(profile: str, plans: Sequence[WholePlan]) -> Table:
-    return Table(
+    return table_of(
         f"{profile}: ways of {plans[0].asked} stops",
-        (
-            number_column("seed", "d"),
-            number_column("reached", "d"),
-            number_column("rejected", ".2f", "%"),
-            number_column("detours", "d"),
-            number_column("motions", "d"),
-            number_column("collisions", "d"),
-            number_column("planned in", ".1f", "s"),
-        ),
-        tuple(
-            (one.seed, one.reached, 100.0 * one.rejected, one.detours, one.motions, one.collisions, one.seconds)
-            for one in plans
-        ),
+        plans,
+        ("seed", "seed", "d"),
+        ("reached", "reached", "d"),
+        ("rejected", "rejected", ".2f", "%"),
+        ("detours", "detours", "d"),
+        ("motions", "motions", "d"),
+        ("collisions", "collisions", "d"),
+        ("planned in", "seconds", ".1f", "s"),
     )
 
 

@@ -13,16 +13,15 @@ from cellapp.cell.planning.candidates import CandidatePool, draw_pool
 from cellapp.cell.planning.plan_quality import ErrorName, Errors, Judge, arm_design, equal_to_random
 from cellapp.cell.planning.selection import select_stops
 from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.commands.trials.whole_plans import WholePlan, whole_plans
 from cellapp.estimation.design.block_choice import Candidates
 from cellapp.estimation.design.block_design import Criterion
 from cellapp.estimation.design.relaxation import least_errors
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.progress import CancelToken
 from cellapp.ground.results import Record, Result
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch, SimulatedCell, TaskKind, profile_of
+from cellapp.ground.scale.task import SimulatedCell, TaskKind, profile_of
 
 BARS: Mapping[ErrorName, float] = {"parameters": 2.0, "mean": 1.5, "worst": 3.0}
 """Random stops that one designed stop shall be worth, by each error."""
@@ -96,21 +95,18 @@ def plan_trials(
     stops: int = 100,
     bounded: int = 1,
     whole: int = 0,
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    work: Work = IN_PLACE,
 ) -> PlanTrialsResult:
     """Trials of all ``seeds``; those of the first ``bounded`` ones with their bounds, which take longer.
 
     With ``whole``, also whole plans of so many stops with each seed. Raises as ``gather`` and ``whole_plans`` do.
     """
     drawn = [BoundedSeed(seed=seed, stops=stops, with_bound=number < bounded) for number, seed in enumerate(seeds)]
-    batch = Batch(DESIGNS, SimulatedCell(profile=profile), drawn, [f"seed {seed}" for seed in seeds])
-    gathered = gather(batch, "plans", resources, listener, cancel)
+    gathered = work.gather(DESIGNS, "plans", SimulatedCell(profile=profile), drawn)
     trials = tuple(trial for one in gathered.found for trial in one.trials)
     failed, plans = gathered.failed, tuple[WholePlan, ...]()
     if whole:
-        planned = whole_plans(profile, seeds, whole, resources, listener, cancel)
+        planned = whole_plans(profile, seeds, whole, work)
         failed, plans = (*failed, *planned.failed), planned.found
     return PlanTrialsResult(profile=profile.name, trials=trials, plans=plans, failed=failed)
 

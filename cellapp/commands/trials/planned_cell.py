@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from cellapp.cell.planning.plan import plan_stops
+from cellapp.commands.trials.skeleton import Work
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Record
+from cellapp.ground.scale.task import Found, TaskKind
 from cellapp.robot.kinematics.transforms import Array
 
 
@@ -29,6 +31,23 @@ class ArmSeed(Record):
 
     arm: str
     seed: int
+
+
+def of_all_arms(
+    kind: TaskKind[PlannedCell, PlannedCell, ArmSeed, Found],
+    job: str,
+    cell: PlannedCell,
+    seeds: Sequence[int],
+    work: Work,
+) -> tuple[dict[str, list[Found]], tuple[str, ...]]:
+    """Results of every arm with every seed, by arm, and what failed. Raises as ``Work.gather`` does."""
+    drawn = [ArmSeed(arm=arm, seed=seed) for arm in cell.profile.arms for seed in seeds]
+    gathered = work.gather(kind, job, cell, drawn, "arm {0.arm}, seed {0.seed}")
+    by_arm: dict[str, list[Found]] = {arm: [] for arm in cell.profile.arms}
+    for one, found in zip(drawn, gathered.results, strict=True):
+        if found is not None:
+            by_arm[one.arm].append(found)
+    return by_arm, gathered.failed
 
 
 def planned_cell(profile: Profile, stops: int) -> PlannedCell:

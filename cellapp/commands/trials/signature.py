@@ -23,6 +23,7 @@ from cellapp.commands.trials.league.series import (
     parse_entrants,
     series_texts,
 )
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.commands.trials.target_records import mean_of
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
@@ -33,11 +34,8 @@ from cellapp.estimation.prior.earlier import Earlier, believed
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Record, Result
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch, Seed, TaskKind, as_given
+from cellapp.ground.scale.task import Seed, TaskKind, as_given
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model import ArmModel
 
@@ -152,9 +150,7 @@ class Draws(Record):
 def twin_trials(
     plan: TwinPlan,
     seeds: Sequence[int],
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    work: Work = IN_PLACE,
 ) -> SignatureResult:
     """Simulated cells whose arms were mounted elsewhere, one for each seed.
 
@@ -166,8 +162,7 @@ def twin_trials(
         On request.
     """
     require_simulated(plan.profile)
-    batch = Batch(TWINS, plan, [Seed(seed=seed) for seed in seeds], [f"seed {seed}" for seed in seeds])
-    gathered = gather(batch, "signature", resources, listener, cancel)
+    gathered = work.gather(TWINS, "signature", plan, [Seed(seed=seed) for seed in seeds])
     draws = [draw for one in gathered.found for draw in one.draws]
     draws.sort(key=lambda draw: (draw.stops, draw.seed, draw.arm))
     few_draws = [draw for draw in draws if draw.stops == plan.few]
@@ -228,14 +223,12 @@ def remounted(profile: Profile, seed: int) -> Profile:
 def real_trials(
     rows: Sequence[Rows],
     seeds: Sequence[int],
+    work: Work = IN_PLACE,
     *,
     earlier: str = "C",
     later: str = "D",
     data: Path,
     profiles: Path,
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
 ) -> SignatureResult:
     """A measured series of an arm, with an earlier series of the same arm as prior.
 
@@ -246,8 +239,7 @@ def real_trials(
     """
     series = RealSeries(earlier=earlier, later=later, texts=series_texts([earlier, later], data, profiles))
     tasks = [RealTask(rows=size, seed=seed) for size in rows for seed in seeds]
-    names = [f"{task.rows} rows, seed {task.seed}" for task in tasks]
-    gathered = gather(Batch(REAL, series, tasks, names), "signature", resources, listener, cancel)
+    gathered = work.gather(REAL, "signature", series, tasks, "{0.rows} rows, seed {0.seed}")
     draws = sorted(gathered.found, key=lambda draw: (draw.stops, draw.seed))
     count = len(load_entrant(earlier, data, profiles).readings)
     lines = lines_of(draws)

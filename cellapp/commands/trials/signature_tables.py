@@ -3,56 +3,46 @@
 from __future__ import annotations
 
 from cellapp.commands.trials.signature import SignatureResult
-from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.commands.trials.skeleton import table_of
+from cellapp.commands.view.table import Table
 
 _MM = ".4f"
-_WITHOUT = number_column("without", _MM)
 _ERRORS = (
-    _WITHOUT,
-    number_column("with", _MM),
-    number_column("searched", _MM),
-    number_column("exact", _MM),
+    ("without", "alone_mm", _MM),
+    ("with", "calibrated_mm", _MM),
+    ("searched", "discovered_mm", _MM),
+    ("exact", "exact_mm", _MM),
 )
 
 
 def signature_tables(result: SignatureResult) -> list[Table]:
     """Means, bars and every draw."""
-    columns = (Column("cell"), number_column("stops", "d"), number_column("draws", "d"), *_ERRORS)
-    lines = tuple(
-        (
-            line.cell,
-            line.stops,
-            line.draws,
-            line.alone_mm,
-            line.calibrated_mm,
-            line.discovered_mm,
-            line.exact_mm,
-            line.worst_ratio,
-            line.worse,
-        )
-        for line in result.lines
-    )
-    judged = (number_column("worst", ".3f"), number_column("worse", "d"))
-    every = tuple(
-        (
-            draw.cell,
-            draw.stops,
-            f"{draw.seed} {draw.arm}",
-            draw.alone_mm,
-            draw.calibrated_mm,
-            draw.discovered_mm,
-            draw.exact_mm,
-        )
-        for draw in result.draws
-    )
-    bars = tuple((bar.what, bar.reached, bar.most, "yes" if bar.met else "NO") for bar in result.bars)
     return [
-        Table("With and without the earlier calibration: mean held-out error [mm]", (*columns, *judged), lines),
-        Table("Every draw [mm]", (Column("cell"), number_column("stops", "d"), Column("draw"), *_ERRORS), every),
-        Table(
+        table_of(
+            "With and without the earlier calibration: mean held-out error [mm]",
+            result.lines,
+            ("cell", "cell"),
+            ("stops", "stops", "d"),
+            ("draws", "draws", "d"),
+            *_ERRORS,
+            ("worst", "worst_ratio", ".3f"),
+            ("worse", "worse", "d"),
+        ),
+        table_of(
+            "Every draw [mm]",
+            result.draws,
+            ("cell", "cell"),
+            ("stops", "stops", "d"),
+            ("draw", lambda draw: f"{draw.seed} {draw.arm}"),
+            *_ERRORS,
+        ),
+        table_of(
             "Bars",
-            (Column("what"), number_column("reached", _MM), number_column("at most", _MM), Column("met")),
-            bars,
+            result.bars,
+            ("what", "what"),
+            ("reached", "reached", _MM),
+            ("at most", "most", _MM),
+            ("met", lambda bar: "yes" if bar.met else "NO"),
         ),
     ]
 

@@ -1,8 +1,9 @@
-"""Tables of the trials for terminal and handbook."""
+"""Tables of blind trials for terminal and handbook."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 
 from cellapp.commands.trials.blind_matrix import MatrixResult
 from cellapp.commands.trials.judge_records import (
@@ -10,21 +11,22 @@ from cellapp.commands.trials.judge_records import (
     THRESHOLD,
     VERDICTS,
     CleanCounts,
+    EffectCounts,
     EndState,
     JudgeResult,
+    Miss,
     OutcomeCounts,
+    OutsideCounts,
     PosteriorScore,
     Scores,
     Spread,
     TargetScore,
 )
-from cellapp.commands.trials.paper import PaperResult
-from cellapp.commands.trials.parameter_sets import ParameterSetsResult
 from cellapp.commands.trials.sealed_setup import Setup
-from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
+from cellapp.commands.trials.skeleton import Field, not_computed, table_of
+from cellapp.commands.view.table import Column, Number, Table, number_column
 from cellapp.ground.times import day_of
 
-_MM = ".4f"
 _CELLS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Cells: visible effects, exactly named": {
         "one": ("one", "visible: exactly its name"),
@@ -41,93 +43,19 @@ _CELLS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     },
 }
 """Tables of the cells: title, headings, and the target (kind, target) under each heading."""
-_END = (Column("held out"), Column("verdicts"))
-
-
-def parameter_set_tables(result: ParameterSetsResult) -> list[Table]:
-    """Redundant and reduced models, one table for each arm."""
-    columns = (
-        Column("set (parameters), solver"),
-        number_column("iterations", "g"),
-        Column("converged"),
-        number_column("mean", ".4g", "mm"),
-        number_column("max", ".4g", "mm"),
-    )
-    return [
-        Table(
-            f"Arm {arm}: redundant and reduced models, medians over seeds",
-            columns,
-            tuple(
-                (
-                    f"{trial.parameter_set} ({trial.parameters}), {trial.solver}",
-                    trial.iterations,
-                    f"{trial.converged} of {trial.seeds}",
-                    trial.mean_mm,
-                    trial.max_mm,
-                )
-                for trial in trials
-            ),
-        )
-        for arm, trials in result.arms.items()
-    ]
-
-
-def paper_tables(result: PaperResult) -> list[Table]:
-    """The paper's methods over seeds beside the paper, and position errors at both tracker stations."""
-    rows: list[tuple[Cell, ...]] = [
-        (method, entry.median, entry.worst, entry.paper) for method, entry in result.cooperative_mm.items()
-    ]
-    gain = (result.gain.median, result.gain.worst, result.gain.paper)
-    rows.append(
-        ("proposed below method_1", *(None if share is None else Number(100 * share, 1, "%") for share in gain))
-    )
-    columns = (Column("method"), *(number_column(title, _MM) for title in ("median", "worst", "paper")))
-    title = f"Mean cooperative error [mm], {len(result.trials)} simulated cells"
-    positions = [trial.position_mm for trial in result.trials]
-    moved = [trial.moved_mm for trial in result.trials]
-    tables = [Table(title, columns, tuple(rows))]
-    for heading, trials in (("Mean position error [mm]", positions), ("At another tracker station [mm]", moved)):
-        shown: list[tuple[Cell, ...]] = []
-        for name, stages in trials[0].items():
-            for stage in stages:
-                values = sorted(arms[name][stage] for arms in trials if stage in arms[name])
-                shown.append((f"{name}, {stage}", values[len(values) // 2], values[-1]))
-        headings = (Column("arm, model"), number_column("median", _MM), number_column("worst", _MM))
-        tables.append(Table(heading, headings, tuple(shown)))
-    return tables
 
 
 def judge_tables(result: Scores) -> list[Table]:
     """Targets, then one table for each kind of trial; the last one lists the misses."""
-    tables = [_target_table(result.targets)]
-    for title, groups in (("One hidden effect", result.one), ("Several hidden effects", result.pair)):
-        rows = [
-            row
-            for name, group in groups.items()
-            for which, counts in (("", group.visible), (", below", group.below))
-            if (row := _count_row(f"{name} (look-alikes){which}" if group.look_alikes else name + which, counts))
-        ]
-        if groups:
-            columns: tuple[Column, ...] = (
-                Column("effect"),
-                Column("visible um"),
-                Column("beyond law um"),
-                number_column("n", "d"),
-                number_column("named", "d"),
-                Column("otherwise"),
-                number_column("in answer set", "d"),
-                *_END,
-            )
-            tables.append(Table(title, columns, tuple(rows)))
-    if result.none:
-        columns = (Column("arms"), *(number_column(c, "d") for c in ("n", "false names", "false unknown")), *_END)
-        tables.append(Table("Nothing hidden", columns, tuple(_clean_row(*entry) for entry in result.none.items())))
-    if result.outside:
-        tables.append(_outside_table(result))
-    tables += [_posterior_table(score) for score in result.posteriors]
-    if result.misses:
-        tables.append(_miss_table(result))
-    return tables
+    effects = {"One hidden effect": result.one, "Several hidden effects": result.pair}
+    return [
+        _target_table(result.targets),
+        *(_count_table(title, groups) for title, groups in effects.items() if groups),
+        *([_clean_table(result.none)] if result.none else []),
+        *([_outside_table(result.outside)] if result.outside else []),
+        *map(_posterior_table, result.posteriors),
+        *([_miss_table(result.misses)] if result.misses else []),
+    ]
 
 
 def judge_sentences(result: JudgeResult) -> list[str]:
@@ -156,6 +84,12 @@ def judge_sentences(result: JudgeResult) -> list[str]:
         f" seed {sealed.seed}, sealed {day_of(sealed.written)} by {sealed.program}."
     )
     return said
+
+
+def refused(result: JudgeResult | MatrixResult) -> str:
+    """Runs that could not be judged, or bars missed in enough trials to say so, in words; empty without any."""
+    missed = "; ".join(f"{one.kind}: {one.target}" for one in result.missed)
+    return not_computed(result.failed) or (f"bars missed: {missed}" if missed else "")
 
 
 def setup_words(setup: Setup) -> str:
@@ -208,71 +142,111 @@ def matrix_sentences(result: MatrixResult) -> list[str]:
 
 
 def _target_table(targets: Sequence[TargetScore]) -> Table:
-    columns = tuple(Column(title) for title in ("kind", "target", "wanted", "reached", "share", "", "met"))
-    rows = []
-    for target in targets:
-        sign = "at most" if target.at_most else "at least"
-        wanted = f"{sign} {100 * target.wanted:.0f} %" if target.reached is not None else f"{sign} {target.wanted:g}"
-        if target.n < target.trials_wanted:
-            wanted += f" of {target.trials_wanted}"
-        met = {True: "yes", False: "MISSED" if target.missed else "no", None: "too few"}[target.met]
-        reached = f"{target.n} statements" if target.reached is None else f"{target.reached} of {target.n}"
-        share = Number(target.share, 3) if target.reached is None else Number(100 * target.share, 1, "%")
-        rows.append((target.kind, target.target, wanted, reached, share, "bar" if target.bar else "", met))
-    return Table("Sealed trials: targets", columns, tuple(rows))
-
-
-def _posterior_table(score: PosteriorScore) -> Table:
-    columns = (Column("stated"), number_column("n", "d"), *(number_column(c, ".3f") for c in ("mean stated", "true")))
-    rows = tuple((f"{one.low:.1f} to {one.high:.1f}", one.n, one.stated, one.true) for one in score.bins)
-    return Table(f"Stated probabilities, {score.about}: Brier score {score.brier:.3f}", columns, rows)
-
-
-def _count_row(name: str, counts: OutcomeCounts) -> tuple[Cell, ...] | None:
-    if not counts.n:
-        return None
-    otherwise = ", ".join(f"{word} {counts.count(word)}" for word in OUTCOMES[1:] if counts.count(word))
-    visible = _range(counts.visible_um)
-    return (
-        name,
-        visible,
-        _range(counts.beyond_law_um),
-        counts.n,
-        counts.named,
-        otherwise or "-",
-        counts.in_answer_set,
-        *_end(counts),
+    return table_of(
+        "Sealed trials: targets",
+        targets,
+        ("kind", "kind"),
+        ("target", "target"),
+        ("wanted", _wanted),
+        ("reached", lambda one: f"{one.n} statements" if one.reached is None else f"{one.reached} of {one.n}"),
+        ("share", lambda one: Number(one.share, 3) if one.reached is None else Number(100 * one.share, 1, "%")),
+        ("", lambda one: "bar" if one.bar else ""),
+        ("met", lambda one: {True: "yes", False: "MISSED" if one.missed else "no", None: "too few"}[one.met]),
     )
 
 
-def _clean_row(what: str, counts: CleanCounts) -> tuple[Cell, ...]:
-    return what, counts.n, counts.false_names, counts.false_unknown, *_end(counts)
+def _wanted(target: TargetScore) -> str:
+    sign = "at most" if target.at_most else "at least"
+    wanted = f"{sign} {100 * target.wanted:.0f} %" if target.reached is not None else f"{sign} {target.wanted:g}"
+    return wanted + (f" of {target.trials_wanted}" if target.n < target.trials_wanted else "")
 
 
-def _outside_table(result: Scores) -> Table:
-    titles = ("n", "called unknown", "described", "in part", "false names")
-    columns = (Column("law"), Column("visible um"), *(number_column(title, "d") for title in titles), *_END)
-    rows: list[tuple[Cell, ...]] = []
-    for name, group in result.outside.items():
-        counts = (group.n, group.unknown, group.right, group.part, group.false_names)
-        rows.append((name, _range(group.visible_um), *counts, *_end(group)))
-    return Table("Outside the library", columns, tuple(rows))
+def _posterior_table(score: PosteriorScore) -> Table:
+    return table_of(
+        f"Stated probabilities, {score.about}: Brier score {score.brier:.3f}",
+        score.bins,
+        ("stated", lambda one: f"{one.low:.1f} to {one.high:.1f}"),
+        ("n", "n", "d"),
+        ("mean stated", "stated", ".3f"),
+        ("true", "true", ".3f"),
+    )
 
 
-def _miss_table(result: Scores) -> Table:
-    titles = ("run", "hidden (visible um)", "found", "or / described", "verdict")
-    rows = tuple(
-        (f"{miss.run} {miss.arm}", miss.hidden or "nothing", miss.found or "nothing", miss.said, miss.verdict,
-         miss.to_drawn)
-        for miss in result.misses
-    )  # fmt: skip
-    return Table("Misses", (*(Column(title) for title in titles), number_column("held out", ".3f")), rows)
+def _count_table(title: str, groups: Mapping[str, EffectCounts]) -> Table:
+    """Outcomes of runs that hide the same, those of visible effects and those of effects below the noise."""
+    rows = [
+        (f"{name} (look-alikes){which}" if group.look_alikes else name + which, counts)
+        for name, group in groups.items()
+        for which, counts in (("", group.visible), (", below", group.below))
+        if counts.n
+    ]
+    return table_of(
+        title,
+        rows,
+        ("effect", itemgetter(0)),
+        ("visible um", lambda row: _range(row[1].visible_um)),
+        ("beyond law um", lambda row: _range(row[1].beyond_law_um)),
+        ("n", lambda row: row[1].n, "d"),
+        ("named", lambda row: row[1].named, "d"),
+        ("otherwise", lambda row: _otherwise(row[1])),
+        ("in answer set", lambda row: row[1].in_answer_set, "d"),
+        *_END,
+    )
 
 
-def _end(state: EndState) -> tuple[Cell, Cell]:
+def _otherwise(counts: OutcomeCounts) -> str:
+    return ", ".join(f"{word} {counts.count(word)}" for word in OUTCOMES[1:] if counts.count(word)) or "-"
+
+
+def _clean_table(arms: Mapping[str, CleanCounts]) -> Table:
+    return table_of(
+        "Nothing hidden",
+        arms.items(),
+        ("arms", itemgetter(0)),
+        ("n", lambda row: row[1].n, "d"),
+        ("false names", lambda row: row[1].false_names, "d"),
+        ("false unknown", lambda row: row[1].false_unknown, "d"),
+        *_END,
+    )
+
+
+def _outside_table(laws: Mapping[str, OutsideCounts]) -> Table:
+    return table_of(
+        "Outside the library",
+        laws.items(),
+        ("law", itemgetter(0)),
+        ("visible um", lambda row: _range(row[1].visible_um)),
+        ("n", lambda row: row[1].n, "d"),
+        ("called unknown", lambda row: row[1].unknown, "d"),
+        ("described", lambda row: row[1].right, "d"),
+        ("in part", lambda row: row[1].part, "d"),
+        ("false names", lambda row: row[1].false_names, "d"),
+        *_END,
+    )
+
+
+def _miss_table(misses: Sequence[Miss]) -> Table:
+    return table_of(
+        "Misses",
+        misses,
+        ("run", lambda miss: f"{miss.run} {miss.arm}"),
+        ("hidden (visible um)", lambda miss: miss.hidden or "nothing"),
+        ("found", lambda miss: miss.found or "nothing"),
+        ("or / described", "said"),
+        ("verdict", "verdict"),
+        ("held out", "to_drawn", ".3f"),
+    )
+
+
+def _held_out(state: EndState) -> str:
     ratio = state.heldout_to_drawn
-    verdicts = " ".join(f"{word[0].upper()}{count}" for word, count in state.verdicts.items())
-    return None if ratio is None else f"{ratio.median:.3f}, {ratio.max:.3f}", verdicts
+    return "" if ratio is None else f"{ratio.median:.3f}, {ratio.max:.3f}"
+
+
+_END: tuple[Field, ...] = (
+    ("held out", lambda row: _held_out(row[1])),
+    ("verdicts", lambda row: " ".join(f"{word[0].upper()}{count}" for word, count in row[1].verdicts.items())),
+)
 
 
 def _range(spread: Spread | None) -> str:

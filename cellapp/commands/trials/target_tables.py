@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
+from cellapp.commands.trials.skeleton import Field, table_of
 from cellapp.commands.trials.target_records import (
     LEAST_GAIN,
     LEAST_RATIO,
@@ -13,7 +15,7 @@ from cellapp.commands.trials.target_records import (
     TargetTrialsResult,
     mean_of,
 )
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Table
 
 
 def target_trial_tables(result: TargetTrialsResult) -> list[Table]:
@@ -44,117 +46,97 @@ def target_trial_sentences(result: TargetTrialsResult) -> list[str]:
 
 def _arms(result: TargetTrialsResult, state: str) -> Table:
     """Errors of single targets."""
-    return Table(
+    return table_of(
         f"{result.profile}: single targets, {state}",
-        (
-            Column("arm"),
-            Column("seed"),
-            number_column("targets", "d"),
-            number_column("refused", "d"),
-            number_column("nominal", ".3f", "mm"),
-            number_column("ours", ".4f", "mm"),
-            number_column("times", ".0f"),
-            number_column("floor", ".4f", "mm"),
-            number_column("of floor", ".2f"),
-        ),
-        _rows_of_arms(result, state, _error_cells),
+        _lines_of_arms(result, state),
+        *_ARM,
+        *_COUNTS,
+        ("nominal", lambda line: line.mean("nominal_mm"), ".3f", "mm"),
+        ("ours", lambda line: line.mean("compensated_mm"), ".4f", "mm"),
+        ("times", lambda line: line.ratio("nominal_mm", "compensated_mm"), ".0f"),
+        ("floor", lambda line: line.mean("floor_mm"), ".4f", "mm"),
+        ("of floor", lambda line: line.ratio("compensated_mm", "floor_mm"), ".2f"),
     )
 
 
 def _promises(result: TargetTrialsResult, state: str) -> Table:
     """How often measurements keep what was stated of them, beside what no calibration can foresee."""
-    return Table(
+    return table_of(
         f"{result.profile}: stated intervals of single targets, {state}",
-        (
-            Column("arm"),
-            Column("seed"),
-            number_column("distances", ".1f", "%"),
-            number_column("coordinates", ".1f", "%"),
-            number_column("changed since", ".4f", "mm"),
-            number_column("paper's", ".4f", "mm"),
-        ),
-        _rows_of_arms(result, state, _promise_cells),
-    )
-
-
-def _rows_of_arms(
-    result: TargetTrialsResult, state: str, cells: Callable[[Sequence[ArmFigures]], tuple[Cell, ...]]
-) -> tuple[tuple[Cell, ...], ...]:
-    """A row for each arm of each cell, and one of the means of each arm."""
-    rows: list[tuple[Cell, ...]] = []
-    for name, arms in result.by_arm(state).items():
-        seeds = [trial.seed for trial in result.trials if state in trial.states]
-        rows += [(name, str(seed), *cells([arm])) for seed, arm in zip(seeds, arms, strict=True)]
-        rows.append((name, "mean", *cells(arms)))
-    return tuple(rows)
-
-
-def _error_cells(arms: Sequence[ArmFigures]) -> tuple[Cell, ...]:
-    nominal, ours = mean_of(arm.nominal_mm for arm in arms), mean_of(arm.compensated_mm for arm in arms)
-    floor = mean_of(arm.floor_mm for arm in arms)
-    assert nominal is not None
-    assert ours is not None
-    assert floor is not None
-    counts = sum(arm.targets for arm in arms), sum(arm.refused for arm in arms)
-    return (*counts, nominal, ours, nominal / ours, floor, ours / floor)
-
-
-def _promise_cells(arms: Sequence[ArmFigures]) -> tuple[Cell, ...]:
-    return (
-        _percent(mean_of(arm.within_95 for arm in arms)),
-        _percent(mean_of(arm.coordinates_95 for arm in arms)),
-        mean_of(arm.changed_mm for arm in arms),
-        mean_of(arm.paper_mm for arm in arms),
+        _lines_of_arms(result, state),
+        *_ARM,
+        ("distances", lambda line: line.mean("within_95"), ".1f", "%"),
+        ("coordinates", lambda line: line.mean("coordinates_95"), ".1f", "%"),
+        ("changed since", lambda line: line.mean("changed_mm"), ".4f", "mm"),
+        ("paper's", lambda line: line.mean("paper_mm"), ".4f", "mm"),
     )
 
 
 def _pairs(result: TargetTrialsResult, state: str) -> Table:
-    rows = [
-        (str(trial.seed), *_pair_cells([pair]))
+    pairs = {
+        str(trial.seed): [pair]
         for trial in result.trials
         if state in trial.states and (pair := trial.states[state].pair) is not None
-    ]
-    rows.append(("mean", *_pair_cells(result.pairs(state))))
-    return Table(
+    }
+    return table_of(
         f"{result.profile}: cooperative targets, {state}",
-        (
-            Column("seed"),
-            number_column("targets", "d"),
-            number_column("refused", "d"),
-            number_column("nominal", ".3f", "mm"),
-            number_column("compensated", ".4f", "mm"),
-            number_column("floor", ".4f", "mm"),
-            number_column("paper's", ".4f", "mm"),
-            number_column("below paper's", ".0f", "%"),
-        ),
-        tuple(rows),
+        [_Line("", seed, some) for seed, some in {**pairs, "mean": result.pairs(state)}.items()],
+        _SEED,
+        *_COUNTS,
+        ("nominal", lambda line: line.mean("nominal_mm"), ".3f", "mm"),
+        ("compensated", lambda line: line.mean("compensated_mm"), ".4f", "mm"),
+        ("floor", lambda line: line.mean("floor_mm"), ".4f", "mm"),
+        ("paper's", lambda line: line.mean("paper_mm"), ".4f", "mm"),
+        ("below paper's", lambda line: line.below_paper(), ".0f", "%"),
     )
 
 
-def _pair_cells(pairs: Sequence[PairFigures]) -> tuple[int | float | None, ...]:
-    ours, paper = mean_of(pair.compensated_mm for pair in pairs), mean_of(pair.paper_mm for pair in pairs)
-    return (
-        sum(pair.targets for pair in pairs),
-        sum(pair.refused for pair in pairs),
-        mean_of(pair.nominal_mm for pair in pairs),
-        ours,
-        mean_of(pair.floor_mm for pair in pairs),
-        paper,
-        None if paper is None or ours is None else 100.0 * (1.0 - ours / paper),
-    )
+@dataclass(frozen=True)
+class _Line:
+    """A row: the figures of an arm, or of the pair, of one cell or of all."""
+
+    arm: str
+    seed: str
+    figures: Sequence[ArmFigures | PairFigures]
+
+    def mean(self, name: str) -> float | None:
+        return mean_of(getattr(one, name) for one in self.figures)
+
+    def ratio(self, above: str, below: str) -> float | None:
+        over, under = self.mean(above), self.mean(below)
+        return None if over is None or under is None else over / under
+
+    def below_paper(self) -> float | None:
+        ratio = self.ratio("compensated_mm", "paper_mm")
+        return None if ratio is None else 1.0 - ratio
+
+
+_SEED: Field = ("seed", "seed")
+_ARM: tuple[Field, ...] = (("arm", "arm"), _SEED)
+_COUNTS: tuple[Field, ...] = (
+    ("targets", lambda line: sum(one.targets for one in line.figures), "d"),
+    ("refused", lambda line: sum(one.refused for one in line.figures), "d"),
+)
+
+
+def _lines_of_arms(result: TargetTrialsResult, state: str) -> list[_Line]:
+    """A line for each arm of each cell, and one of the means of each arm."""
+    seeds = [str(trial.seed) for trial in result.trials if state in trial.states]
+    lines = []
+    for name, arms in result.by_arm(state).items():
+        lines += [_Line(name, seed, [arm]) for seed, arm in zip(seeds, arms, strict=True)]
+        lines.append(_Line(name, "mean", arms))
+    return lines
 
 
 def _effects(result: TargetTrialsResult) -> Table:
-    return Table(
+    return table_of(
         f"{result.profile}: hidden effects and what was found",
-        (Column("seed"), Column("arm"), Column("hidden"), Column("laws"), Column("found"), Column("verdict")),
-        tuple(
-            (str(trial.seed), name, ", ".join(arm.hidden), arm.laws, ", ".join(arm.found), arm.verdict)
-            for trial in result.trials
-            for name, arm in trial.effects.items()
-        ),
+        [(str(trial.seed), name, arm) for trial in result.trials for name, arm in trial.effects.items()],
+        ("seed", lambda row: row[0]),
+        ("arm", lambda row: row[1]),
+        ("hidden", lambda row: ", ".join(row[2].hidden)),
+        ("laws", lambda row: row[2].laws),
+        ("found", lambda row: ", ".join(row[2].found)),
+        ("verdict", lambda row: row[2].verdict),
     )
-
-
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share

@@ -36,6 +36,7 @@ from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.commands.trials.blind import with_hidden
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.commands.trials.target_draws import draw_hidden, draw_pairs, draw_targets
 from cellapp.commands.trials.target_records import (
     CALIBRATED,
@@ -52,11 +53,8 @@ from cellapp.estimation.calibration.inter_base_transform import distances
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import CALIBRATE, Record
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch, Seed, TaskKind, as_given
+from cellapp.ground.scale.task import Seed, TaskKind, as_given
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, rotation_z, transform, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
@@ -92,9 +90,7 @@ def target_trials(
     seeds: Sequence[int],
     targets: int,
     pairs: int,
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    work: Work = IN_PLACE,
 ) -> TargetTrialsResult:
     """Try one cell for each seed.
 
@@ -109,8 +105,7 @@ def target_trials(
     if not (profile.tracker.driver.needs_plant and all(arm.driver.needs_plant for arm in profile.arms.values())):
         raise InputError(f"profile {profile.name}: these trials need drivers of kind 'simulated' for all devices")
     plan = TargetsPlan(profile=profile, targets=targets, pairs=pairs)
-    batch = Batch(CELLS, plan, [Seed(seed=seed) for seed in seeds], [f"seed {seed}" for seed in seeds])
-    gathered = gather(batch, "targets", resources, listener, cancel)
+    gathered = work.gather(CELLS, "targets", plan, [Seed(seed=seed) for seed in seeds])
     return TargetTrialsResult(profile=profile.name, trials=gathered.found, failed=gathered.failed)
 
 

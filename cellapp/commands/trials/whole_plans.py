@@ -15,12 +15,11 @@ from cellapp.cell.planning.method import make_stops
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.commands.trials.collision_check import CollisionCheck
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Record
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import Gathered, gather
-from cellapp.ground.scale.task import Batch, SimulatedCell, TaskKind, profile_of
+from cellapp.ground.scale.gather import Gathered
+from cellapp.ground.scale.task import SimulatedCell, TaskKind, profile_of
 from cellapp.robot.kinematics.transforms import Array
 
 _SEED = 0x9A9
@@ -68,9 +67,7 @@ def whole_plans(
     profile: Profile,
     seeds: Sequence[int],
     stops: int,
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    work: Work = IN_PLACE,
 ) -> Gathered[WholePlan]:
     """Plan ``stops`` stops with each seed.
 
@@ -81,8 +78,7 @@ def whole_plans(
     Cancelled
     """
     drawn = [PlanSeed(seed=seed, stops=stops) for seed in seeds]
-    batch = Batch(PLANS, SimulatedCell(profile=profile), drawn, [f"whole plan, seed {seed}" for seed in seeds])
-    return gather(batch, "whole plans", resources, listener, cancel)
+    return work.gather(PLANS, "whole plans", SimulatedCell(profile=profile), drawn, "whole plan, seed {0.seed}")
 
 
 def _whole_plan(profile: Profile, drawn: PlanSeed) -> WholePlan:

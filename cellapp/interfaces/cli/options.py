@@ -50,13 +50,6 @@ Store = Annotated[
     typer.Option("--store", metavar="FILE", help="Keep results in FILE as they come; what it holds is not repeated."),
     Writes.STORE,
 ]
-SimulatedCell = Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")]
-DEFAULT_CELL = Path("profiles/twin.yaml")
-DrawnCells = Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells, or draws of rows.")]
-FirstSeed = Annotated[int, typer.Option("--first", min=0, help="The first seed.")]
-Mix = Annotated[bool, typer.Option("--mix", help="Hide compliance, curves and backlash on the arms.")]
-SeriesFolder = Annotated[Path, typer.Option("--data", metavar="DIR", help="Folder of the series.")]
-SeriesProfiles = Annotated[Path, typer.Option("--profiles", metavar="DIR", help="Folder of their profiles.")]
 MarkdownFile = Annotated[
     Path | None,
     typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown to FILE."),

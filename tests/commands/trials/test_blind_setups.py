@@ -20,6 +20,7 @@ from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import ExpectedTerm, GroundTruth, HiddenLaw, open_truth, seal_trials
 from cellapp.commands.trials.sealed_cases import EXPECTED
 from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.skeleton import Work
 from cellapp.commands.trials.visible_size import beyond_law, registered_model
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.discovery.records import BeforeAfter
@@ -306,8 +307,9 @@ def test_a_matrix_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pyte
         if event.done == 1:
             cancel.cancel()
 
+    work = Work(listener=stop_before_the_second, cancel=cancel)
     with pytest.raises(Cancelled):
-        blind_matrix.blind_matrix(twin(), tmp_path, 1, cells, seed=SEED, listener=stop_before_the_second, cancel=cancel)
+        blind_matrix.blind_matrix(twin(), tmp_path, 1, cells, work, seed=SEED)
     first = (tmp_path / "stops-60.none" / "run-0001" / "run.sqlite").read_bytes()
     result = blind_matrix.blind_matrix(twin(), tmp_path, 1, cells, seed=SEED)
     assert (tmp_path / "stops-60.none" / "run-0001" / "run.sqlite").read_bytes() == first

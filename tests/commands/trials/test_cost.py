@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.cost import CostResult, cost_of, cost_table
 from cellapp.commands.trials.coverage import coverage_trials
+from cellapp.commands.trials.skeleton import Work
 from cellapp.ground.errors import InputError
 from cellapp.ground.scale.executor import Resources
 from cellapp.interfaces.cli.app import app
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.fast
 
 def test_the_cost_of_many_tasks_follows_from_those_in_a_store(tmp_path: Path) -> None:
     store = tmp_path / "store.sqlite"
-    coverage_trials(load_profile(PROFILES / "twin.yaml"), 3, 25, Resources(jobs=1, store=store))
+    coverage_trials(load_profile(PROFILES / "twin.yaml"), 3, 25, Work(Resources(jobs=1, store=store)))
     result = cost_of(store, 7200)
     (coverage,) = result.jobs
     assert (coverage.job, coverage.tasks) == ("coverage", 6)
@@ -37,22 +38,22 @@ def test_a_store_without_results_has_no_cost(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="file not found"):
         cost_of(tmp_path / "none", 1)
     with pytest.raises(InputError, match="section 'plant'"):
-        coverage_trials(load_profile(PROFILES / "ur10-ur5.yaml"), 2, 25, Resources(store=tmp_path / "none"))
+        coverage_trials(load_profile(PROFILES / "ur10-ur5.yaml"), 2, 25, Work(Resources(store=tmp_path / "none")))
 
 
 def test_a_second_run_of_a_trial_takes_its_results_from_the_store(tmp_path: Path) -> None:
     store, profile = tmp_path / "store.sqlite", load_profile(PROFILES / "twin.yaml")
-    two = coverage_trials(profile, 2, 25, Resources(jobs=1, store=store))
-    assert two == coverage_trials(profile, 2, 25, Resources(jobs=1))
+    two = coverage_trials(profile, 2, 25, Work(Resources(jobs=1, store=store)))
+    assert two == coverage_trials(profile, 2, 25, Work(Resources(jobs=1)))
     before = cost_of(store, 1)
-    assert coverage_trials(profile, 2, 25, Resources(jobs=1, store=store)) == two
+    assert coverage_trials(profile, 2, 25, Work(Resources(jobs=1, store=store))) == two
     assert cost_of(store, 1) == before
 
 
 @pytest.mark.parametrize(
     "verb",
-    ["coverage", "parameter-sets", "paper", "campaigns", "judge", "blind-matrix", "plans", "targets", "league",
-     "signature", "check"],
+    ["coverage", "parameter-sets", "paper", "judge", "blind-matrix", "plans", "targets", "league", "signature",
+     "check"],
 )  # fmt: skip
 def test_every_trial_over_seeds_has_the_same_options(verb: str) -> None:
     shown = CliRunner().invoke(app, ["trials", verb, "--help"], env={"COLUMNS": "200", "TERM": "dumb"}).output

@@ -9,8 +9,7 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.measured import measured_plan
-from cellapp.commands.trials.paper import paper_result, paper_trial
-from cellapp.commands.trials.tables import paper_tables
+from cellapp.commands.trials.paper import paper_result, paper_tables, paper_trial
 
 ROOT = Path(__file__).parents[3]
 

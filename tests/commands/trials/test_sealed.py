@@ -35,6 +35,7 @@ from cellapp.commands.trials.sealed import (
 )
 from cellapp.commands.trials.sealed_cases import EXPECTED, KINDS, LOOK_ALIKES, PAIRS, TRIPLES, cases, library_name
 from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.skeleton import Work
 from cellapp.commands.trials.tables import judge_sentences, judge_tables
 from cellapp.commands.trials.visible_size import beyond_geometry
 from cellapp.commands.view.table import markdown
@@ -85,7 +86,7 @@ def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[st
             cancel.cancel()
 
     with pytest.raises(Cancelled):
-        judge_trials(folder, listener=stop_after_the_first, cancel=cancel)
+        judge_trials(folder, Work(listener=stop_after_the_first, cancel=cancel))
     first = stored(folder)
     return folder, first, judge_trials(folder)
 
@@ -361,7 +362,7 @@ def test_judging_goes_on_where_it_was_stopped(judged_once: tuple[Path, list[str]
     assert all(after)
     assert [text for text, before in zip(after, first, strict=True) if before] == done, "not judged twice"
     events: list[Progress] = []
-    assert judge_trials(folder, listener=events.append).trials == result.trials
+    assert judge_trials(folder, Work(listener=events.append)).trials == result.trials
     assert [(event.done, event.total) for event in events] == [(3, 3)]
     assert stored(folder) == after
 

@@ -16,6 +16,7 @@ from distributed import Future
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.coverage import coverage_trials
+from cellapp.commands.trials.skeleton import Work
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import CancelToken
 from cellapp.ground.scale import dask_cluster
@@ -175,5 +176,5 @@ def test_a_scheduler_that_is_not_there_is_said(tmp_path: Path, monkeypatch: pyte
 
 def test_a_trial_is_the_same_by_seed_in_this_process_and_on_a_cluster(address: str) -> None:
     profile = load_profile(PROFILES / "twin.yaml")
-    here = coverage_trials(profile, 2, 25, Resources(jobs=1))
-    assert coverage_trials(profile, 2, 25, Resources(scheduler=address)) == here
+    here = coverage_trials(profile, 2, 25, Work(Resources(jobs=1)))
+    assert coverage_trials(profile, 2, 25, Work(Resources(scheduler=address))) == here

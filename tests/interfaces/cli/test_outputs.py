@@ -35,7 +35,6 @@ READ = {
     *(
         "--run",
         "--from",
-        "--keep",
         "--check",
         "--prior",
         "--answers",
@@ -158,7 +157,6 @@ def test_every_command_has_its_outputs() -> None:
         "--page",
         "--markdown",
         "--store",
-        "--keep",
     }
 
 
@@ -324,7 +322,6 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         "cellapp/commands/sign_key/run.py",
         "cellapp/commands/trials/sealed.py",
         "cellapp/commands/trials/league/series.py",
-        "tests/handbook/__main__.py",
         "cellapp/cell/driving/requests/job_requests.py",
     }
     words = (".write_text(", ".write_bytes(", "os.replace(", '.open("w', '"wb")', "copyfile(")

@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from cellapp.cell.profile import load_profile
+from cellapp.commands.trials.skeleton import not_computed
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.ground.errors import CheckFailed
 from cellapp.interfaces.cli.job import Job
 from cellapp.interfaces.cli.options import Jobs, JsonOption, Scheduler, Store, resources_of
-from cellapp.interfaces.cli.trial_files import check_failed
 from tests.trials.campaigns.trial import CampaignsResult, campaign_trials
 from tests.trials.command import run_trial, trial_command
 
@@ -44,7 +44,8 @@ def campaigns(
             job.say(f"seed {failed.seed}: {'; '.join(failed.failures[:3])}")
             job.say(f"  again: python -m tests.trials.campaigns {profile} --n 1 --seed {failed.seed} --stops {stops}")
         job.result(result)
-        check_failed(result.not_run)
+        if result.not_run:
+            raise CheckFailed(not_computed(result.not_run))
         if result.failed:
             raise CheckFailed(f"trials campaigns: {len(result.failed)} of {result.n} campaigns failed; see above")
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 from cellapp.commands.trials.league.series import SERIES
 from cellapp.commands.trials.league.trial import CURVE_SERIES, LeagueLine, LeagueResult, bar_words
-from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
+from cellapp.commands.trials.skeleton import table_of
+from cellapp.commands.view.table import Number, Table
 
 _MM = ".4f"
 
@@ -38,54 +39,42 @@ def league_sentences(result: LeagueResult) -> list[str]:
 def _error_table(title: str, lines: Sequence[LeagueLine]) -> Table:
     networks = any(line.network_mm is not None for line in lines)
     published = any(line.published_mm is not None for line in lines)
-    columns = (
-        Column("series"),
-        number_column("rows", "d"),
-        Column("held out"),
-        number_column("geometry", _MM),
-        *([number_column("network", _MM)] if networks else []),
-        number_column("discovery", _MM),
-        number_column("worst", ".2f"),
-        number_column("in 95 %", ".3f"),
-        *([number_column("published", ".3f")] if published else []),
+    return table_of(
+        title,
+        lines,
+        ("series", "series"),
+        ("rows", "learned", "d"),
+        ("held out", lambda line: f"{line.held_out}{'' if line.group == 'all' else f' {line.group}'}"),
+        ("geometry", "geometry_mm", _MM),
+        *([("network", "network_mm", _MM)] if networks else []),
+        ("discovery", "discovery_mm", _MM),
+        ("worst", "worst_to_mean", ".2f"),
+        ("in 95 %", "within_95", ".3f"),
+        *([("published", "published_mm", ".3f")] if published else []),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            line.series,
-            line.learned,
-            str(line.held_out) if line.group == "all" else f"{line.held_out} {line.group}",
-            line.geometry_mm,
-            *([line.network_mm] if networks else []),
-            line.discovery_mm,
-            line.worst_to_mean,
-            line.within_95,
-            *([line.published_mm] if published else []),
-        )
-        for line in lines
-    ]
-    return Table(title, columns, tuple(rows))
 
 
 def _name_table(lines: Sequence[LeagueLine]) -> Table:
-    """Names and times of the draws of every series and size."""
-    columns = (
-        Column("series"),
-        number_column("rows", "d"),
-        number_column("median", ".1f", "s"),
-        number_column("longest", ".1f", "s"),
-        Column("names"),
+    """Names and times of the draws of every series and size; the lines of one size differ in the rows held out only."""
+    return table_of(
+        "Discovery: time of a draw, effects named and in how many draws",
+        {(line.series, line.learned): line for line in lines}.values(),
+        ("series", "series"),
+        ("rows", "learned", "d"),
+        ("median", "seconds_median", ".1f", "s"),
+        ("longest", "seconds_worst", ".1f", "s"),
+        ("names", lambda line: ", ".join(f"{name} {count}" for name, count in line.names.items()) or "none"),
     )
-    rows: dict[tuple[str, int], tuple[Cell, ...]] = {}
-    for line in lines:  # the lines of one size differ in the rows held out only
-        names = ", ".join(f"{name} {count}" for name, count in line.names.items()) or "none"
-        rows[line.series, line.learned] = (line.series, line.learned, line.seconds_median, line.seconds_worst, names)
-    return Table("Discovery: time of a draw, effects named and in how many draws", columns, tuple(rows.values()))
 
 
 def _bar_table(result: LeagueResult) -> Table:
-    columns = (Column("series"), Column("rows"), Column("bar"), Column("wanted"), Column("reached"), Column("met"))
-    rows = tuple(
-        (bar.series, str(bar.rows), bar.what, bar_words(bar), Number(bar.reached, 4), "yes" if bar.met else "no")
-        for bar in result.bars
+    return table_of(
+        "Bars",
+        result.bars,
+        ("series", "series"),
+        ("rows", lambda bar: str(bar.rows)),
+        ("bar", "what"),
+        ("wanted", bar_words),
+        ("reached", lambda bar: Number(bar.reached, 4)),
+        ("met", lambda bar: "yes" if bar.met else "no"),
     )
-    return Table("Bars", columns, rows)

@@ -12,12 +12,9 @@ import numpy as np
 
 from cellapp.commands.trials.league.draws import DRAWS, DrawTask, HeldOutScore, LeagueDraw
 from cellapp.commands.trials.league.series import SERIES, Entrant, Group, Rows, draw_rows, parse_entrants, series_texts
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.ground.errors import InputError
-from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Record, Result
-from cellapp.ground.scale.executor import IN_PROCESS, Resources
-from cellapp.ground.scale.gather import gather
-from cellapp.ground.scale.task import Batch
 from cellapp.ground.version import __version__
 
 CURVE_SERIES = "C"
@@ -125,14 +122,12 @@ def league_trials(
     series: Sequence[str],
     rows: Sequence[Rows],
     seeds: int,
+    work: Work = IN_PLACE,
     *,
     data: Path,
     profiles: Path,
     network: bool = False,
     curve: bool = False,
-    resources: Resources = IN_PROCESS,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
 ) -> LeagueResult:
     """Run every series with every number of rows over the seeds 0 to ``seeds`` - 1.
 
@@ -144,8 +139,6 @@ def league_trials(
         Train the residual networks of ``calibrate`` too; slow.
     curve : bool
         Also learn from 100 to 2200 rows of series C, held out the same rows each time.
-    resources : Resources
-        Where the draws are computed.
 
     Raises
     ------
@@ -166,8 +159,7 @@ def league_trials(
     curve_tasks = _curve_tasks(seeds) if curve else []
     every = [*tasks, *curve_tasks]
     _check_rows(parse_entrants(texts), every)
-    names = [f"series {task.series}, {task.rows} rows, seed {task.seed}" for task in every]
-    gathered = gather(Batch(DRAWS, texts, every, names), "league", resources, listener, cancel)
+    gathered = work.gather(DRAWS, "league", texts, every, "series {0.series}, {0.rows} rows, seed {0.seed}")
     draws = [draw for draw in gathered.results[: len(tasks)] if draw is not None]
     curve_draws = [draw for draw in gathered.results[len(tasks) :] if draw is not None]
     return results_of(draws, curve_draws, seeds=seeds, jobs=gathered.workers, failed=gathered.failed)

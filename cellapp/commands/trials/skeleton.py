@@ -1,0 +1,104 @@
+"""What every trial is made of: tasks that are computed and stored, bars, and tables of what was found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import Any, Protocol
+
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.progress import CancelToken, Listener, ignore
+from cellapp.ground.results import Result
+from cellapp.ground.scale.executor import IN_PROCESS, Resources
+from cellapp.ground.scale.gather import Gathered, gather
+from cellapp.ground.scale.task import Batch, Common, Found, Parameters, Prepared, TaskKind
+
+_NAMED = 10
+"""Failures that are named one by one."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """Where the tasks of a trial are computed and kept, who is told of them, and what stops them."""
+
+    resources: Resources = IN_PROCESS
+    listener: Listener = ignore
+    cancel: CancelToken = field(default_factory=CancelToken)
+
+    def gather(
+        self,
+        kind: TaskKind[Common, Prepared, Parameters, Found],
+        job: str,
+        common: Common,
+        parameters: Sequence[Parameters],
+        name: str = "seed {0.seed}",
+    ) -> Gathered[Found]:
+        """Results of all tasks; ``name`` is the format of what a task with some parameters is called.
+
+        Raises as ``gather`` of ``cellapp.ground.scale`` does.
+        """
+        batch = Batch(kind, common, parameters, [name.format(one) for one in parameters])
+        return gather(batch, job, self.resources, self.listener, self.cancel)
+
+
+IN_PLACE = Work()
+"""In this process, without a store and a listener."""
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a trial states: its result, tables and sentences about it; ``refused`` says why it does not hold, if so."""
+
+    result: Result
+    tables: Sequence[Table] = ()
+    sentences: Sequence[str] = ()
+    refused: str = ""
+
+
+class Trial(Protocol):
+    """A result that knows what failed and which bars are missed."""
+
+    def complaints(self) -> list[str]:
+        """What failed and bars that are missed, in words."""
+        ...
+
+
+def not_computed(failed: Sequence[str]) -> str:
+    """The first tasks that failed, in words; empty if none did."""
+    if not failed:
+        return ""
+    more = f"; and {len(failed) - _NAMED} more" if len(failed) > _NAMED else ""
+    return f"{len(failed)} could not be computed: {'; '.join(failed[:_NAMED])}{more}"
+
+
+def complained(trial: str, result: Trial) -> str:
+    """The complaints of a trial of some name in one line; empty without any."""
+    said = result.complaints()
+    return f"trials {trial}: {'; '.join(said)}" if said else ""
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+Source = str | Callable[[Any], Cell]
+"""Where a cell comes from: the attribute of a row, or what is made of the row."""
+Field = tuple[str, Source] | tuple[str, Source, str] | tuple[str, Source, str, str]
+"""A column: heading, source of its cells, and of numbers their format and unit. Shares are shown in %."""
+
+
+def table_of(title: str, rows: Iterable[object], *fields: Field) -> Table:
+    """A table with a row for each object."""
+    made = [(_column(one), attrgetter(one[1]) if isinstance(one[1], str) else one[1]) for one in fields]
+    return Table(
+        title,
+        tuple(column for column, _ in made),
+        tuple(tuple(_cell(source(row), column.unit) for column, source in made) for row in rows),
+    )
+
+
+def _column(one: Field) -> Column:
+    return number_column(one[0], *one[2:]) if len(one) > 2 else Column(one[0])
+
+
+def _cell(value: Any, unit: str) -> Any:
+    return 100.0 * value if unit == "%" and isinstance(value, float) else value
