@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from cellapp.cell.driving.iso9283.programme import NORM_CYCLES, NORM_DRIFT_MIN, wanted_cycles
+from cellapp.cell.driving.iso9283.programme import wanted_cycles
+from cellapp.estimation.iso9283.norm import NORM_CYCLES, NORM_DRIFT_MIN
 from cellapp.estimation.iso9283.records import (
     ISO_COMMANDS,
     ArmIso9283,

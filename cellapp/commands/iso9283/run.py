@@ -11,7 +11,6 @@ import numpy as np
 
 from cellapp.cell.driving.controllers import noting_controllers
 from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
-from cellapp.cell.driving.iso9283.programme import NORM_CYCLES, NORM_DRIFT_MIN
 from cellapp.cell.driving.iso9283.tests import DWELL_S, IsoTask, drive_tests
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.requests.running import running_job
@@ -22,6 +21,8 @@ from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_of, basis_on_model, read_stages
 from cellapp.commands.station import profile_at_station
 from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
+from cellapp.estimation.iso9283.coverage import coverage
+from cellapp.estimation.iso9283.norm import NORM_CYCLES, NORM_DRIFT_MIN
 from cellapp.estimation.iso9283.records import (
     ISO_COMMANDS,
     ISO_TESTS,
@@ -206,21 +207,23 @@ def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, sto
     rng = np.random.default_rng([profile.seed, _SEED])
     arms, pairs = arm_results(profile, found, task.arms, rng), pair_results(found, rng)
     air = [one.temperature_c for one in found.measured.visits if one.temperature_c is not None]
+    conditions = IsoConditions(
+        cycles=task.cycles,
+        speed_share=task.speed,
+        dwell_s=DWELL_S,
+        averaging_s=profile.tracker.averaging,
+        commands=task.commands,
+        began=began,
+        seconds=found.seconds,
+        temperature_c=(min(air), max(air)) if air else None,
+    )
     return Iso9283Result(
         tests=task.tests,
         arms=arms,
         pairs=pairs,
-        conditions=IsoConditions(
-            cycles=task.cycles,
-            speed_share=task.speed,
-            dwell_s=DWELL_S,
-            averaging_s=profile.tracker.averaging,
-            commands=task.commands,
-            began=began,
-            seconds=found.seconds,
-            temperature_c=(min(air), max(air)) if air else None,
-        ),
+        conditions=conditions,
         judgements=judge_characteristics(profile.tolerances, arms, pairs, task.cycles),
+        coverage=coverage(task.tests, arms, conditions, stopped),
         missing=missing_words(found, task.tests),
         stopped=stopped,
         notes=tuple(dict.fromkeys(found.notes)),

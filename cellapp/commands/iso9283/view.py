@@ -13,6 +13,7 @@ from cellapp.estimation.iso9283.records import (
     Iso9283Result,
     IsoCommands,
     IsoCube,
+    IsoLine,
     IsoValue,
     PoseCharacteristics,
 )
@@ -43,6 +44,7 @@ def iso9283_tables(result: Iso9283Result) -> list[Table]:
         _drift(result),
         _drift_groups(result),
         _paths(result),
+        coverage_table(result.coverage),
         _cubes(result),
         _test_poses(result),
     ]
@@ -178,6 +180,13 @@ def _judgements(result: Iso9283Result) -> Table:
         for one in result.judgements
     )
     return Table("Characteristics against their tolerances", columns, rows)
+
+
+def coverage_table(lines: Sequence[IsoLine]) -> Table:
+    """What the norm asks for: done, done in part or not done, and how or why not."""
+    columns = (Column("clause"), Column("characteristic"), Column("arms"), Column("state"), Column("how, or why not"))
+    rows = tuple((one.clause, one.characteristic, ", ".join(one.arms), one.status, one.words) for one in lines)
+    return Table("What ISO 9283:1998 asks for, done and not done", columns, rows)
 
 
 def _poses(result: Iso9283Result) -> Table:

@@ -188,6 +188,22 @@ class PairIso9283(Record):
     refused: str = ""
 
 
+IsoStatus = Literal["done", "in part", "not done"]
+
+
+class IsoLine(Record):
+    """A characteristic or condition that the norm asks for, and what was done of it, for ``arms``.
+
+    ``words`` say how it was done, as "30 cycles, nominal commands", or why not.
+    """
+
+    clause: str
+    characteristic: str
+    arms: tuple[str, ...]
+    status: IsoStatus
+    words: str
+
+
 class IsoConditions(Record):
     """Conditions of the tests.
 
@@ -209,6 +225,7 @@ class Iso9283Result(Result):
     """``iso9283``: the tests that were made, with their conditions; ``judgements`` against the profile's tolerances.
 
     ``missing`` says which cycles, poses or tests could not be measured, and why. ``pairs`` are those of arms.
+    ``coverage`` lists what the norm asks for, done or not; results of before it was kept have none.
     """
 
     schema_: Literal["cellapp-iso9283"] = "cellapp-iso9283"
@@ -218,6 +235,7 @@ class Iso9283Result(Result):
     pairs: tuple[PairIso9283, ...] = ()
     conditions: IsoConditions | None = None
     judgements: tuple[Judgement, ...] = ()
+    coverage: tuple[IsoLine, ...] = ()
     missing: tuple[str, ...] = ()
     stopped: str = ""
     notes: tuple[str, ...] = ()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -12,16 +11,10 @@ from scipy.optimize import linear_sum_assignment
 from cellapp.cell.driving.iso9283.chosen_cube import approach_sequence
 from cellapp.cell.safety.gate import CellBodies, clear_stops, visible_stops
 from cellapp.estimation.iso9283.cube import CYCLE, POSES
+from cellapp.estimation.iso9283.norm import NORM_CYCLES
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import IsoTest
 from cellapp.robot.kinematics.transforms import Array
-
-NORM_CYCLES: Mapping[IsoTest, int] = MappingProxyType(
-    {"pose": 30, "multidirectional": 30, "distance": 30, "drift": 10, "path": 10, "cooperative": 30}
-)
-"""Cycles that the norm asks for; of drift in each group. Cooperative tests take those of the pose test."""
-NORM_DRIFT_MIN = 480.0
-"""The norm observes drift for 8 h, or until it slows down (7.6)."""
 
 
 def wanted_cycles(test: IsoTest, cycles: int) -> int:
