@@ -18,6 +18,7 @@ from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.iso9283.points import write_points
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_of, basis_on_model, read_stages
 from cellapp.commands.station import profile_at_station
 from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
@@ -142,9 +143,9 @@ def _driven(
     except (CellappError, Cancelled) as error:
         if findings.measured.visits or findings.paths:
             with suppress(InputError):  # the reason of the stop is the one to report
-                _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"))
+                _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"), findings)
         raise
-    return _store(run, used, _result(run.profile, task, findings, began, ""))
+    return _store(run, used, _result(run.profile, task, findings, began, ""), findings)
 
 
 def _commands(asked: Sequence[IsoCommands], *, calibrated: bool) -> tuple[IsoCommands, ...]:
@@ -224,12 +225,19 @@ def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, sto
         conditions=conditions,
         judgements=judge_characteristics(profile.tolerances, arms, pairs, task.cycles),
         coverage=coverage(task.tests, arms, conditions, stopped),
+        abilities=tuple(found.abilities),
         missing=missing_words(found, task.tests),
         stopped=stopped,
         notes=tuple(dict.fromkeys(found.notes)),
     )
 
 
-def _store(run: RunFile, used: StoredStage | None, result: Iso9283Result) -> Iso9283Result:
+def _store(run: RunFile, used: StoredStage | None, result: Iso9283Result, found: IsoFindings) -> Iso9283Result:
+    """Write the raw points beside the run, then append the result; it is kept where they cannot be written."""
+    try:
+        name, digest = write_points(run.folder, found)
+        result = result.model_copy(update={"points_file": name, "points_sha256": digest})
+    except InputError as error:
+        result = result.model_copy(update={"notes": (*result.notes, f"the measured points were not kept: {error}")})
     append_stage(run, ISO9283, result, basis_of(run) if used is None else basis_on_model(run, used))
     return result

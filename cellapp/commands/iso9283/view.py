@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.records import (
     ISO_COMMANDS,
     CommandedTests,
@@ -44,6 +45,7 @@ def iso9283_tables(result: Iso9283Result) -> list[Table]:
         _drift(result),
         _drift_groups(result),
         _paths(result),
+        _abilities(result),
         coverage_table(result.coverage),
         _cubes(result),
         _test_poses(result),
@@ -60,11 +62,13 @@ def iso9283_sentences(result: Iso9283Result) -> list[str]:
         *_conditions(result),
         *_bases(result),
         *(f"arm {name}: the cube is limited by: {cube.limited_by}" for name, cube in _cubes_of(result) if cube),
+        *(words for one in result.abilities if (words := ability_words(one))),
         *_uncertain(result),
         *(f"missing: {words}" for words in result.missing),
         *_refused(result),
         *(f"{' and '.join(pair.arms)}: {pair.refused}" for pair in result.pairs if pair.refused),
         *result.notes,
+        *([f"all measured points with their times: {result.points_file}"] if result.points_file else []),
     ]
 
 
@@ -180,6 +184,22 @@ def _judgements(result: Iso9283Result) -> Table:
         for one in result.judgements
     )
     return Table("Characteristics against their tolerances", columns, rows)
+
+
+def _abilities(result: Iso9283Result) -> Table:
+    columns = (
+        Column("characteristic"),
+        Column("of"),
+        number_column("tolerance", ".3f", "mm"),
+        number_column("an arm without error shows", ".3f", "mm"),
+        number_column("distance", ".1f", "m"),
+        number_column("cycles", "d"),
+    )
+    rows = tuple(
+        (one.characteristic.replace("_", " "), one.where, one.tolerance_mm, one.shown_mm, one.distance_m, one.cycles)
+        for one in result.abilities
+    )
+    return Table("Tolerances against what the tracker can tell", columns, rows)
 
 
 def coverage_table(lines: Sequence[IsoLine]) -> Table:

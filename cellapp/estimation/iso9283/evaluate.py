@@ -167,6 +167,14 @@ def cooperative_characteristics(
 
 
 @dataclass(frozen=True, eq=False)
+class PathTrack:
+    """Measured points of one cycle along a path: times (k,) [s] and positions (k, 3) [m], in order."""
+
+    time_s: Array
+    p_M: Array
+
+
+@dataclass(frozen=True, eq=False)
 class PathRuns:
     """A path that was driven several times.
 
@@ -179,8 +187,8 @@ class PathRuns:
         [m]
     commanded_M, tangents_M : array, shape (m, 3)
         Places on the commanded path [m], and its unit tangents there.
-    tracks_M : list
-        Of each cycle, measured points (k, 3) [m] in order.
+    tracks : list of PathTrack
+        Of each cycle.
     tracker, frame : array, shape (3, 3)
         As in ``Cycles`` [m^2].
     wanted : int
@@ -196,7 +204,7 @@ class PathRuns:
     length: float
     commanded_M: Array
     tangents_M: Array
-    tracks_M: list[Array]
+    tracks: list[PathTrack]
     tracker: Array
     frame: Array
     wanted: int
@@ -205,10 +213,10 @@ class PathRuns:
 
 def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharacteristics | None:
     """AT and RT over the places that every cycle crossed; None with fewer than two cycles."""
-    if len(runs.tracks_M) < FEWEST_CYCLES:
+    if len(runs.tracks) < FEWEST_CYCLES:
         return None
     crossed = np.stack(
-        [plane_crossings(track, runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M) for track in runs.tracks_M], axis=1
+        [plane_crossings(one.p_M, runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M) for one in runs.tracks], axis=1
     )
     kept = np.isfinite(crossed).all(axis=(1, 2))
     if not kept.any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.estimation.uncertainty.records import Judgement
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement
 from cellapp.ground.results import Record, Result
 
 IsoTest = Literal["pose", "multidirectional", "distance", "drift", "path", "cooperative"]
@@ -204,6 +204,31 @@ class IsoLine(Record):
     words: str
 
 
+class IsoAbility(Record):
+    """A tolerance against what the instrument can tell, as found before measuring.
+
+    Attributes
+    ----------
+    shown_mm : float
+        What an arm without any error would show, characteristic and expanded uncertainty together.
+    distance_m : float
+        Largest distance from the tracker to a pose of the test.
+    cycles : int
+        That were asked for.
+    distance_that_does_m, cycles_that_do : float, int or None
+        With which an arm without error would conform; None where nothing helps, or nothing needs to.
+    """
+
+    characteristic: Characteristic
+    where: str
+    tolerance_mm: float
+    shown_mm: float
+    distance_m: float
+    cycles: int
+    distance_that_does_m: float | None = None
+    cycles_that_do: int | None = None
+
+
 class IsoConditions(Record):
     """Conditions of the tests.
 
@@ -226,6 +251,8 @@ class Iso9283Result(Result):
 
     ``missing`` says which cycles, poses or tests could not be measured, and why. ``pairs`` are those of arms.
     ``coverage`` lists what the norm asks for, done or not; results of before it was kept have none.
+    ``abilities`` compare the tolerances with what the instrument can tell, as found before measuring.
+    ``points_file`` in the folder of the run holds every measured point with its time; ``points_sha256`` is its hash.
     """
 
     schema_: Literal["cellapp-iso9283"] = "cellapp-iso9283"
@@ -236,9 +263,12 @@ class Iso9283Result(Result):
     conditions: IsoConditions | None = None
     judgements: tuple[Judgement, ...] = ()
     coverage: tuple[IsoLine, ...] = ()
+    abilities: tuple[IsoAbility, ...] = ()
     missing: tuple[str, ...] = ()
     stopped: str = ""
     notes: tuple[str, ...] = ()
+    points_file: str = ""
+    points_sha256: str = ""
 
     def complaints(self) -> list[str]:
         """What did not hold: stopped, cycles missing, out of tolerance; empty if all is well."""

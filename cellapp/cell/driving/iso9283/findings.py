@@ -24,6 +24,7 @@ from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     BaseAlignment,
     CommandedTests,
+    IsoAbility,
     IsoCommands,
     IsoTest,
     PairIso9283,
@@ -50,6 +51,7 @@ class IsoFindings:
     wanted: dict[Place, int] = field(default_factory=dict)
     missed: dict[Place, str] = field(default_factory=dict)
     paths: list[PathRuns] = field(default_factory=list)
+    abilities: list[IsoAbility] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
@@ -96,7 +98,7 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
         if n < wanted:
             words.append(f"{place}: {n} of {wanted} cycles: {found.missed.get(place, _ENDED)}")
     for runs in found.paths:
-        if (n := len(runs.tracks_M)) < runs.wanted:
+        if (n := len(runs.tracks)) < runs.wanted:
             where = f"path of {runs.arm}, {runs.commands} commands, {runs.name}"
             words.append(f"{where}: {n} of {runs.wanted} cycles: {'; '.join(runs.problems) or _ENDED}")
     for name, refused in found.refused.items():

@@ -10,16 +10,16 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.following import follow_and_track, run_up
 from cellapp.cell.driving.iso9283.findings import IsoFindings
+from cellapp.cell.driving.iso9283.instrument import mpe_factor
 from cellapp.cell.driving.iso9283.paths import path_specs, places_along
 from cellapp.cell.driving.motion import MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.plan_path import PathPlan, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
-from cellapp.estimation.iso9283.evaluate import PathRuns
+from cellapp.estimation.iso9283.evaluate import PathRuns, PathTrack
 from cellapp.estimation.iso9283.records import IsoCommands
 from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.timing import Trajectory
@@ -86,8 +86,8 @@ class PathTests:
             length=path.length,
             commanded_M=commanded,
             tangents_M=tangents,
-            tracks_M=[],
-            tracker=tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0],
+            tracks=[],
+            tracker=mpe_factor(self.profile) * tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0],
             frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
             wanted=self.cycles,
         )
@@ -95,16 +95,16 @@ class PathTests:
         try:
             for _ in range(self.cycles):
                 self.hold()
-                runs.tracks_M.append(self._run(spec.arm, trajectory, path))
+                runs.tracks.append(self._run(spec.arm, trajectory, path))
         except (MotionRefused, TrackerError) as error:
             runs.problems.append(str(error))
         return ""
 
-    def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> Array:
+    def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> PathTrack:
         for q in (run_up(trajectory.q), trajectory.q[0]):
             self.mover.go_home_unless_clear(name, q)
             self.mover.move({name: q})
         start_M = path.positions(np.zeros(1))[0]
-        points, _ = follow_and_track(self.cell, self.mover, self.reaction, name, trajectory, start_M)
-        assert points is not None
-        return points
+        track, _ = follow_and_track(self.cell, self.mover, self.reaction, name, trajectory, start_M)
+        assert track is not None
+        return PathTrack(track.time_s, track.p_M)

@@ -17,6 +17,7 @@ from cellapp.cell.driving.iso9283.alignment import align, alignment_configuratio
 from cellapp.cell.driving.iso9283.chosen_cube import choose_cube
 from cellapp.cell.driving.iso9283.commands import arm_programme
 from cellapp.cell.driving.iso9283.findings import IsoFindings
+from cellapp.cell.driving.iso9283.instrument import abilities, mpe_factor
 from cellapp.cell.driving.iso9283.path_tests import PathTests
 from cellapp.cell.driving.iso9283.programme import (
     Visit,
@@ -35,14 +36,14 @@ from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, Gate
+from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.cube import POSES
 from cellapp.estimation.iso9283.evaluate import Measured
 from cellapp.estimation.iso9283.records import IsoCommands, IsoTest
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import MPE_SHARE
-from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.ground.progress import Listener, Notice, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.protocol import NotReady, Point, TrackerError
@@ -115,6 +116,7 @@ def drive_tests(
             findings.model = task.model or session.aligned()
             session.use(cell_bodies(profile, findings.model))
             session.prepare(findings.model)
+            session.say_what_can_be_told()
             session.run()
             session.mover.go_home()
         finally:
@@ -218,6 +220,14 @@ class _Session:
                 found.notes.append(
                     f"arms {first} and {second}: {len(pairs)} of {len(POSES)} pairs of poses can be measured"
                 )
+
+    def say_what_can_be_told(self) -> None:
+        """Compare the tolerances with what the tracker can tell from here; say where it cannot tell them."""
+        task = self.task
+        self.findings.abilities = abilities(task.profile, self.findings, task.tests, task.cycles)
+        for one in self.findings.abilities:
+            if words := ability_words(one):
+                self.listener(Progress("iso9283", 0, self.total, detail=Notice(words)))
 
     # -- the tests -----------------------------------------------------------------------------------------------------
 
@@ -328,7 +338,7 @@ class _Session:
             self._miss(visit, str(error))
             return
         self._missed = 0
-        first, share = points[names[0]], _mpe_factor(self.task.profile)
+        first, share = points[names[0]], mpe_factor(self.task.profile)
         self.findings.measured.visits.append(
             Measured(
                 place=visit.place,
@@ -367,8 +377,3 @@ def _raise_if_not_ready(error: Exception) -> None:
     """A tracker that is not ready measures nothing at the next position either."""
     if isinstance(error, NotReady):
         raise HardwareError(str(error)) from error
-
-
-def _mpe_factor(profile: Profile) -> float:
-    """What the tracker's covariance is multiplied by: drivers state half of the maximum permissible error as sigma."""
-    return (MPE_SHARE[profile.tolerances.mpe] / MPE_SHARE["half"]) ** 2
