@@ -66,6 +66,10 @@ class Asked:
         Value -> how a dialog calls it, of a field that takes some of several values.
     writes : Writes or None
         How the path is written that it names.
+    needed : bool
+        Whether the command line needs it although the request has a default.
+    typed : type or None
+        What the command line takes where that is not the field's type; the field has a validator that reads it.
     """
 
     help: str
@@ -79,6 +83,8 @@ class Asked:
     suffixes: tuple[str, ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
     writes: Writes | None = None
+    needed: bool = False
+    typed: Any = None
 
 
 class Request(BaseModel):
@@ -145,6 +151,14 @@ class Work:
 
 
 @dataclass(frozen=True)
+class Variant:
+    """A word after the verb's name: its help, and the fields that it fixes."""
+
+    help: str
+    fixed: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class Verb:
     """The record of a verb.
 
@@ -162,6 +176,8 @@ class Verb:
         Title of its dialog.
     checks : str
         What is said to have failed where the view names something that does not hold; the name where empty.
+    variants : mapping
+        Word -> what it fixes, of a verb that is followed by one of several words. The first one may be left out.
     """
 
     name: str
@@ -170,6 +186,7 @@ class Verb:
     moves_arms: bool = False
     question: str = ""
     checks: str = ""
+    variants: Mapping[str, Variant] = field(default_factory=dict)
 
     @property
     def summary(self) -> str:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from cellapp.cell.driving.iso9283.tests import IsoTask
 from cellapp.commands.iso9283 import run as verb
-from cellapp.estimation.iso9283.records import ISO_TESTS
+from cellapp.estimation.iso9283.norm import ISO_TESTS
 from cellapp.ground.errors import HardwareError
 from cellapp.interfaces.cli.app import app
 from tests.handbook.chapters import blocks

@@ -6,16 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from cellapp.cell.driving.iso9283.programme import wanted_cycles
-from cellapp.estimation.iso9283.norm import NORM_CYCLES, NORM_DRIFT_MIN
-from cellapp.estimation.iso9283.records import (
-    ISO_COMMANDS,
-    ArmIso9283,
-    CommandedTests,
-    IsoCommands,
-    IsoTest,
-    IsoValue,
-    PairIso9283,
-)
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands, IsoTest
+from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PairIso9283
 from cellapp.estimation.uncertainty.decision import conformity
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement
 from cellapp.ground.profile.acceptance import Tolerances

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.estimation.iso9283.records import IsoCommands, IsoLine
+from cellapp.estimation.iso9283.norm import IsoCommands
+from cellapp.estimation.iso9283.records import IsoLine
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement, UncertaintyContribution
 from cellapp.ground.results import ErrorSummary, Record, Result, StageName
 

@@ -21,7 +21,7 @@ from cellapp.commands.view.acceptance_words import (
 )
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.iso9283.coverage import not_done
-from cellapp.estimation.iso9283.records import ISO_COMMANDS
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from cellapp.ground.results import ErrorSummary

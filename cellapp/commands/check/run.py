@@ -18,8 +18,10 @@ from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.commands.check.request import FEWEST_STOPS, STOPS, CheckRequest
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.station import excess_of_readings, profile_at_station
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
@@ -45,9 +47,18 @@ from cellapp.ground.results import CHECK, LOCATE
 from cellapp.robot.kinematics.transforms import Array, invert, rows_of, xyz_of
 from cellapp.robot.model import CellModel
 
-STOPS = 20
-FEWEST_STOPS = 4
-"""Fewer stops of one arm do not tell a motion of its base from one of its joints."""
+
+def run(request: CheckRequest, work: Work) -> CheckResult:
+    """Measure whether the calibration still holds."""
+    with RunFile.open(request.folder, write=True) as opened:
+        return check_run(
+            opened,
+            work.listener,
+            work.control,
+            stops=request.stops,
+            simulated_plant=None if request.simulated_plant is None else plant_of(request.simulated_plant),
+            ask=work.ask(opened.profile.name),
+        )
 
 
 def check_run(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from cellapp.commands.check.request import CheckRequest
+from cellapp.commands.record import View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.monitoring.check.records import TRACKER, CheckResult, FoundChange, WeakChange
 
@@ -19,6 +21,12 @@ _VERDICTS = {
 _UNITS = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
 _LEAST_CHANCE = 1e-12
 """Smaller probabilities mean nothing: no error of measuring is normal as far out as that."""
+
+
+def view(result: CheckResult, request: CheckRequest | None = None) -> View:
+    """What was measured, the verdict, and why the calibration does not hold."""
+    strict = request is not None and request.strict
+    return View((*check_tables(result), *check_sentences(result)), result.complaints(strict=strict))
 
 
 def check_tables(result: CheckResult) -> list[Table]:

@@ -17,7 +17,7 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import FILE_NAME
 from cellapp.commands.stages import UNREADABLE, RunStages, StoredStage, counted_basis, read_history, read_stages
 from cellapp.estimation.discovery.records import Place
-from cellapp.estimation.iso9283.records import ISO_COMMANDS
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.monitoring.fleet.record import ArmRecord, EffectRecord, GeometryRecord, RunRecord
 from cellapp.estimation.monitoring.fleet.records import CheckPoint, DatedValue, Figure, IsoPoint
 from cellapp.estimation.monitoring.fleet.stored import (

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from cellapp.commands.view.charts import Axis, Chart, Limit, Series, mm, series
-from cellapp.estimation.iso9283.records import ISO_COMMANDS, CommandedTests, Iso9283Result, IsoCommands
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
+from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
 
 
 def iso9283_charts(result: Iso9283Result, pose_tolerance_mm: float | None = None) -> list[Chart]:

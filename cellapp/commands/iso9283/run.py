@@ -15,33 +15,26 @@ from cellapp.cell.driving.iso9283.tests import DWELL_S, IsoTask, drive_tests
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.supervision import Opened
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.iso9283.points import write_points
+from cellapp.commands.iso9283.request import Iso9283Request
+from cellapp.commands.pipeline import default_folder
+from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_of, basis_on_model, read_stages
 from cellapp.commands.station import profile_at_station
 from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
 from cellapp.estimation.iso9283.coverage import coverage
-from cellapp.estimation.iso9283.norm import NORM_CYCLES, NORM_DRIFT_MIN
-from cellapp.estimation.iso9283.records import (
-    ISO_COMMANDS,
-    ISO_TESTS,
-    Iso9283Result,
-    IsoCommands,
-    IsoConditions,
-    IsoTest,
-)
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands
+from cellapp.estimation.iso9283.records import Iso9283Result, IsoConditions
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import ISO9283
 
-CYCLES = NORM_CYCLES["pose"]
-DRIFT_MIN = 60.0
-"""Of the norm's 480 minutes: most of a warm-up shows in the first hour."""
-FEWEST_CYCLES, MOST_CYCLES = 2, 1000
 _NO_ORIENTATION = (
     "positions only: one SMR on each flange shows nothing of the norm's characteristics of orientation (AP and RP of"
     " the angles)"
@@ -49,32 +42,36 @@ _NO_ORIENTATION = (
 _SEED = 0x9283
 
 
+def run(request: Iso9283Request, work: Work) -> Iso9283Result:
+    """Make tests in the run of a folder, or in a new run."""
+    profile, folder = None if request.profile is None else load_profile(request.profile), request.folder
+    if folder is None:
+        assert profile is not None  # the request has one of the two
+        folder = default_folder(profile.name)
+        work.say(f"stored in {folder}")
+    with RunFile.open(folder, write=True) if profile is None else iso9283_folder(profile, folder) as opened:
+        return iso9283_run(opened, request, work.listener, work.control, ask=work.ask(opened.profile.name))
+
+
 def iso9283_run(
     run: RunFile,
-    tests: Sequence[IsoTest] = ISO_TESTS,
+    request: Iso9283Request,
     listener: Listener = ignore,
     control: JobControl | None = None,
     *,
-    cycles: int = CYCLES,
-    speed_share: float = 1.0,
-    arms: Sequence[str] = (),
-    commands: Sequence[IsoCommands] = (),
-    drift_minutes: float = DRIFT_MIN,
-    out_of_date: bool = False,
     ask: Ask | None = None,
     open_with: Opened | None = None,
 ) -> Iso9283Result:
-    """Make tests of ISO 9283 and store the result; where the job is stopped, what was measured until then.
+    """Make tests of ISO 9283 in a run and store the result; where the job is stopped, what was measured until then.
 
-    ``speed_share`` is of the speed that the profile allows. ``arms`` are all where none is named. ``commands`` are both
-    kinds in a calibrated run, else nominal ones, for which base and SMR of each arm are found first. ``out_of_date``
-    uses a model that no longer holds. ``ask`` is asked before the first motion of real arms. ``open_with`` opens the
+    Without commands in ``request`` they are of both kinds in a calibrated run, else nominal ones, for which base and
+    SMR of each arm are found first. ``ask`` is asked before the first motion of real arms. ``open_with`` opens the
     cell.
 
     Raises
     ------
     InputError
-        If an option does not fit the run, or the model is out of date and the operator does not insist. Nothing has
+        If the request does not fit the run, or the model is out of date and the operator does not insist. Nothing has
         moved.
     CheckFailed
         If the doctor finds a fault before real arms move. Nothing has moved.
@@ -84,19 +81,21 @@ def iso9283_run(
     """
     control, stages = control or JobControl(), read_stages(run)
     used = stages.in_force
-    kinds, named = _commands(commands, calibrated=used is not None), _arms(run.profile, arms)
-    _check_options(tests, cycles, speed_share, drift_minutes, named)
-    if used is not None and not out_of_date:
+    kinds = _commands(request.commands, calibrated=used is not None)
+    named = _arms(run.profile, request.arms)
+    if request.tests == ("cooperative",) and len(named) < 2:
+        raise InputError("iso9283: a cooperative test needs two arms; this cell, or --arm, has one")
+    if used is not None and not request.out_of_date:
         require_current_model(run, stages, "iso9283")
     task = IsoTask(
         profile=profile_at_station(run, stages),
         model=None if used is None else model_of(run, used),
         commands=kinds,
-        tests=tuple(test for test in ISO_TESTS if test in tests),
+        tests=tuple(test for test in ISO_TESTS if test in request.tests),
         arms=named,
-        cycles=cycles,
-        speed=speed_share,
-        drift_s=drift_minutes * 60.0,
+        cycles=request.cycles,
+        speed=request.speed / 100.0,
+        drift_s=request.drift_minutes * 60.0,
     )
     notes = _notes(task, stages, used)
     with running_job(run, control, "iso9283", listener) as listener:
@@ -148,13 +147,13 @@ def _driven(
     return _store(run, used, _result(run.profile, task, findings, began, ""), findings)
 
 
-def _commands(asked: Sequence[IsoCommands], *, calibrated: bool) -> tuple[IsoCommands, ...]:
+def _commands(asked: Sequence[IsoCommands] | None, *, calibrated: bool) -> tuple[IsoCommands, ...]:
+    if asked is None:
+        return ISO_COMMANDS if calibrated else ("nominal",)
     if "calibrated" in asked and not calibrated:
         raise InputError(
             "iso9283: calibrated commands need a calibrated run: give its folder with --run; nothing was moved"
         )
-    if not asked:
-        return ISO_COMMANDS if calibrated else ("nominal",)
     return tuple(kind for kind in ISO_COMMANDS if kind in asked)
 
 
@@ -166,21 +165,6 @@ def _arms(profile: Profile, names: Sequence[str]) -> tuple[str, ...]:
         if arm.home is None:
             raise InputError(f"profile {profile.name}: arms.{name}.home is needed: an arm waits there for the others")
     return tuple(name for name in profile.arms if name in names or not names)
-
-
-def _check_options(
-    tests: Sequence[IsoTest], cycles: int, speed: float, drift_minutes: float, arms: Sequence[str]
-) -> None:
-    if not FEWEST_CYCLES <= cycles <= MOST_CYCLES:
-        raise InputError(f"iso9283: --cycles: expected {FEWEST_CYCLES} to {MOST_CYCLES}, got {cycles}")
-    if not 0.0 < speed <= 1.0:
-        raise InputError(f"iso9283: --speed: expected a share above 0 % and up to 100 %, got {speed * 100.0:g} %")
-    if not 0.0 < drift_minutes <= 2.0 * NORM_DRIFT_MIN:
-        raise InputError(
-            f"iso9283: --drift-minutes: expected above 0 and up to {2.0 * NORM_DRIFT_MIN:g}, got {drift_minutes:g}"
-        )
-    if tuple(tests) == ("cooperative",) and len(arms) < 2:
-        raise InputError("iso9283: a cooperative test needs two arms; this cell, or --arm, has one")
 
 
 def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[str]:
@@ -195,8 +179,8 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
         notes += stale_notes(stages, used)
     if task.profile.plant is not None and not task.profile.moves_hardware:
         notes.append("measured in a simulated cell")
-    if task.cycles < CYCLES:
-        notes.append(f"{task.cycles} cycles were asked for; the norm's number is {CYCLES}")
+    if task.cycles < NORM_CYCLES["pose"]:
+        notes.append(f"{task.cycles} cycles were asked for; the norm's number is {NORM_CYCLES['pose']}")
     if "cooperative" in task.tests and len(task.arms) < 2:
         notes.append("no cooperative test was made: it needs two arms")
     if "drift" in task.tests and task.drift_s < NORM_DRIFT_MIN * 60.0:

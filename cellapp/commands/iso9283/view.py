@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from cellapp.commands.iso9283.request import Iso9283Request
+from cellapp.commands.record import View
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.iso9283.ability import ability_words
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import (
-    ISO_COMMANDS,
     CommandedTests,
     DriftCharacteristics,
     Iso9283Result,
-    IsoCommands,
     IsoCube,
     IsoLine,
     IsoValue,
@@ -31,6 +32,12 @@ _VALUES: Mapping[str, Callable[[CommandedTests], Sequence[IsoValue]]] = {
 }
 """The first of these that was measured makes the message of an arm."""
 _FOUND: Mapping[IsoCommands, str] = {"nominal": "as found", "calibrated": "as left"}
+
+
+def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
+    """The characteristics, the outcome, where they are stored, and what did not hold."""
+    stored = [] if request is None or request.folder is None else [f"stored in {request.folder}"]
+    return View((*iso9283_tables(result), *iso9283_sentences(result), *stored), result.complaints())
 
 
 def iso9283_tables(result: Iso9283Result) -> list[Table]:

@@ -1,9 +1,9 @@
 """What an instrument can tell of each characteristic, before anything is measured.
 
 An arm without any error is simulated: it stands exactly where it is commanded, cycle after cycle, and all scatter is
-the tracker's stated covariance. Its characteristic and its expanded uncertainty are computed by the same functions as those
-of measured cycles. If their sum is above the tolerance, the guarded rule (ISO 14253-1) cannot prove conformity of any
-arm with this instrument from here.
+the tracker's stated covariance. Its characteristic and its expanded uncertainty are computed by the same functions as
+those of measured cycles. If their sum is above the tolerance, the guarded rule (ISO 14253-1) cannot be expected to
+prove conformity of any arm with this instrument from here.
 """
 
 from __future__ import annotations

@@ -8,15 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from cellapp.estimation.iso9283.norm import NORM_CYCLES, NORM_DRIFT_MIN, NORM_SPEEDS
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, NORM_CYCLES, NORM_DRIFT_MIN, NORM_SPEEDS, IsoTest
 from cellapp.estimation.iso9283.records import (
-    ISO_COMMANDS,
     ArmIso9283,
     CommandedTests,
     IsoConditions,
     IsoLine,
     IsoStatus,
-    IsoTest,
     IsoValue,
 )
 

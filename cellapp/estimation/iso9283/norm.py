@@ -1,11 +1,17 @@
-"""Numbers that ISO 9283:1998 asks for: cycles of each test, how long drift is observed, speeds."""
+"""What ISO 9283 calls its tests, and how long they are. Imports nothing: every start of the program loads it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Literal, get_args
 
-from cellapp.estimation.iso9283.records import IsoTest
+IsoTest = Literal["pose", "multidirectional", "distance", "drift", "path", "cooperative"]
+ISO_TESTS: tuple[IsoTest, ...] = get_args(IsoTest)
+
+IsoCommands = Literal["nominal", "calibrated"]
+"""What is commanded: joint positions by the published geometry (as found), or by the calibrated model (as left)."""
+ISO_COMMANDS: tuple[IsoCommands, ...] = get_args(IsoCommands)
 
 NORM_CYCLES: Mapping[IsoTest, int] = MappingProxyType(
     {"pose": 30, "multidirectional": 30, "distance": 30, "drift": 10, "path": 10, "cooperative": 30}

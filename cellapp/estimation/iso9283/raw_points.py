@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from cellapp.estimation.iso9283.evaluate import Measurements, PathRuns
+from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
-from cellapp.estimation.iso9283.records import IsoCommands
 from cellapp.robot.kinematics.transforms import Array
 
 HEADER = (

@@ -5,15 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement
 from cellapp.ground.results import Record, Result
-
-IsoTest = Literal["pose", "multidirectional", "distance", "drift", "path", "cooperative"]
-ISO_TESTS: tuple[IsoTest, ...] = ("pose", "multidirectional", "distance", "drift", "path", "cooperative")
-
-IsoCommands = Literal["nominal", "calibrated"]
-"""What is commanded: joint positions by the published geometry (as found), or by the calibrated model (as left)."""
-ISO_COMMANDS: tuple[IsoCommands, ...] = ("nominal", "calibrated")
 
 Vector3 = tuple[float, float, float]
 

@@ -10,20 +10,18 @@ from typing import Annotated
 import typer
 
 from cellapp import __version__
-from cellapp.commands.locate.request import VERB as LOCATE
+from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.interfaces.cli.at_rest import at_rest
 from cellapp.interfaces.cli.certificate import certificate, check_certificate, sign_key
-from cellapp.interfaces.cli.check import check
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.correct import correct
-from cellapp.interfaces.cli.derived import command_of
+from cellapp.interfaces.cli.derived import command_of, group_of
 from cellapp.interfaces.cli.docs import docs
 from cellapp.interfaces.cli.export import export
 from cellapp.interfaces.cli.fleet import fleet, recalibrate
 from cellapp.interfaces.cli.follow import follow
 from cellapp.interfaces.cli.init import init
-from cellapp.interfaces.cli.iso9283 import app as iso9283_app
 from cellapp.interfaces.cli.job import Job, open_run, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import (
@@ -266,7 +264,11 @@ def discover(
         job.result(result)
 
 
-app.command(LOCATE.name)(command_of(LOCATE))
+for verb in VERBS:
+    if verb.variants:
+        app.add_typer(group_of(verb), name=verb.name)
+    else:
+        app.command(verb.name)(command_of(verb))
 
 
 @app.command()
@@ -324,7 +326,6 @@ def push(
 
 
 for command in (
-    check,
     report,
     follow,
     init,
@@ -426,4 +427,3 @@ def tracker_bridge(
 
 
 app.add_typer(trials_app, name="trials")
-app.add_typer(iso9283_app, name="iso9283")

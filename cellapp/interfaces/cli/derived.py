@@ -5,14 +5,17 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, get_args, get_origin
 
 import annotated_types
 import typer
 from pydantic.fields import FieldInfo
+from typer.core import TyperGroup
 
 from cellapp.commands.record import Asked, Verb, View, Work
+from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.cli.motion import asking
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
@@ -21,13 +24,33 @@ PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
 """Environment variable with the passphrase of a signing key, where nobody can be asked."""
 
 
-def command_of(verb: Verb) -> Callable[..., None]:
-    """The command of a verb, for ``Commands.command``: its signature has an option for each field of the request."""
+class _FirstByDefault(TyperGroup):
+    """A group whose first word may be left out."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in self.commands and args[0] != "--help":
+            args = [next(iter(self.commands)), *args]
+        return super().parse_args(ctx, args)
+
+
+def group_of(verb: Verb) -> Commands:
+    """The group of a verb with variants: a command for each word."""
+    group = Commands(cls=_FirstByDefault, no_args_is_help=True, help=inspect.getdoc(verb.request))
+    for word, variant in verb.variants.items():
+        group.command(word, help=variant.help)(command_of(verb, variant.fixed))
+    return group
+
+
+def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> Callable[..., None]:
+    """The command of a verb, for ``Commands.command``: its signature has an option for each field of the request.
+
+    ``fixed`` are values of fields without an option.
+    """
 
     def command(*, json_file: str | None = None, allow_motion: bool = False, **values: Any) -> None:
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
         with Job(json_file) as job:
-            request = verb.asked({name: value for name, value in given.items() if value is not None})
+            request = verb.asked({**fixed, **{name: value for name, value in given.items() if value is not None}})
             result = verb.run(request, _work(job, allowed=allow_motion))
             shown = verb.view(result, request)
             show_view(job, shown)
@@ -37,6 +60,7 @@ def command_of(verb: Verb) -> Callable[..., None]:
     own = [
         _parameter(name, field, words)
         for (name, words), field in zip(verb.request.asked(), verb.request.model_fields.values(), strict=True)
+        if name not in fixed
     ]
     if verb.moves_arms:
         own.append(_keyword("allow_motion", AllowMotion, False))
@@ -100,8 +124,9 @@ def _parameter(name: str, field: FieldInfo, words: Asked) -> inspect.Parameter:
     option = words.option or f"--{name.replace('_', '-')}"
     shape = typer.Argument(**settings) if words.argument else typer.Option(option, **settings)
     annotated: Any = Annotated
-    annotation = annotated[(_typed(field.annotation), shape, *([words.writes] if words.writes else []))]
-    return _keyword(name, annotation, inspect.Parameter.empty if field.is_required() else field.default)
+    kind = words.typed or _typed(field.annotation)
+    annotation = annotated[(kind, shape, *([words.writes] if words.writes else []))]
+    return _keyword(name, annotation, inspect.Parameter.empty if field.is_required() or words.needed else field.default)
 
 
 def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:

@@ -13,47 +13,8 @@ from cellapp.interfaces.tui.work import on_run
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
     from cellapp.commands.report.verdict_view import RunVerdict
-    from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
     from cellapp.interfaces.tui.dialogs.certificate import CertificateRequest, CheckFileRequest, SignKeyRequest
-    from cellapp.interfaces.tui.dialogs.check_calibration import CheckRequest
-    from cellapp.interfaces.tui.dialogs.iso9283_tests import IsoRequest
-
-
-def check(folder: Path, request: CheckRequest) -> Job:
-    """Measure a few stops: does the calibration still hold?"""
-
-    def work(run: RunFile, listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.check.run import check_run, plant_of
-
-        plant = None if request.plant is None else plant_of(request.plant)
-        return check_run(run, listener, control, stops=request.stops, simulated_plant=plant, ask=ask)
-
-    return on_run("check", folder, work, moves=True)
-
-
-def iso9283(profile: Profile, folder: Path, request: IsoRequest, *, out_of_date: bool) -> Job:
-    """Measure performance by ISO 9283, in the run of a folder or in a new one."""
-
-    def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.commands.iso9283.run import iso9283_folder, iso9283_run
-
-        with iso9283_folder(profile, folder) as run:
-            return iso9283_run(
-                run,
-                request.tests,
-                listener,
-                control,
-                cycles=request.cycles,
-                speed_share=request.speed_share,
-                arms=request.arms,
-                commands=request.commands,
-                drift_minutes=request.drift_minutes,
-                out_of_date=out_of_date,
-                ask=ask,
-            )
-
-    return Job("iso9283", work, folder, moves=True)
 
 
 def certificate(folder: Path, request: CertificateRequest) -> Job:

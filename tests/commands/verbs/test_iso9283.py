@@ -13,6 +13,7 @@ from cellapp.cell.driving.iso9283 import reach
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283 import run as verb
+from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_folder, iso9283_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
 from cellapp.commands.report.data import read_report_data
@@ -51,9 +52,16 @@ def left_alone() -> Profile:
     return profile.model_copy(update={"plant": profile.plant.model_copy(update={"effects": {}})})
 
 
+def asked(run: RunFile, **options: Any) -> Iso9283Request:
+    """The request for tests in a run, as the interfaces make it."""
+    request = VERB.asked({"folder": run.folder, **options})
+    assert isinstance(request, Iso9283Request)
+    return request
+
+
 def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
-        result = iso9283_run(run, ["pose", "cooperative"], cycles=3)
+        result = iso9283_run(run, asked(run, tests=("pose", "cooperative"), cycles=3))
         stages = read_stages(run)
         assert ISO9283 in stages.current
         assert ISO9283 not in stages.out_of_date
@@ -94,8 +102,9 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
             raise HardwareError("arm right: protective stop")
 
     with RunFile.open(finished_copy, write=True) as run:
+        request = asked(run, tests=["distance"], cycles=3, arms=["right"], commands="nominal")
         with pytest.raises(HardwareError, match="protective stop"):
-            iso9283_run(run, ["distance"], listen, cycles=3, arms=["right"], commands=["nominal"])
+            iso9283_run(run, request, listen)
         stored = read_results(run).iso9283
     assert stored is not None
     assert stored.stopped == "stopped: arm right: protective stop"
@@ -109,11 +118,11 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"commands": ["calibrated"]}, "need a calibrated run"),
+        ({"commands": "calibrated"}, "need a calibrated run"),
         ({"arms": ["middle"]}, "no arm 'middle'; arms are left"),
         ({"cycles": 1}, "--cycles: expected 2 to 1000, got 1"),
-        ({"speed_share": 1.2}, "--speed: expected a share above 0 % and up to 100 %, got 120 %"),
-        ({"speed_share": float("nan")}, "--speed"),
+        ({"speed": 120.0}, "--speed: expected a share above 0 % and up to 100 %, got 120 %"),
+        ({"speed": float("nan")}, "--speed"),
         ({"drift_minutes": 0.0}, "--drift-minutes"),
         ({"tests": ["cooperative"]}, "needs two arms"),
     ],
@@ -124,7 +133,7 @@ def test_bad_options_are_refused_before_anything_moves(
 ) -> None:
     monkeypatch.setattr(verb, "drive_tests", lambda *_, **__: pytest.fail("it moved"))
     with RunFile.create(tmp_path / "run", left_alone()) as run, pytest.raises(InputError, match=says):
-        iso9283_run(run, **options)
+        iso9283_run(run, asked(run, **options))
 
 
 def test_a_folder_of_another_cell_is_refused(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Notice, Progress
-from tests.commands.verbs.test_iso9283 import left_alone
+from tests.commands.verbs.test_iso9283 import asked, left_alone
 
 
 def strict(decision: str) -> Profile:
@@ -33,7 +33,7 @@ def test_it_is_said_before_the_first_visit(decision: str, tmp_path: Path, monkey
             heard.append("visit")
 
     with RunFile.create(tmp_path / "run", strict(decision)) as run:
-        result = iso9283_run(run, ["pose", "distance"], listen, cycles=2)
+        result = iso9283_run(run, asked(run, tests=["pose", "distance"], cycles=2), listen)
     if decision == "simple":
         assert set(heard) == {"visit"}
         assert result.abilities == ()

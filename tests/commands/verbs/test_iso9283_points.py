@@ -19,7 +19,7 @@ from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import Outputs
-from tests.commands.verbs.test_iso9283 import left_alone
+from tests.commands.verbs.test_iso9283 import asked, left_alone
 
 Point = tuple[float, float, float]
 Rows = list[dict[str, str]]
@@ -32,7 +32,7 @@ def tested(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Iso9283Re
     with pytest.MonkeyPatch.context() as patch, RunFile.create(folder, left_alone()) as run:
         patch.setattr(reach, "_SEEDS", 4)
         tests = ["pose", "multidirectional", "distance", "drift", "path"]
-        yield iso9283_run(run, tests, cycles=3, drift_minutes=0.5), folder  # type: ignore[arg-type]
+        yield iso9283_run(run, asked(run, tests=tests, cycles=3, drift_minutes=0.5)), folder
 
 
 def rows_of(tested: tuple[Iso9283Result, Path]) -> Rows:
@@ -152,7 +152,7 @@ def test_a_result_is_kept_where_its_points_cannot_be_written(tmp_path: Path, mon
     monkeypatch.setattr(reach, "_SEEDS", 4)
     monkeypatch.setattr(Outputs, "write", full)
     with RunFile.create(tmp_path / "run", left_alone()) as run:
-        result = iso9283_run(run, ["distance"], cycles=2)
+        result = iso9283_run(run, asked(run, tests=["distance"], cycles=2))
     assert result.points_file == ""
     assert "not kept: iso9283-points.csv cannot be written: No space left" in result.notes[-1]
     assert result.arms["left"].tests["nominal"].distance[0].accuracy.n == 2

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from cellapp.estimation.iso9283.coverage import NOT_ASKED, ONE_SMR, coverage, not_done
+from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     CommandedTests,
     DriftCharacteristics,
     IsoConditions,
     IsoLine,
-    IsoTest,
     IsoValue,
     PoseCharacteristics,
 )

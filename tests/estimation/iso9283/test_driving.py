@@ -19,7 +19,8 @@ from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube, choose_cube
 from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
 from cellapp.cell.driving.iso9283.reach import CubeSearch
 from cellapp.cell.driving.iso9283.tests import IsoTask, drive_tests
-from cellapp.estimation.iso9283.records import ArmIso9283, IsoTest
+from cellapp.estimation.iso9283.norm import IsoTest
+from cellapp.estimation.iso9283.records import ArmIso9283
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile

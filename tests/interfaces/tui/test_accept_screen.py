@@ -16,7 +16,9 @@ from textual.widgets import Checkbox, Input, Static, TabbedContent
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.check import run as check_verb
+from cellapp.commands.check.request import FEWEST_STOPS, STOPS
 from cellapp.commands.iso9283 import run as iso_verb
+from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.run_results import ReportResult
 from cellapp.commands.stages import append_stage, basis_on_model, read_results, read_stages
 from cellapp.estimation.iso9283.records import Iso9283Result
@@ -32,10 +34,9 @@ from cellapp.interfaces.tui.dialogs.certificate import (
     NewSignKey,
     WriteCertificate,
 )
-from cellapp.interfaces.tui.dialogs.check_calibration import FEWEST_STOPS, STOPS, CheckCalibration
-from cellapp.interfaces.tui.dialogs.iso9283_tests import CYCLES, DRIFT_MIN, Iso9283Tests
 from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice, Reading
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, exit_code, log_text, opened, shown_text, until
 
@@ -71,10 +72,10 @@ class Driving:
         return self._drive(run, listener, control)
 
     def iso9283_run(
-        self, run: RunFile, tests: tuple[str, ...], listener: Listener, control: JobControl, **asked: Any
+        self, run: RunFile, request: Iso9283Request, listener: Listener, control: JobControl, **asked: Any
     ) -> Result:
         """As ``cellapp.commands.iso9283.run.iso9283_run``."""
-        self.asked = {"tests": tests, **asked}
+        self.asked = {"request": request, **asked}
         return self._drive(run, listener, control)
 
     def _drive(self, run: RunFile, listener: Listener, control: JobControl) -> Result:
@@ -171,7 +172,7 @@ async def test_what_is_out_of_date_is_loud_on_every_tab(finished_copy: Path) -> 
         for _ in range(4):
             assert "! OUT OF DATE" in shown_text(app)
             await pilot.press("t")
-        await ask(pilot, app, "i", Iso9283Tests)
+        await ask(pilot, app, "i", VerbQuestion)
         assert "The model is not up to date" in shown_text(app)
         assert "Use this model all the same (u)" in shown_text(app)
 
@@ -192,9 +193,9 @@ async def test_what_is_missing_is_said_with_a_way_on(tmp_path: Path) -> None:
             app.say("")
             await pilot.press(key)
             assert app.message.startswith("This run is not calibrated yet")
-        await ask(pilot, app, "i", Iso9283Tests)
-        kinds = [box.id for box in app.screen.query(Checkbox) if box.id in ("nominal", "calibrated")]
-        assert kinds == ["nominal"], "without a calibration only the nominal commands are possible"
+        await ask(pilot, app, "i", VerbQuestion)
+        kinds = [box.id for box in app.screen.query(Checkbox) if str(box.id).startswith("commands")]
+        assert kinds == ["commands-nominal"], "without a calibration only the nominal commands are possible"
         await pilot.press("n")
         assert not app.jobs.running
 
@@ -207,12 +208,13 @@ async def test_a_check_is_asked_for_driven_stopped_and_judged(
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)
-        await ask(pilot, app, "k", CheckCalibration)
+        await ask(pilot, app, "k", VerbQuestion)
         assert "the arms are simulated" in shown_text(app)
-        for wrong in ("", "3", "many"):
+        assert app.screen.query_one("#stops", Input).value == str(STOPS)
+        for wrong, says in (("", "a whole number"), ("3", f"at least {FEWEST_STOPS}, got 3"), ("many", "got 'many'")):
             fill(app, stops=wrong)
             await pilot.press("b")
-            assert f"at least {FEWEST_STOPS}" in shown_text(app)
+            assert says in shown_text(app)
         fill(app, stops="12")
         await pilot.press("b")
         await until(pilot, lambda: "still valid, p = 0.4" in shown_text(app), "the evidence so far")
@@ -227,7 +229,7 @@ async def test_a_check_is_asked_for_driven_stopped_and_judged(
         assert app.message.startswith("Aborted")
         await until(pilot, lambda: "was not checked yet" in shown_text(app), "that nothing was stored")
 
-        await ask(pilot, app, "k", CheckCalibration)
+        await ask(pilot, app, "k", VerbQuestion)
         await pilot.press("b")
         await until(pilot, lambda: "3/20" in shown_text(app), "the second drive")
         await pilot.press("p")
@@ -240,7 +242,7 @@ async def test_a_check_is_asked_for_driven_stopped_and_judged(
 
         driving.result, driving.asks = MOVED, True
         for answer, says in (("", "was not confirmed"), ("twin", "does not hold as it is: tracker moved")):
-            await ask(pilot, app, "k", CheckCalibration)
+            await ask(pilot, app, "k", VerbQuestion)
             await pilot.press("b")
             await until(pilot, lambda: isinstance(app.screen, MotionQuestion), "the first motion")
             assert "joint 1 by 9 deg" in shown_text(app)
@@ -258,29 +260,38 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)
-        await ask(pilot, app, "i", Iso9283Tests)
-        app.screen.query_one("#pose", Checkbox).value = False
+        await ask(pilot, app, "i", VerbQuestion)
+        marked = {str(box.id) for box in app.screen.query(Checkbox) if box.value}
+        assert marked == {"tests-pose", "commands-nominal", "commands-calibrated"}
+        app.screen.query_one("#tests-pose", Checkbox).value = False
         await pilot.press("b")
-        assert "Mark a test" in shown_text(app)
-        app.screen.query_one("#distance", Checkbox).value = True
-        app.screen.query_one("#nominal", Checkbox).value = False
-        wrong = {"cycles": ("many cycles", ("2.5", "nan")), "speed": ("percent", ("101",))}
-        for name, (says, texts) in {**wrong, "minutes": ("many minutes", ("0",))}.items():
+        assert "tests: at least one is needed" in shown_text(app)
+        app.screen.query_one("#tests-distance", Checkbox).value = True
+        for kind in ("nominal", "calibrated"):
+            app.screen.query_one(f"#commands-{kind}", Checkbox).value = False
+        await pilot.press("b")
+        assert "commanded by the model: at least one is needed" in shown_text(app)
+        app.screen.query_one("#commands-calibrated", Checkbox).value = True
+        wrong = {
+            "cycles": ("a whole number", ("2.5", "nan", "")),
+            "speed": ("above 0 % and up to 100 %", ("101", "0", "nan")),
+            "drift-minutes": ("above 0 and up to 960, got 0", ("0",)),
+        }
+        for name, (says, texts) in wrong.items():
             right = app.screen.query_one(f"#{name}", Input).value
             for text in texts:
                 fill(app, **{name: text})
                 await pilot.press("b")
                 assert says in shown_text(app)
             fill(app, **{name: right})
-        fill(app, cycles="4", speed="50", arm="left")
+        fill(app, cycles="4", speed="50")
+        app.screen.query_one("#arms-left", Checkbox).value = True
         await pilot.press("b")
         await until(pilot, lambda: "cycle 3 of 4" in shown_text(app), "the progress")
         assert tab(app) == "iso9283-pane"
-        asked = {name: value for name, value in driving.asked.items() if name != "ask"}
-        assert asked == {
-            "tests": ("distance",), "cycles": 4, "speed_share": 0.5, "arms": ("left",), "commands": ("calibrated",),
-            "drift_minutes": DRIFT_MIN, "out_of_date": False,
-        }  # fmt: skip
+        assert driving.asked["request"] == Iso9283Request(
+            folder=finished_copy, tests=("distance",), cycles=4, speed=50.0, arms=("left",), commands=("calibrated",)
+        )
         driving.go_on.set()
         await ended(pilot, app)
         await until(pilot, lambda: "cycle 3 of pose P2: beam broken" in shown_text(app), "what is missing")
@@ -324,8 +335,3 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
 
 def test_a_passphrase_is_in_no_text() -> None:
     assert PASSPHRASE not in repr(CertificateRequest("1", None, None, Path("key"), PASSPHRASE))
-
-
-def test_the_dialogs_propose_what_the_commands_do() -> None:
-    assert (STOPS, FEWEST_STOPS) == (check_verb.STOPS, check_verb.FEWEST_STOPS)
-    assert (CYCLES, DRIFT_MIN) == (iso_verb.CYCLES, iso_verb.DRIFT_MIN)

@@ -12,8 +12,8 @@ from cellapp.cell.driving.iso9283.programme import legs
 from cellapp.cell.targets.choice import LARGEST_CORRECTION
 from cellapp.cell.targets.invert import invert, with_approach
 from cellapp.cell.targets.working_conditions import beside
+from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme
-from cellapp.estimation.iso9283.records import IsoCommands
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model import CellModel

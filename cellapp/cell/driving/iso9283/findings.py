@@ -19,16 +19,9 @@ from cellapp.estimation.iso9283.evaluate import (
     path_characteristics,
     pose_characteristics,
 )
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
-from cellapp.estimation.iso9283.records import (
-    ArmIso9283,
-    BaseAlignment,
-    CommandedTests,
-    IsoAbility,
-    IsoCommands,
-    IsoTest,
-    PairIso9283,
-)
+from cellapp.estimation.iso9283.records import ArmIso9283, BaseAlignment, CommandedTests, IsoAbility, PairIso9283
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel

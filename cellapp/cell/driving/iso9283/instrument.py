@@ -10,8 +10,9 @@ from cellapp.cell.driving.iso9283.findings import IsoFindings
 from cellapp.cell.driving.iso9283.programme import wanted_cycles
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
 from cellapp.estimation.iso9283.ability import Instrument, ability
+from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.places import ArmProgramme
-from cellapp.estimation.iso9283.records import IsoAbility, IsoTest
+from cellapp.estimation.iso9283.records import IsoAbility
 from cellapp.estimation.uncertainty.records import Characteristic
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import MPE_SHARE

@@ -18,7 +18,7 @@ from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.plan_path import PathPlan, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
 from cellapp.estimation.iso9283.evaluate import PathRuns, PathTrack
-from cellapp.estimation.iso9283.records import IsoCommands
+from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath

@@ -11,9 +11,8 @@ from scipy.optimize import linear_sum_assignment
 from cellapp.cell.driving.iso9283.chosen_cube import approach_sequence
 from cellapp.cell.safety.gate import CellBodies, clear_stops, visible_stops
 from cellapp.estimation.iso9283.cube import CYCLE, POSES
-from cellapp.estimation.iso9283.norm import NORM_CYCLES
+from cellapp.estimation.iso9283.norm import NORM_CYCLES, IsoTest
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
-from cellapp.estimation.iso9283.records import IsoTest
 from cellapp.robot.kinematics.transforms import Array
 
 

@@ -39,7 +39,7 @@ from cellapp.cell.safety.gate import CellBodies, Gate
 from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.cube import POSES
 from cellapp.estimation.iso9283.evaluate import Measured
-from cellapp.estimation.iso9283.records import IsoCommands, IsoTest
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile

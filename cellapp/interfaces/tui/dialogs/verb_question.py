@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -107,7 +108,7 @@ class VerbQuestion(AnswerQuestion[Request]):
             yield text_field(label, key, text, words.hint, choices=[str(one) for one in choices])
 
     def _value(self, name: str) -> Any:
-        """What a field holds; None where it is empty."""
+        """What a field holds; None where it is empty and may be."""
         kind = self._kind(name)
         if kind is bool:
             return self.query_one(f"#{_id(name)}", Checkbox).value
@@ -116,7 +117,10 @@ class VerbQuestion(AnswerQuestion[Request]):
             return tuple(one for one, box in boxes.items() if box.value)
         text = self.query_one(f"#{_id(name)}", Input).value.strip()
         if not text:
-            return None
+            return None if self._default(name) is None else ""
+        if kind in (int, float):
+            with suppress(ValueError):  # the request says what is wrong with it
+                return kind(text)
         return Path(text).expanduser() if kind is Path else text
 
     def _possible(self, name: str) -> Sequence[str]:

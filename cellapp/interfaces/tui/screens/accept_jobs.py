@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.compensate.target_list import stale_model
-from cellapp.estimation.iso9283.records import IsoCommands
+from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
+from cellapp.commands.record import Request
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283
 from cellapp.interfaces.tui import work, work_acceptance
 from cellapp.interfaces.tui.dialogs.certificate import (
@@ -16,9 +19,8 @@ from cellapp.interfaces.tui.dialogs.certificate import (
     SignKeyRequest,
     WriteCertificate,
 )
-from cellapp.interfaces.tui.dialogs.check_calibration import CheckCalibration, CheckRequest
-from cellapp.interfaces.tui.dialogs.iso9283_tests import Iso9283Tests, IsoRequest
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words
 from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
 
@@ -38,10 +40,10 @@ def ask_check(screen: AcceptScreen) -> None:
         return
     folder, results, _ = calibrated
 
-    def begin(request: CheckRequest | None) -> None:
+    def begin(request: Request | None) -> None:
         if request is not None:
             screen.show_tab(CHECK)
-            screen.start(work_acceptance.check(folder, request))
+            screen.start(work.verb_job(CHECK_VERB, request))
 
     text = (
         "Drive to a few stops that tell most, and measure: does the calibration still hold? It ends as soon as it is"
@@ -50,7 +52,7 @@ def ask_check(screen: AcceptScreen) -> None:
     if stale := stale_model(results):
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
-    screen.app.push_screen(CheckCalibration(text, BEGIN, simulated=simulated), begin)
+    screen.app.push_screen(VerbQuestion(CHECK_VERB, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
 
 
 def ask_iso9283(screen: AcceptScreen) -> None:
@@ -62,18 +64,30 @@ def ask_iso9283(screen: AcceptScreen) -> None:
         return
     folder = workspace.folder or new_folder(profile)
     calibrated = results is not None and results.calibrate is not None
-    commands: tuple[IsoCommands, ...] = ("nominal", "calibrated") if calibrated else ("nominal",)
+    commands = ISO_COMMANDS if calibrated else ("nominal",)
     stale = stale_model(results) if results is not None and calibrated else ""
 
-    def begin(request: IsoRequest | None) -> None:
+    def begin(request: Request | None) -> None:
         if request is not None:
             screen.show_tab(ISO9283)
-            screen.start(work_acceptance.iso9283(profile, folder, request, out_of_date=bool(stale)))
+            screen.start(work.verb_job(ISO9283_VERB, request))
 
     text = f"Drive to the poses of the test cube again and again, and measure, in {folder}; {arms_words(workspace)}."
     if stale:
         text += f"\nThe model is not up to date: {stale}."
-    dialog = Iso9283Tests(text, USE_STALE if stale else BEGIN, tuple(profile.arms), commands)
+    cell = workspace.profile_path if workspace.folder is None else None  # a run has its own
+    dialog = VerbQuestion(
+        ISO9283_VERB,
+        text,
+        USE_STALE if stale else BEGIN,
+        {"profile": cell, "folder": folder, "out_of_date": bool(stale)},
+        proposed={"tests": ("pose",), "commands": commands},
+        choices={
+            "tests": [test for test in ISO_TESTS if test != "cooperative" or len(profile.arms) > 1],
+            "commands": commands,
+            "arms": tuple(profile.arms),
+        },
+    )
     screen.app.push_screen(dialog, begin)
 
 

@@ -1,0 +1,135 @@
+"""What ``iso9283`` is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BeforeValidator, model_validator
+
+from cellapp.commands.fields import OutOfDate
+from cellapp.commands.record import Asked, Request, Variant, Verb
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands, IsoTest
+
+_HELP: Mapping[IsoTest, str] = {
+    "pose": "Pose accuracy AP and repeatability RP at five poses of the norm's cube.",
+    "multidirectional": "Variation of pose accuracy vAP from three directions of approach.",
+    "distance": "Distance accuracy AD and repeatability RD.",
+    "drift": "Drift of pose accuracy dAP and repeatability dRP while the arm warms up.",
+    "path": "Path accuracy AT and repeatability RT along a line and a circle.",
+    "cooperative": "Accuracy and repeatability between the SMRs of two arms.",
+}
+_FEWEST_CYCLES, _MOST_CYCLES = 2, 1000
+
+
+def _some(values: tuple[str, ...] | None) -> tuple[str, ...] | None:
+    if values == ():
+        raise ValueError("at least one is needed; none is marked")
+    return values
+
+
+def _kinds(given: Any) -> Any:
+    """Commands by one word."""
+    return ISO_COMMANDS if given == "both" else (given,) if isinstance(given, str) else given
+
+
+def _within(holds: Callable[[float], bool], expected: str, unit: str = "") -> AfterValidator:
+    def check(value: float) -> float:
+        if not holds(value):
+            raise ValueError(f"expected {expected}, got {value:g}{unit}")
+        return value
+
+    return AfterValidator(check)
+
+
+class Iso9283Request(Request):
+    """Test pose accuracy and more by ISO 9283: 'cellapp iso9283 PROFILE' makes all tests. THE ARMS MOVE."""
+
+    profile: Annotated[Path | None, Asked("The cell, as YAML.", "PROFILE", argument=True, needed=True)] = None
+    """None: that of the run in ``folder``."""
+    folder: Annotated[
+        Path | None, Asked("A new run, or an existing one: its calibration is then used.", "DIR", option="--run")
+    ] = None
+    tests: Annotated[
+        tuple[IsoTest, ...],
+        AfterValidator(_some),
+        Asked(
+            "Tests that are made.",
+            label="tests",
+            words={
+                "pose": "pose: AP, RP",
+                "multidirectional": "directions: vAP",
+                "distance": "distance: AD, RD",
+                "drift": "drift: dAP, dRP",
+                "path": "path: AT, RT",
+                "cooperative": "both arms together",
+            },
+        ),
+    ] = ISO_TESTS
+    cycles: Annotated[
+        int,
+        _within(lambda n: _FEWEST_CYCLES <= n <= _MOST_CYCLES, f"{_FEWEST_CYCLES} to {_MOST_CYCLES}"),
+        Asked(
+            f"Cycles of each test; the norm's number is {NORM_CYCLES['pose']}.",
+            "N",
+            label="cycles",
+            hint=f"{NORM_CYCLES['pose']} by the norm",
+        ),
+    ] = NORM_CYCLES["pose"]
+    speed: Annotated[
+        float,
+        _within(lambda percent: 0.0 < percent <= 100.0, "a share above 0 % and up to 100 %", " %"),
+        Asked(
+            "Of the speed that the profile allows.",
+            "PERCENT",
+            label="speed",
+            unit="%",
+            hint="of the speed that the profile allows",
+        ),
+    ] = 100.0
+    arms: Annotated[
+        tuple[str, ...], Asked("Only this arm; may be repeated.", "NAME", option="--arm", label="only arm")
+    ] = ()
+    commands: Annotated[
+        tuple[IsoCommands, ...] | None,
+        BeforeValidator(_kinds),
+        AfterValidator(_some),
+        Asked(
+            "Nominal commands (as found), calibrated ones (as left); both if calibrated.",
+            option="--with",
+            typed=Literal["nominal", "calibrated", "both"] | None,
+            label="commanded by the model",
+            words={"nominal": "nominal, as found", "calibrated": "calibrated, as left"},
+        ),
+    ] = None
+    drift_minutes: Annotated[
+        float,
+        _within(lambda minutes: 0.0 < minutes <= 2.0 * NORM_DRIFT_MIN, f"above 0 and up to {2.0 * NORM_DRIFT_MIN:g}"),
+        Asked(
+            f"How long drift is observed; the norm's time is {NORM_DRIFT_MIN:g}.",
+            "MIN",
+            label="drift for",
+            unit="min",
+            hint=f"{NORM_DRIFT_MIN:g} by the norm",
+        ),
+    ] = 60.0
+    """Of the norm's 480 minutes: most of a warm-up shows in the first hour."""
+    out_of_date: OutOfDate = False
+
+    @model_validator(mode="after")
+    def _a_cell(self) -> Iso9283Request:
+        if self.profile is None and self.folder is None:
+            raise ValueError("a profile is needed, or the folder of a run")
+        return self
+
+
+VERB = Verb(
+    "iso9283",
+    Iso9283Request,
+    chapter="iso9283",
+    moves_arms=True,
+    question="Measure by ISO 9283?",
+    variants={"all": Variant("All tests; this word may be left out.", {"tests": ISO_TESTS})}
+    | {test: Variant(_HELP[test], {"tests": (test,)}) for test in ISO_TESTS},
+)
