@@ -30,7 +30,7 @@ from cellapp.robot.paths.timing import Trajectory
 from drivers.arms.protocol import FollowedPath, PathFollower
 from drivers.trackers.protocol import StreamingTracker, Track, TrackerError
 
-_INTERVAL_S = 0.01
+INTERVAL_S = 0.01
 """Of points measured while the arm moves: 1 mm at 100 mm/s."""
 _FEWEST_AT_REST = 12
 _AT_REST_EVERY_M = 0.05
@@ -203,12 +203,19 @@ class _Driver:
 
 
 def follow_and_track(
-    cell: Cell, mover: Mover, reaction: StopReaction, name: str, trajectory: Trajectory, start_M: Array | None
+    cell: Cell,
+    mover: Mover,
+    reaction: StopReaction,
+    name: str,
+    trajectory: Trajectory,
+    start_M: Array | None,
+    interval_s: float = INTERVAL_S,
 ) -> tuple[Track | None, FollowedPath]:
     """Let an arm at the beginning of a path follow it; return the points that were measured meanwhile.
 
-    ``start_M`` (3,) is where its SMR is [m]. None, and no points: nothing is measured, or the tracker's driver cannot
-    measure a moving SMR. A beam that breaks stops all arms. Raises as ``Mover.follow`` and ``StreamingTracker``.
+    ``start_M`` (3,) is where its SMR is [m], ``interval_s`` the time between two points. None, and no points: nothing
+    is measured, or the tracker's driver cannot measure a moving SMR. A beam that breaks stops all arms. Raises as
+    ``Mover.follow`` and ``StreamingTracker``.
     """
     tracker = cell.tracker
 
@@ -217,7 +224,7 @@ def follow_and_track(
 
     streaming = tracker if start_M is not None and isinstance(tracker, StreamingTracker) else None
     if streaming is not None and start_M is not None:
-        streaming.start_track(start_M, _INTERVAL_S, beam_lost)
+        streaming.start_track(start_M, interval_s, beam_lost)
     began_s = cell.clock.now_s()
     followed = mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
     if streaming is None:

@@ -43,6 +43,13 @@ def _within(holds: Callable[[float], bool], expected: str, unit: str = "") -> Af
     return AfterValidator(check)
 
 
+def _percents(values: tuple[float, ...]) -> tuple[float, ...]:
+    for value in values:
+        if not 0.0 < value <= 100.0:
+            raise ValueError(f"expected shares above 0 % and up to 100 %, got {value:g} %")
+    return values
+
+
 class Iso9283Request(Request):
     """Test pose accuracy and more by ISO 9283: 'cellapp iso9283 PROFILE' makes all tests. THE ARMS MOVE."""
 
@@ -88,6 +95,15 @@ class Iso9283Request(Request):
             hint="of the speed that the profile allows",
         ),
     ] = 100.0
+    also_speeds: Annotated[
+        tuple[float, ...],
+        AfterValidator(_percents),
+        Asked(
+            "Repeat pose and path tests at this speed, in percent; may be repeated. The norm also has 50 and 10.",
+            "PERCENT",
+            option="--also-speed",
+        ),
+    ] = ()
     arms: Annotated[
         tuple[str, ...], Asked("Only this arm; may be repeated.", "NAME", option="--arm", label="only arm")
     ] = ()

@@ -21,7 +21,7 @@ from cellapp.commands.certificate.iso9283_judgements import judge_characteristic
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.iso9283.points import write_points
 from cellapp.commands.iso9283.request import Iso9283Request
-from cellapp.commands.pipeline import default_folder
+from cellapp.commands.plan.run import default_folder
 from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_of, basis_on_model, read_stages
 from cellapp.commands.station import profile_at_station
@@ -96,6 +96,7 @@ def iso9283_run(
         cycles=request.cycles,
         speed=request.speed / 100.0,
         drift_s=request.drift_minutes * 60.0,
+        also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
     )
     notes = _notes(task, stages, used)
     with running_job(run, control, "iso9283", listener) as listener:
@@ -198,6 +199,7 @@ def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, sto
         dwell_s=DWELL_S,
         averaging_s=profile.tracker.averaging,
         commands=task.commands,
+        also_speeds=task.also_speeds,
         began=began,
         seconds=found.seconds,
         temperature_c=(min(air), max(air)) if air else None,

@@ -29,13 +29,17 @@ _Values = Callable[[CommandedTests], Sequence[IsoValue]]
 
 @dataclass(frozen=True)
 class _Asked:
-    """A characteristic of the norm; ``never`` is why this program does not measure it, else ``test`` does."""
+    """A characteristic of the norm; ``never`` is why this program does not measure it, else ``test`` does.
+
+    ``cycles`` are the norm's, where they are not those of the test.
+    """
 
     clause: str
     words: str
     test: IsoTest | None = None
     values: _Values = lambda tests: ()
     never: str = ""
+    cycles: int | None = None
 
 
 _ASKED: tuple[_Asked, ...] = (
@@ -61,8 +65,19 @@ _ASKED: tuple[_Asked, ...] = (
     _Asked("8.2, 8.3", "path accuracy AT, repeatability RT", "path", lambda made: [one.accuracy for one in made.path]),
     _Asked("8.2, 8.3", "AT, RT of the orientation", never=ONE_SMR),
     _Asked("8.4", "path accuracy on reorientation", never="paths keep one orientation here"),
-    _Asked("8.5", "cornering deviations CR, CO", never="no path with a corner is driven yet"),
-    _Asked("8.6", "path velocity AV, RV, FV", never="not evaluated from the measured paths yet"),
+    _Asked(
+        "8.5",
+        "cornering deviations CR, CO",
+        "path",
+        lambda made: [corner.rounding for one in made.path for corner in one.corners if corner.rounding is not None],
+        cycles=3,
+    ),
+    _Asked(
+        "8.6",
+        "path velocity AV, RV, FV",
+        "path",
+        lambda made: [one.accuracy for one in made.path if one.velocity is not None],
+    ),
     _Asked("9", "minimum posing time", never="no verb measures the end of a motion yet"),
     _Asked("10", "static compliance", never=PERSON),
     _Asked("11", "weaving deviations WS, WF", never="no weaving is driven"),
@@ -109,7 +124,7 @@ def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: s
         if asked.test not in tests:
             return "not done", NOT_ASKED
         return "not done", refused or stopped or NOT_MEASURED
-    norm = NORM_CYCLES[asked.test]
+    norm = asked.cycles or NORM_CYCLES[asked.test]
     n = min(value.n for values in found.values() for value in values)
     words = f"{n} of {norm} cycles" if n < norm else f"{n} cycles"
     short = n < norm
@@ -127,15 +142,17 @@ def _conditions(arms: Mapping[str, ArmIso9283], made: IsoConditions | None) -> I
     """Speeds and loads of the norm's tests (6.6, 6.7)."""
     if made is None or not any(arm.tests for arm in arms.values()):
         return
-    speeds = {round(made.speed_share, 9)}
+    done = {one.speed_share for arm in arms.values() for own in arm.tests.values() for one in own.series}
+    speeds = {round(share, 9) for share in (made.speed_share, *done)}
     missing = [f"{share:.0%}" for share in NORM_SPEEDS if round(share, 9) not in speeds]
+    why = NOT_MEASURED if any(share in made.also_speeds for share in NORM_SPEEDS if share not in speeds) else NOT_ASKED
     words = f"{', '.join(f'{share:.0%}' for share in sorted(speeds, reverse=True))} of the profile's speed"
     yield IsoLine(
         clause="6.7",
         characteristic="speeds 100, 50, 10 % of the rated one",
         arms=tuple(arms),
         status="in part" if missing else "done",
-        words=f"{words}; {', '.join(missing)}: {NOT_ASKED}" if missing else words,
+        words=f"{words}; {', '.join(missing)}: {why}" if missing else words,
     )
     loads = "; ".join(f"{name} {arm.payload_kg:g} kg" for name, arm in arms.items())
     yield IsoLine(

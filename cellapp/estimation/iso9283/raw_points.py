@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from cellapp.estimation.iso9283.evaluate import Measurements, PathRuns
+from cellapp.estimation.iso9283.evaluate import Measurements
+from cellapp.estimation.iso9283.evaluate_paths import PathRuns
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.robot.kinematics.transforms import Array
@@ -21,6 +22,7 @@ HEADER = (
     "arm",
     "place",
     "approach",
+    "speed_percent",
     "group",
     "cycle",
     "time_s",
@@ -31,7 +33,8 @@ HEADER = (
     "direction_y",
     "direction_z",
 )
-"""Positions are in the tracker frame [m], times on the cell's clock [s]; ``cycle`` and ``group`` count from 1."""
+"""Positions are in the tracker frame [m], times on the cell's clock [s]; ``cycle`` and ``group`` count from 1.
+``speed_percent`` is of the profile's speed where a test was repeated at another one, else empty."""
 _NO_DIRECTION = ("", "", "")
 
 Row = tuple[str, ...]
@@ -64,7 +67,7 @@ def raw_rows(
 
 
 def _of_path(runs: PathRuns) -> Iterator[Row]:
-    where = ("path", runs.commands, runs.arm, runs.name, "")
+    where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
     for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
         yield ("commanded", *where, "", "", "", *_xyz(place_M), *_xyz(tangent_M))
     for number, track in enumerate(runs.tracks, start=1):
@@ -72,8 +75,12 @@ def _of_path(runs: PathRuns) -> Iterator[Row]:
             yield ("measured", *where, "1", str(number), repr(float(time_s)), *_xyz(p_M), *_NO_DIRECTION)
 
 
-def _place_cells(place: Place, name: str) -> tuple[str, str, str, str, str]:
-    return place.test, place.commands, name, "+".join(place.poses), place.approach
+def _place_cells(place: Place, name: str) -> tuple[str, ...]:
+    return place.test, place.commands, name, "+".join(place.poses), place.approach, _percent(place.speed)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:g}" if share else ""
 
 
 def _xyz(vector: Array) -> tuple[str, str, str]:

@@ -92,8 +92,41 @@ class DriftCharacteristics(Record):
     groups: tuple[DriftGroup, ...]
 
 
+class PathVelocity(Record):
+    """Velocity along the middle half of a path, of ``n`` cycles.
+
+    Attributes
+    ----------
+    accuracy_percent, expanded_percent : float
+        AV and its expanded uncertainty, of the commanded speed.
+    repeatability_percent : float
+        RV
+    fluctuation_mm_s, tracker_fluctuation_mm_s : float
+        FV, and what the tracker's stated uncertainty alone would show.
+    """
+
+    accuracy_percent: float
+    expanded_percent: float
+    repeatability_percent: float
+    fluctuation_mm_s: float
+    tracker_fluctuation_mm_s: float
+    n: int
+
+
+class CornerCharacteristics(Record):
+    """Cornering deviations at one corner: rounding CR and overshoot CO, None where too few cycles passed it."""
+
+    corner: str
+    rounding: IsoValue | None
+    overshoot: IsoValue | None
+
+
 class PathCharacteristics(Record):
-    """Path accuracy AT and repeatability RT: the largest over ``points`` places along the path."""
+    """Path accuracy AT and repeatability RT: the largest over ``points`` places along the path.
+
+    ``velocity`` is None on a path with corners, and where it was not found. ``slowed`` says why the programme itself
+    does not keep the commanded speed.
+    """
 
     path: str
     speed_mm_s: float
@@ -101,6 +134,17 @@ class PathCharacteristics(Record):
     points: int
     accuracy: IsoValue
     repeatability: IsoValue
+    velocity: PathVelocity | None = None
+    corners: tuple[CornerCharacteristics, ...] = ()
+    slowed: str = ""
+
+
+class SpeedSeries(Record):
+    """Pose and path tests repeated at another share of the profile's speed."""
+
+    speed_share: float
+    pose: tuple[PoseCharacteristics, ...] = ()
+    path: tuple[PathCharacteristics, ...] = ()
 
 
 class CommandedTests(Record):
@@ -111,6 +155,7 @@ class CommandedTests(Record):
     distance: tuple[DistanceCharacteristics, ...] = ()
     drift: DriftCharacteristics | None = None
     path: tuple[PathCharacteristics, ...] = ()
+    series: tuple[SpeedSeries, ...] = ()
 
 
 class IsoPose(Record):
@@ -226,7 +271,8 @@ class IsoAbility(Record):
 class IsoConditions(Record):
     """Conditions of the tests.
 
-    ``speed_share`` is of the speed that the profile allows, ``cycles`` what was asked for, ``temperature_c`` lowest and
+    ``speed_share`` is of the speed that the profile allows, at ``also_speeds`` pose and path tests were repeated;
+    ``cycles`` what was asked for, ``temperature_c`` lowest and
     highest of the measured air.
     """
 
@@ -235,6 +281,7 @@ class IsoConditions(Record):
     dwell_s: float
     averaging_s: float
     commands: tuple[IsoCommands, ...]
+    also_speeds: tuple[float, ...] = ()
     began: str = ""
     seconds: float = 0.0
     temperature_c: tuple[float, float] | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -33,6 +34,8 @@ from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
 from tests.twin import plant_of, small_twin
 
 REPEATABILITY_RAD = 5e-5
+ROUNDED_SHARE = math.hypot(0.1875, 0.1875)
+"""A curve of fifth degree with control points at 1, 0.6, 0.2 of the reach on each side: its middle is there."""
 
 
 def cell_of(profile: Profile, **plant: Any) -> Profile:
@@ -176,12 +179,50 @@ def test_drift_and_paths_of_an_arm_that_does_not_drift() -> None:
     assert tests.drift.minutes >= 0.5
     assert tests.drift.accuracy.expanded_mm is not None
     assert tests.drift.accuracy.value_mm <= 2.0 * tests.drift.accuracy.expanded_mm
-    assert [path.path for path in tests.path] == ["line P2 to P4", "circle"]
+    assert [path.path for path in tests.path] == [
+        "line P2 to P4",
+        "rectangle",
+        "rectangle, rounded corners",
+        "large circle",
+        "small circle",
+    ]
+    by_name = {path.path: path for path in tests.path}
     for path in tests.path:
         assert (path.accuracy.n, path.points, path.speed_mm_s) == (3, 50, 250.0)
+        assert (path.velocity is None) == path.path.startswith("rectangle")
+    for name in ("line P2 to P4", "large circle"):
+        velocity = by_name[name].velocity
+        assert velocity is not None
+        assert by_name[name].slowed == ""
+        assert abs(velocity.accuracy_percent) < 0.5
+        assert velocity.fluctuation_mm_s < 5.0 * velocity.tracker_fluctuation_mm_s
+    sharp, rounded = by_name["rectangle"], by_name["rectangle, rounded corners"]
+    assert [one.corner for one in sharp.corners] == ["P3", "P4", "P5", "P2"]
+    side = 0.8 * findings.cubes["left"].edge * 1e3
+    for one, other in zip(sharp.corners, rounded.corners, strict=True):
+        assert one.rounding is not None
+        assert other.rounding is not None
+        assert other.rounding.value_mm - one.rounding.value_mm == pytest.approx(0.1 * side * ROUNDED_SHARE, abs=5.0)
     edge = findings.cubes["left"].edge * 1e3
     assert tests.path[0].length_mm == pytest.approx(0.8 * np.sqrt(3.0) * edge, rel=1e-6)
-    assert tests.path[1].length_mm == pytest.approx(0.8 * np.pi * edge, rel=1e-3)
+    assert by_name["large circle"].length_mm == pytest.approx(0.8 * np.pi * edge, rel=1e-3)
+    assert by_name["small circle"].length_mm == pytest.approx(0.08 * np.pi * edge, rel=1e-3)
+
+
+def test_poses_and_paths_are_repeated_at_other_speeds() -> None:
+    task = task_of(cell_of(one_arm(), noise=False), "pose", "path", also_speeds=(0.5,))
+    findings, _ = driven(task)
+    found = results(task, findings)["left"].tests["nominal"]
+    (series,) = found.series
+    assert series.speed_share == 0.5
+    assert [one.pose for one in series.pose] == [one.pose for one in found.pose]
+    for one, other in zip(found.pose, series.pose, strict=True):
+        assert other.accuracy.value_mm == pytest.approx(one.accuracy.value_mm, abs=1e-6)  # an arm without dynamics
+    assert [one.speed_mm_s for one in series.path] == [125.0] * 5
+    assert len(findings.measured.visits) == 2 * 2 * 5
+    at_half = [runs for runs in findings.paths if runs.series == 0.5]
+    assert len(at_half[0].tracks[0].p_M) == pytest.approx(len(findings.paths[0].tracks[0].p_M), rel=0.1)
+    assert missing_words(findings, task.tests) == ()
 
 
 def five_joints() -> Profile:

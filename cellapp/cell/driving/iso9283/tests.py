@@ -63,7 +63,7 @@ class IsoTask:
 
     ``profile`` has the tracker of a simulated cell where it stands. ``model`` is the calibrated one; without it base
     and SMR of each arm are found first. ``cycles`` are asked for, ``speed`` is the share of the profile's speed,
-    ``drift_s`` how long drift is observed.
+    ``drift_s`` how long drift is observed. Pose and path tests are repeated at ``also_speeds``.
     """
 
     profile: Profile
@@ -74,6 +74,7 @@ class IsoTask:
     cycles: int
     speed: float
     drift_s: float
+    also_speeds: tuple[float, ...] = ()
 
 
 def drive_tests(
@@ -237,19 +238,41 @@ class _Session:
         if self.task.profile.moves_hardware:
             self._rehearse()
         self.mover.speed = self.task.speed
+        self.findings.also_speeds = self.task.also_speeds
         visits = self._visits()
-        self.total = max(len(visits), 1)
+        series = {share: self._poses_at(share) for share in self.task.also_speeds}
+        self.total = max(len(visits) + sum(map(len, series.values())), 1)
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
+        self._visit_all(visits)
+        if "path" in tests:
+            self._paths(self.task.speed)
+        for share, own in series.items():
+            self.mover.speed = share
+            self._visit_all(own)
+            if "path" in tests:
+                self._paths(share, share)
+
+    def _visit_all(self, visits: Sequence[Visit]) -> None:
         for visit in visits:
             self.listener(Progress("iso9283", self._done, self.total, "" if visit.place is None else str(visit.place)))
             self._visit(visit)
             self._done += 1
-        if "path" in tests:
-            self._paths()
 
-    def _paths(self) -> None:
+    def _poses_at(self, share: float) -> list[Visit]:
+        """The pose test at another share of the speed."""
+        if "pose" not in self.task.tests:
+            return []
+        found = [
+            visit
+            for programme in self.findings.programmes.values()
+            for visit in pose_visits(programme, self.task.cycles, share)
+        ]
+        self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
+        return found
+
+    def _paths(self, speed: float, series: float = 0.0) -> None:
         """The paths of one arm after the other, the others at home."""
         model, names = self.findings.model, list(self.findings.cubes)
         assert model is not None
@@ -261,8 +284,9 @@ class _Session:
             reaction=self.reaction,
             findings=self.findings,
             hold=self._hold,
-            speed_share=self.task.speed,
+            speed_share=speed,
             cycles=wanted_cycles("path", self.task.cycles),
+            series=series,
         )
         for done, name in enumerate(names):
             self.listener(Progress("paths", done, len(names), f"arm {name}"))
