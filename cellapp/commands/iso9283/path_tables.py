@@ -1,4 +1,4 @@
-"""Tables of paths: AT and RT, velocity, corners."""
+"""Tables of what the tracker measured while an arm moved: paths, velocity, corners, how it comes to rest."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from cellapp.estimation.iso9283.records import Iso9283Result, PathCharacteristic
 
 
 def path_tables(result: Iso9283Result) -> list[Table]:
-    """What was measured along paths."""
-    return [_paths(result), _velocities(result), _corners(result)]
+    """What was measured along paths and at the end of motions."""
+    return [_paths(result), _velocities(result), _corners(result), _settling(result)]
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -100,6 +100,36 @@ def _corners(result: Iso9283Result) -> Table:
         if corner.rounding is not None and corner.overshoot is not None
     ]
     return Table("Cornering deviations: rounding CR and overshoot CO [mm]", columns, tuple(rows))
+
+
+def _settling(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        Column("motion"),
+        number_column("length", ".0f", "mm"),
+        number_column("limit band", ".3f", "mm"),
+        number_column("stabilisation", ".3f", "s"),
+        number_column("overshoot", ".3f", "mm"),
+        number_column("posing time", ".3f", "s"),
+        number_column("n", "d"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (
+            name,
+            kind,
+            f"{one.before} to {one.pose}",
+            one.distance_mm,
+            one.band_mm,
+            one.stabilisation_s,
+            one.overshoot.value_mm,
+            one.posing_s,
+            one.overshoot.n,
+        )
+        for name, kind, tests in tests_of(result)
+        if (one := tests.settling) is not None
+    ]
+    return Table("Stabilisation time, overshoot and posing time", columns, tuple(rows))
 
 
 def _driven(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, PathCharacteristics]]:

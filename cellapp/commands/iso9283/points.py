@@ -18,9 +18,9 @@ def write_points(folder: Path, found: IsoFindings) -> tuple[str, str]:
 
     Raises ``InputError`` if it cannot be written.
     """
-    if not found.measured.visits and not any(runs.tracks for runs in found.paths):
+    if not found.measured.visits and not any(runs.tracks for runs in (*found.paths, *found.settling)):
         return "", ""
-    data = table_text(HEADER, raw_rows(found.programmes, found.measured, found.paths)).encode()
+    data = table_text(HEADER, raw_rows(found.programmes, found.measured, found.paths, found.settling)).encode()
     path = _unused(folder)
     NEW_ONLY.write(path, data)
     return path.name, hashlib.sha256(data).hexdigest()

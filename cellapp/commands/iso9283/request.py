@@ -17,7 +17,8 @@ _HELP: Mapping[IsoTest, str] = {
     "multidirectional": "Variation of pose accuracy vAP from three directions of approach.",
     "distance": "Distance accuracy AD and repeatability RD.",
     "drift": "Drift of pose accuracy dAP and repeatability dRP while the arm warms up.",
-    "path": "Path accuracy AT and repeatability RT along a line and a circle.",
+    "path": "Path accuracy AT and repeatability RT, velocity, corners along a line, rectangles and circles.",
+    "stabilisation": "Stabilisation time, overshoot and posing time at P1.",
     "cooperative": "Accuracy and repeatability between the SMRs of two arms.",
 }
 _FEWEST_CYCLES, _MOST_CYCLES = 2, 1000
@@ -70,6 +71,7 @@ class Iso9283Request(Request):
                 "distance": "distance: AD, RD",
                 "drift": "drift: dAP, dRP",
                 "path": "path: AT, RT",
+                "stabilisation": "how it comes to rest",
                 "cooperative": "both arms together",
             },
         ),

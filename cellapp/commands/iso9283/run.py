@@ -141,7 +141,7 @@ def _driven(
     try:
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
-        if findings.measured.visits or findings.paths:
+        if findings.measured.visits or findings.paths or findings.settling:
             with suppress(InputError):  # the reason of the stop is the one to report
                 _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"), findings)
         raise

@@ -31,7 +31,7 @@ _Values = Callable[[CommandedTests], Sequence[IsoValue]]
 class _Asked:
     """A characteristic of the norm; ``never`` is why this program does not measure it, else ``test`` does.
 
-    ``cycles`` are the norm's, where they are not those of the test.
+    ``cycles`` are the norm's, where they are not those of the test; ``part`` says what of it is left out at any time.
     """
 
     clause: str
@@ -40,6 +40,11 @@ class _Asked:
     values: _Values = lambda tests: ()
     never: str = ""
     cycles: int | None = None
+    part: str = ""
+
+
+def _settled(made: CommandedTests) -> Sequence[IsoValue]:
+    return () if made.settling is None else (made.settling.overshoot,)
 
 
 _ASKED: tuple[_Asked, ...] = (
@@ -58,8 +63,8 @@ _ASKED: tuple[_Asked, ...] = (
         lambda made: [one.accuracy for one in made.distance],
     ),
     _Asked("7.3", "AD, RD of the orientation", never=ONE_SMR),
-    _Asked("7.4", "position stabilisation time", never="no verb measures the end of a motion yet"),
-    _Asked("7.5", "position overshoot OV", never="no verb measures the end of a motion yet"),
+    _Asked("7.4", "position stabilisation time", "stabilisation", _settled),
+    _Asked("7.5", "position overshoot OV", "stabilisation", _settled),
     _Asked("7.6", "drift dAP, dRP", "drift", lambda made: () if made.drift is None else [made.drift.accuracy]),
     _Asked("7.7", "exchangeability E", never=OTHER_ARM),
     _Asked("8.2, 8.3", "path accuracy AT, repeatability RT", "path", lambda made: [one.accuracy for one in made.path]),
@@ -78,7 +83,7 @@ _ASKED: tuple[_Asked, ...] = (
         "path",
         lambda made: [one.accuracy for one in made.path if one.velocity is not None],
     ),
-    _Asked("9", "minimum posing time", never="no verb measures the end of a motion yet"),
+    _Asked("9", "minimum posing time", "stabilisation", _settled, part="one distance of the norm's several"),
     _Asked("10", "static compliance", never=PERSON),
     _Asked("11", "weaving deviations WS, WF", never="no weaving is driven"),
 )
@@ -133,8 +138,8 @@ def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: s
         words += f" a group, over {minutes:.0f} of {NORM_DRIFT_MIN:.0f} min"
         short = short or minutes < NORM_DRIFT_MIN
     words = f"{words}, {' and '.join(found)} commands"
-    if refused:
-        return "in part", f"{words}; {refused}"
+    if left_out := "; ".join(one for one in (refused, asked.part) if one):
+        return "in part", f"{words}; {left_out}"
     return ("in part" if short else "done"), words
 
 

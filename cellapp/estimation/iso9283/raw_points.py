@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from cellapp.estimation.iso9283.evaluate import Measurements
-from cellapp.estimation.iso9283.evaluate_paths import PathRuns
+from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
+from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.robot.kinematics.transforms import Array
@@ -41,9 +42,12 @@ Row = tuple[str, ...]
 
 
 def raw_rows(
-    programmes: Mapping[tuple[str, IsoCommands], ArmProgramme], measured: Measurements, paths: Sequence[PathRuns]
+    programmes: Mapping[tuple[str, IsoCommands], ArmProgramme],
+    measured: Measurements,
+    paths: Sequence[PathRuns],
+    settling: Sequence[SettlingRuns] = (),
 ) -> Iterator[Row]:
-    """All rows: commanded and measured positions at rest, then those of the paths."""
+    """All rows: commanded and measured positions at rest, then those of the paths, then motions to a pose."""
     for place in dict.fromkeys(one.place for one in measured.visits):
         for name, pose in zip(place.arms, place.poses, strict=True):
             where = _place_cells(place, name)
@@ -64,13 +68,21 @@ def raw_rows(
             yield ("measured", *_place_cells(one.place, name), *counted, *_xyz(p_M), *_NO_DIRECTION)
     for runs in paths:
         yield from _of_path(runs)
+    for motions in settling:
+        where = ("stabilisation", motions.commands, motions.arm, motions.pose, "", "")
+        yield ("commanded", *where, "", "", "", *_xyz(motions.commanded_M), *_NO_DIRECTION)
+        yield from _of_tracks(where, motions.tracks)
 
 
 def _of_path(runs: PathRuns) -> Iterator[Row]:
     where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
     for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
         yield ("commanded", *where, "", "", "", *_xyz(place_M), *_xyz(tangent_M))
-    for number, track in enumerate(runs.tracks, start=1):
+    yield from _of_tracks(where, runs.tracks)
+
+
+def _of_tracks(where: Row, tracks: Sequence[PathTrack]) -> Iterator[Row]:
+    for number, track in enumerate(tracks, start=1):
         for time_s, p_M in zip(track.time_s, track.p_M, strict=True):
             yield ("measured", *where, "1", str(number), repr(float(time_s)), *_xyz(p_M), *_NO_DIRECTION)
 

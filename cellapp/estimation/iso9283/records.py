@@ -139,6 +139,33 @@ class PathCharacteristics(Record):
     slowed: str = ""
 
 
+class SettlingCharacteristics(Record):
+    """How an arm comes to rest at a pose.
+
+    Attributes
+    ----------
+    pose, before : str
+        The pose, and the one from which the arm came, ``distance_mm`` away.
+    band_mm : float
+        Radius of the limit band about the position at rest.
+    stabilisation_s, posing_s : float
+        Means over the motions: from entering the band until the SMR stays in it, and from the beginning of the motion.
+    overshoot : IsoValue
+        Largest distance from the position at rest after the band was entered; zero where it was not left again.
+    step_s : float
+        Time between two points: no time is known better.
+    """
+
+    pose: str
+    before: str
+    distance_mm: float
+    band_mm: float
+    stabilisation_s: float
+    posing_s: float
+    overshoot: IsoValue
+    step_s: float
+
+
 class SpeedSeries(Record):
     """Pose and path tests repeated at another share of the profile's speed."""
 
@@ -155,6 +182,7 @@ class CommandedTests(Record):
     distance: tuple[DistanceCharacteristics, ...] = ()
     drift: DriftCharacteristics | None = None
     path: tuple[PathCharacteristics, ...] = ()
+    settling: SettlingCharacteristics | None = None
     series: tuple[SpeedSeries, ...] = ()
 
 

@@ -225,6 +225,31 @@ def test_poses_and_paths_are_repeated_at_other_speeds() -> None:
     assert missing_words(findings, task.tests) == ()
 
 
+def test_how_an_arm_comes_to_rest_is_recorded() -> None:
+    """Joints that lag by a share of their last step, which decays with 0.15 s while the arm rests."""
+    profile = cell_of(one_arm(), noise=False)
+    assert profile.plant is not None
+    lag = {"fraction": [2e-3] * 6, "time_constant": [0.15] * 6}
+    plants = {
+        name: profile.plant.model_copy(update={"effects": effects})
+        for name, effects in (("stiff", {}), ("lagging", {"left": {"unsettled_measurement": lag}}))
+    }
+    found = {}
+    for name, plant in plants.items():
+        task = task_of(profile.model_copy(update={"plant": plant}), "stabilisation")
+        findings, _ = driven(task)
+        found[name] = results(task, findings)["left"].tests["nominal"].settling
+        assert missing_words(findings, task.tests) == ()
+    stiff, lagging = found["stiff"], found["lagging"]
+    assert stiff is not None
+    assert lagging is not None
+    assert (stiff.before, stiff.pose, stiff.overshoot.n) == ("P2", "P1", 2)
+    assert stiff.stabilisation_s == pytest.approx(0.0, abs=0.0051)
+    assert stiff.overshoot.value_mm == 0.0
+    assert lagging.stabilisation_s > 0.1
+    assert lagging.posing_s > stiff.posing_s + 0.1
+
+
 def five_joints() -> Profile:
     """The left arm without its last joint: it cannot hold a rotation."""
     profile = one_arm()

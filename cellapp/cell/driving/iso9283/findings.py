@@ -18,6 +18,7 @@ from cellapp.estimation.iso9283.evaluate import (
     pose_characteristics,
 )
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, path_characteristics
+from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns, settling_characteristics
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import (
@@ -53,6 +54,7 @@ class IsoFindings:
     paths: list[PathRuns] = field(default_factory=list)
     abilities: list[IsoAbility] = field(default_factory=list)
     also_speeds: tuple[float, ...] = ()
+    settling: list[SettlingRuns] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
@@ -103,6 +105,10 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
             at = f", {runs.series:.0%} of the speed" if runs.series else ""
             where = f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}"
             words.append(f"{where}: {n} of {runs.wanted} cycles: {'; '.join(runs.problems) or _ENDED}")
+    for motions in found.settling:
+        if (n := len(motions.tracks)) < motions.wanted:
+            where = f"stabilisation of {motions.arm}, {motions.commands} commands"
+            words.append(f"{where}: {n} of {motions.wanted} motions: {'; '.join(motions.problems) or _ENDED}")
     for name, refused in found.refused.items():
         if set(tests) - {"cooperative"} <= set(refused):
             words += [f"arm {name}: {reason}" for reason in dict.fromkeys(refused.values())]
@@ -129,6 +135,14 @@ def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.
         distance=distance_characteristics(arm, measured, rng),
         drift=drift_characteristics(arm, measured, base_M, rng),
         path=_paths(found, name, kind, rng),
+        settling=next(
+            (
+                one
+                for runs in found.settling
+                if (runs.arm, runs.commands) == (name, kind) and (one := settling_characteristics(runs)) is not None
+            ),
+            None,
+        ),
         series=tuple(one for one in series if one.pose or one.path),
     )
 

@@ -17,8 +17,8 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def wanted_cycles(test: IsoTest, cycles: int) -> int:
-    """Cycles of a test where ``cycles`` were asked for: drift and path take no more than the norm's."""
-    return min(cycles, NORM_CYCLES[test]) if test in ("drift", "path") else cycles
+    """Cycles of a test where ``cycles`` were asked for: some tests take no more than the norm's."""
+    return min(cycles, NORM_CYCLES[test]) if test in ("drift", "path", "stabilisation") else cycles
 
 
 @dataclass(frozen=True, eq=False)

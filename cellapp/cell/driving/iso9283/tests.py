@@ -31,6 +31,7 @@ from cellapp.cell.driving.iso9283.programme import (
     wanted_cycles,
 )
 from cellapp.cell.driving.iso9283.reach import CubeSearch
+from cellapp.cell.driving.iso9283.settling_tests import SettlingTests
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
@@ -248,11 +249,29 @@ class _Session:
         self._visit_all(visits)
         if "path" in tests:
             self._paths(self.task.speed)
+        if "stabilisation" in tests:
+            self._settling()
         for share, own in series.items():
             self.mover.speed = share
             self._visit_all(own)
             if "path" in tests:
                 self._paths(share, share)
+
+    def _settling(self) -> None:
+        """How each arm comes to rest, the others at home."""
+        tests = SettlingTests(
+            profile=self.task.profile,
+            cell=self.cell,
+            mover=self.mover,
+            reaction=self.reaction,
+            findings=self.findings,
+            control=self.control,
+            hold=self._hold,
+            cycles=wanted_cycles("stabilisation", self.task.cycles),
+        )
+        for name in self.findings.cubes:
+            self.mover.go_home()
+            tests.drive(name, self.task.commands)
 
     def _visit_all(self, visits: Sequence[Visit]) -> None:
         for visit in visits:
