@@ -133,6 +133,14 @@ class Iso9283Request(Request):
         ),
     ] = 60.0
     """Of the norm's 480 minutes: most of a warm-up shows in the first hour."""
+    with_run: Annotated[
+        Path | None,
+        Asked(
+            "A run with a test of other arms of the same types: exchangeability E, in the cubes of that test.",
+            "DIR",
+            option="--with-run",
+        ),
+    ] = None
     out_of_date: OutOfDate = False
 
     @model_validator(mode="after")

@@ -19,6 +19,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.iso9283.exchanging import OtherTest, other_test
 from cellapp.commands.iso9283.points import write_points
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.plan.run import default_folder
@@ -85,6 +86,9 @@ def iso9283_run(
     named = _arms(run.profile, request.arms)
     if request.tests == ("cooperative",) and len(named) < 2:
         raise InputError("iso9283: a cooperative test needs two arms; this cell, or --arm, has one")
+    other = other_test(request.with_run, run.profile, named)
+    if other is not None and ("pose" not in request.tests or "nominal" not in kinds):
+        raise InputError("iso9283: --with-run compares pose tests with nominal commands; ask for both")
     if used is not None and not request.out_of_date:
         require_current_model(run, stages, "iso9283")
     task = IsoTask(
@@ -97,11 +101,12 @@ def iso9283_run(
         speed=request.speed / 100.0,
         drift_s=request.drift_minutes * 60.0,
         also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
+        cubes={} if other is None else other.cubes,
     )
     notes = _notes(task, stages, used)
     with running_job(run, control, "iso9283", listener) as listener:
         confirm = confirmation(run.profile, ask)
-        return _driven(run, used, task, notes, with_eta(listener), control, confirm, open_with)
+        return _driven(run, used, task, other, notes, with_eta(listener), control, confirm, open_with)
 
 
 def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
@@ -129,6 +134,7 @@ def _driven(
     run: RunFile,
     used: StoredStage | None,
     task: IsoTask,
+    other: OtherTest | None,
     notes: Sequence[str],
     listener: Listener,
     control: JobControl,
@@ -143,9 +149,9 @@ def _driven(
     except (CellappError, Cancelled) as error:
         if findings.measured.visits or findings.paths or findings.settling:
             with suppress(InputError):  # the reason of the stop is the one to report
-                _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"), findings)
+                _store(run, used, _result(run.profile, task, other, findings, began, f"stopped: {error}"), findings)
         raise
-    return _store(run, used, _result(run.profile, task, findings, began, ""), findings)
+    return _store(run, used, _result(run.profile, task, other, findings, began, ""), findings)
 
 
 def _commands(asked: Sequence[IsoCommands] | None, *, calibrated: bool) -> tuple[IsoCommands, ...]:
@@ -189,9 +195,12 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
     return notes
 
 
-def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, stopped: str) -> Iso9283Result:
+def _result(
+    profile: Profile, task: IsoTask, other: OtherTest | None, found: IsoFindings, began: str, stopped: str
+) -> Iso9283Result:
     rng = np.random.default_rng([profile.seed, _SEED])
     arms, pairs = arm_results(profile, found, task.arms, rng), pair_results(found, rng)
+    arms = arms if other is None else other.compared(arms)
     air = [one.temperature_c for one in found.measured.visits if one.temperature_c is not None]
     conditions = IsoConditions(
         cycles=task.cycles,

@@ -55,6 +55,7 @@ def iso9283_tables(result: Iso9283Result) -> list[Table]:
         _drift(result),
         _drift_groups(result),
         *path_tables(result),
+        _exchange(result),
         abilities_table(result.abilities),
         coverage_table(result.coverage),
         _cubes(result),
@@ -353,6 +354,23 @@ def _drift_groups(result: Iso9283Result) -> Table:
         for g in one.groups
     ]
     return Table("Groups of the drift test [mm]", columns, tuple(rows))
+
+
+def _exchange(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("compared with"),
+        Column("pose"),
+        number_column("E", ".3f"),
+        number_column("U", ".3f"),
+        number_column("n", "d"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (name, one.with_run, one.pose, *value_cells(one.value), one.value.n)
+        for name, arm in result.arms.items()
+        if (one := arm.exchange) is not None
+    ]
+    return Table("Exchangeability E with nominal commands [mm]", columns, tuple(rows))
 
 
 def _cubes(result: Iso9283Result) -> Table:

@@ -22,7 +22,9 @@ NOT_ASKED = "not asked for"
 NOT_MEASURED = "asked for, and no two cycles were measured"
 ONE_SMR = "one SMR on the flange shows its position, not its orientation"
 PERSON = "a person must load the flange in known steps, which no verb guides yet"
-OTHER_ARM = "it compares several arms of one type; this result has none but the cell's own"
+OTHER_ARM = "it compares arms of one type; no test of another arm was named (--with-run)"
+
+_EXCHANGE = "exchangeability E"
 
 _Values = Callable[[CommandedTests], Sequence[IsoValue]]
 
@@ -66,7 +68,7 @@ _ASKED: tuple[_Asked, ...] = (
     _Asked("7.4", "position stabilisation time", "stabilisation", _settled),
     _Asked("7.5", "position overshoot OV", "stabilisation", _settled),
     _Asked("7.6", "drift dAP, dRP", "drift", lambda made: () if made.drift is None else [made.drift.accuracy]),
-    _Asked("7.7", "exchangeability E", never=OTHER_ARM),
+    _Asked("7.7", _EXCHANGE, never=OTHER_ARM),
     _Asked("8.2, 8.3", "path accuracy AT, repeatability RT", "path", lambda made: [one.accuracy for one in made.path]),
     _Asked("8.2, 8.3", "AT, RT of the orientation", never=ONE_SMR),
     _Asked("8.4", "path accuracy on reorientation", never="paths keep one orientation here"),
@@ -121,6 +123,8 @@ def not_done(lines: Sequence[IsoLine]) -> dict[str, tuple[str, ...]]:
 
 
 def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: str) -> tuple[IsoStatus, str]:
+    if asked.words == _EXCHANGE and arm.exchange is not None:
+        return "in part", f"two of the norm's five arms, with {arm.exchange.with_run}"
     if asked.test is None:
         return "not done", asked.never
     found = {kind: values for kind in ISO_COMMANDS if kind in arm.tests and (values := asked.values(arm.tests[kind]))}

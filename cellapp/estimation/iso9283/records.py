@@ -232,6 +232,17 @@ class BaseAlignment(Record):
     smr_offset_mm: Vector3
 
 
+class Exchangeability(Record):
+    """Exchangeability E of two arms of one type with nominal commands, at the pose where it is largest.
+
+    ``with_run`` is the folder of the other arm's test.
+    """
+
+    with_run: str
+    pose: str
+    value: IsoValue
+
+
 class ArmIso9283(Record):
     """Characteristics of one arm. ``refused`` maps tests that were not made to the reason."""
 
@@ -240,6 +251,7 @@ class ArmIso9283(Record):
     base: BaseAlignment | None = None
     tests: Mapping[IsoCommands, CommandedTests] = {}
     refused: Mapping[IsoTest, str] = {}
+    exchange: Exchangeability | None = None
 
 
 class PairIso9283(Record):

@@ -6,7 +6,7 @@ What was measured is kept from visit to visit in an object of the caller, who ev
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.iso9283.alignment import align, alignment_configurations, published_cell
-from cellapp.cell.driving.iso9283.chosen_cube import choose_cube
+from cellapp.cell.driving.iso9283.chosen_cube import choose_cube, same_cube
 from cellapp.cell.driving.iso9283.commands import arm_programme
 from cellapp.cell.driving.iso9283.findings import IsoFindings
 from cellapp.cell.driving.iso9283.instrument import abilities, mpe_factor
@@ -41,6 +41,7 @@ from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.cube import POSES
 from cellapp.estimation.iso9283.evaluate import Measured
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
+from cellapp.estimation.iso9283.records import IsoCube
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
@@ -65,6 +66,7 @@ class IsoTask:
     ``profile`` has the tracker of a simulated cell where it stands. ``model`` is the calibrated one; without it base
     and SMR of each arm are found first. ``cycles`` are asked for, ``speed`` is the share of the profile's speed,
     ``drift_s`` how long drift is observed. Pose and path tests are repeated at ``also_speeds``.
+    ``cubes`` are those of an earlier test, by arm: an arm without one gets its own.
     """
 
     profile: Profile
@@ -76,6 +78,7 @@ class IsoTask:
     speed: float
     drift_s: float
     also_speeds: tuple[float, ...] = ()
+    cubes: Mapping[str, IsoCube] = field(default_factory=dict)
 
 
 def drive_tests(
@@ -195,7 +198,9 @@ class _Session:
         for number, name in enumerate(self.task.arms):
             self._hold()
             self.listener(Progress("find cube", number, len(self.task.arms), f"arm {name}"))
-            chosen = choose_cube(CubeSearch(self.bodies, self.homes, name, model.arms[name], profile.seed))
+            search = CubeSearch(self.bodies, self.homes, name, model.arms[name], profile.seed)
+            earlier = self.task.cubes.get(name)
+            chosen = choose_cube(search) if earlier is None else same_cube(search, earlier)
             if isinstance(chosen, str):
                 found.refuse(name, self.task.tests, chosen)
                 continue
