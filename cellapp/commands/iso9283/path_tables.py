@@ -56,6 +56,7 @@ def _velocities(result: Iso9283Result) -> Table:
         number_column("FV", ".2f", "mm/s"),
         number_column("tracker's FV", ".2f", "mm/s"),
         number_column("n", "d"),
+        Column("programme"),
     )
     rows = [
         (
@@ -69,6 +70,7 @@ def _velocities(result: Iso9283Result) -> Table:
             one.velocity.fluctuation_mm_s,
             one.velocity.tracker_fluctuation_mm_s,
             one.velocity.n,
+            one.slowed or "keeps the speed",
         )
         for name, kind, one in _driven(result)
         if one.velocity is not None

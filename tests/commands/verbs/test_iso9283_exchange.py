@@ -36,7 +36,7 @@ def test_another_arm_is_compared_in_the_same_cube(tmp_path: Path, monkeypatch: p
     assert second.cube is not None
     for one, other in zip(first.cube.poses, second.cube.poses, strict=True):
         np.testing.assert_allclose(other.position_B, one.position_B, atol=1e-9)
-        np.testing.assert_allclose(other.q, one.q, atol=1e-3)
+        np.testing.assert_allclose(other.q, one.q, atol=0.01)  # the SMR sits elsewhere
     assert second.exchange is not None
     apart = [
         np.linalg.norm(np.subtract(one.error_mm, other.error_mm))
