@@ -136,6 +136,9 @@ def _settling(result: Iso9283Result) -> Table:
 
 def _driven(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, PathCharacteristics]]:
     """Every path with its arm and commands, at all speeds."""
-    for name, kind, tests in (*tests_of(result), *series_of(result)):
+    for name, kind, tests in tests_of(result):
         for one in tests.path:
+            yield name, kind, one
+    for name, kind, series in series_of(result):
+        for one in series.path:
             yield name, kind, one

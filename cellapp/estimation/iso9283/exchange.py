@@ -6,6 +6,7 @@ property of the arm. The norm takes five arms; here are as many as there are tes
 
 from __future__ import annotations
 
+import math
 from itertools import combinations
 
 import numpy as np
@@ -44,7 +45,7 @@ def exchanged(
         pose=both[worst][0].pose,
         value=IsoValue(
             value_mm=float(at_poses[worst]),
-            expanded_mm=float(np.hypot(*known)) if len(known) == 2 else None,
+            expanded_mm=math.hypot(*known) if len(known) == 2 else None,
             n=min(pose.accuracy.n for pose in both[worst]),
         ),
     )

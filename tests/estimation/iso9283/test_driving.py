@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.iso9283 import reach
+from cellapp.cell.driving.iso9283 import path_tests, reach
 from cellapp.cell.driving.iso9283 import tests as driving
 from cellapp.cell.driving.iso9283.alignment import published_cell
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube, choose_cube
@@ -200,17 +200,32 @@ def test_drift_and_paths_of_an_arm_that_does_not_drift() -> None:
         else:
             assert abs(velocity.accuracy_percent) < 0.5
             assert velocity.fluctuation_mm_s < 5.0 * velocity.tracker_fluctuation_mm_s
-    sharp, rounded = by_name["rectangle"], by_name["rectangle, rounded corners"]
-    assert [one.corner for one in sharp.corners] == ["P3", "P4", "P5", "P2"]
-    side = 0.8 * findings.cubes["left"].edge * 1e3
-    for one, other in zip(sharp.corners, rounded.corners, strict=True):
-        assert one.rounding is not None
-        assert other.rounding is not None
-        assert other.rounding.value_mm - one.rounding.value_mm == pytest.approx(0.1 * side * ROUNDED_SHARE, abs=5.0)
     edge = findings.cubes["left"].edge * 1e3
     assert tests.path[0].length_mm == pytest.approx(0.8 * np.sqrt(3.0) * edge, rel=1e-6)
     assert by_name["large circle"].length_mm == pytest.approx(0.8 * np.pi * edge, rel=1e-3)
     assert by_name["small circle"].length_mm == pytest.approx(0.08 * np.pi * edge, rel=1e-3)
+
+
+def test_a_rounded_corner_is_missed_by_what_its_programme_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An arm that is as published: at sharp corners it stops, at rounded ones it passes by at a known distance."""
+    specs = path_tests.path_specs
+    monkeypatch.setattr(path_tests, "path_specs", lambda *of: [one for one in specs(*of) if "rectangle" in one.name])
+    profile = one_arm()
+    assert profile.plant is not None
+    exact = {key: 0.0 for key in type(profile.plant.geometry).model_fields}
+    geometry = profile.plant.geometry.model_copy(update=exact)
+    task = task_of(cell_of(profile, noise=False, geometry=geometry), "path")
+    findings, _ = driven(task)
+    sharp, rounded = results(task, findings)["left"].tests["nominal"].path
+    assert [one.corner for one in sharp.corners] == ["P3", "P4", "P5", "P2"]
+    blend = 0.1 * 0.8 * findings.cubes["left"].edge * 1e3
+    for one, other in zip(sharp.corners, rounded.corners, strict=True):
+        assert one.rounding is not None
+        assert one.overshoot is not None
+        assert other.rounding is not None
+        assert one.rounding.value_mm < 0.1
+        assert one.overshoot.value_mm < 0.1
+        assert other.rounding.value_mm == pytest.approx(blend * ROUNDED_SHARE, abs=0.5)
 
 
 def test_poses_and_paths_are_repeated_at_other_speeds() -> None:
