@@ -114,6 +114,13 @@ class Suspicion:
 
 
 @dataclass(frozen=True)
+class Notice:
+    """What a person should know before the work goes on, in a sentence."""
+
+    text: str
+
+
+@dataclass(frozen=True)
 class ReferenceReport:
     """A reference measurement: distance of each reference from its first measurement, name -> [mm], and the limit."""
 
@@ -227,6 +234,7 @@ Detail = (
     StateChange
     | StopReport
     | Suspicion
+    | Notice
     | ReferenceReport
     | MotionBegun
     | MotionEnded

@@ -124,10 +124,12 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
         ({"cycles": 1}, "--cycles: expected 2 to 1000, got 1"),
         ({"speed": 120.0}, "--speed: expected a share above 0 % and up to 100 %, got 120 %"),
         ({"speed": float("nan")}, "--speed"),
+        ({"also_speeds": (50.0, 0.0)}, "expected shares above 0 % and up to 100 %, got 0 %"),
+        ({"also_speeds": (float("nan"),)}, "expected shares above 0 %"),
         ({"drift_minutes": 0.0}, "--drift-minutes"),
         ({"tests": ["cooperative"]}, "needs two arms"),
     ],
-    ids=["commands", "arm", "cycles", "speed", "speed nan", "drift", "one arm"],
+    ids=["commands", "arm", "cycles", "speed", "speed nan", "also speed", "also speed nan", "drift", "one arm"],
 )
 def test_bad_options_are_refused_before_anything_moves(
     options: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -28,9 +28,9 @@ from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.lag import Lag, lag, rehearsed
 from cellapp.robot.paths.timing import Trajectory
 from drivers.arms.protocol import FollowedPath, PathFollower
-from drivers.trackers.protocol import StreamingTracker, TrackerError
+from drivers.trackers.protocol import StreamingTracker, Track, TrackerError
 
-_INTERVAL_S = 0.01
+INTERVAL_S = 0.01
 """Of points measured while the arm moves: 1 mm at 100 mm/s."""
 _FEWEST_AT_REST = 12
 _AT_REST_EVERY_M = 0.05
@@ -122,11 +122,12 @@ class _Driver:
         notes: list[str] = []
         try:
             trajectory = self._rehearsed(plan.trajectory, plan.path, notes) if rehearse else plan.trajectory
-            points, followed = self._run(trajectory, plan.path, measure=verify)
+            track, followed = self._run(trajectory, plan.path, measure=verify)
         except (MotionRefused, TrackerError) as error:
             return DrivenPath(note=str(error))
         found = lag(self.model.arms[self.spec.arm], plan.trajectory, followed.time_s, followed.q)
         driven = DrivenPath(lag=_lag_record(found), rehearsed=trajectory is not plan.trajectory, note="; ".join(notes))
+        points = None if track is None else track.p_M
         return self._verified(plan, driven, points) if verify else driven
 
     def _rehearsed(self, trajectory: Trajectory, path: CartesianPath, notes: list[str]) -> Trajectory:
@@ -150,8 +151,8 @@ class _Driver:
             if plan.nominal is None:
                 notes.append("the published geometry cannot be driven along this path")
             else:
-                there, _ = self._run(plan.nominal, plan.nominal_path, measure=True)
-                there = self._at_rest(plan.nominal) if there is None else there
+                track, _ = self._run(plan.nominal, plan.nominal_path, measure=True)
+                there = self._at_rest(plan.nominal) if track is None else track.p_M
                 nominal = _summary(plan.nominal_path, there)
         except (MotionRefused, TrackerError) as error:
             notes.append(str(error))
@@ -176,8 +177,8 @@ class _Driver:
             }
         )
 
-    def _run(self, trajectory: Trajectory, path: CartesianPath, *, measure: bool) -> tuple[Array | None, FollowedPath]:
-        """Go to the beginning and along the path; return the points (n, 3) measured meanwhile, if any can be."""
+    def _run(self, trajectory: Trajectory, path: CartesianPath, *, measure: bool) -> tuple[Track | None, FollowedPath]:
+        """Go to the beginning and along the path; return the points measured meanwhile, if any can be."""
         self._go(run_up(trajectory.q))
         self._go(trajectory.q[0])
         start_M = path.positions(np.zeros(1))[0] if measure else None
@@ -202,12 +203,19 @@ class _Driver:
 
 
 def follow_and_track(
-    cell: Cell, mover: Mover, reaction: StopReaction, name: str, trajectory: Trajectory, start_M: Array | None
-) -> tuple[Array | None, FollowedPath]:
-    """Let an arm at the beginning of a path follow it; return the points (n, 3) [m] that were measured meanwhile.
+    cell: Cell,
+    mover: Mover,
+    reaction: StopReaction,
+    name: str,
+    trajectory: Trajectory,
+    start_M: Array | None,
+    interval_s: float = INTERVAL_S,
+) -> tuple[Track | None, FollowedPath]:
+    """Let an arm at the beginning of a path follow it; return the points that were measured meanwhile.
 
-    ``start_M`` (3,) is where its SMR is [m]. None, and no points: nothing is measured, or the tracker's driver cannot
-    measure a moving SMR. A beam that breaks stops all arms. Raises as ``Mover.follow`` and ``StreamingTracker``.
+    ``start_M`` (3,) is where its SMR is [m], ``interval_s`` the time between two points. None, and no points: nothing
+    is measured, or the tracker's driver cannot measure a moving SMR. A beam that breaks stops all arms. Raises as
+    ``Mover.follow`` and ``StreamingTracker``.
     """
     tracker = cell.tracker
 
@@ -216,14 +224,14 @@ def follow_and_track(
 
     streaming = tracker if start_M is not None and isinstance(tracker, StreamingTracker) else None
     if streaming is not None and start_M is not None:
-        streaming.start_track(start_M, _INTERVAL_S, beam_lost)
+        streaming.start_track(start_M, interval_s, beam_lost)
     began_s = cell.clock.now_s()
     followed = mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
     if streaming is None:
         return None, followed
     track = streaming.end_track()
     within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
-    return track.p_M[within], followed
+    return Track(track.time_s[within], track.p_M[within]), followed
 
 
 def run_up(q: Array) -> Array:

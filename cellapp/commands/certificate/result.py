@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from cellapp.estimation.iso9283.norm import IsoCommands
+from cellapp.estimation.iso9283.records import IsoLine
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement, UncertaintyContribution
 from cellapp.ground.results import ErrorSummary, Record, Result, StageName
 
@@ -77,7 +78,8 @@ class CertifiedCharacteristic(Record):
 class CertifiedTests(Record):
     """What the tests by ISO 9283 found, and under which conditions; ``missing`` is what could not be measured.
 
-    ``cycles`` and ``speed_share`` (of the profile's speed) are None where that was not recorded.
+    ``cycles`` and ``speed_share`` (of the profile's speed) are None where that was not recorded. ``coverage`` lists
+    what the norm asks for, done or not and why.
     """
 
     characteristics: tuple[CertifiedCharacteristic, ...]
@@ -85,6 +87,7 @@ class CertifiedTests(Record):
     speed_share: float | None = None
     payload_kg: Mapping[str, float] = {}
     missing: tuple[str, ...] = ()
+    coverage: tuple[IsoLine, ...] = ()
 
 
 class CertifiedTarget(Record):

@@ -206,6 +206,7 @@ def _tests(results: StageResults) -> CertifiedTests | None:
         speed_share=None if tested.conditions is None else tested.conditions.speed_share,
         payload_kg={name: arm.payload_kg for name, arm in tested.arms.items()},
         missing=(*([tested.stopped] if tested.stopped else []), *tested.missing),
+        coverage=tested.coverage,
     )
 
 

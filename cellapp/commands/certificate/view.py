@@ -20,6 +20,7 @@ from cellapp.commands.view.acceptance_words import (
     verdict_of,
 )
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
@@ -166,7 +167,11 @@ def iso_sentence(tests: CertifiedTests) -> str:
     speed = "" if tests.speed_share is None else f"{tests.speed_share:.0%} of the profile's speed; "
     loads = ", ".join(f"{name} {mass:g} kg" for name, mass in tests.payload_kg.items())
     missing = f" Missing: {'; '.join(tests.missing)}." if tests.missing else ""
-    return f"{speed}payload {loads}; U and cycles are those of the errors as left, where there are any.{missing}"
+    names = dict.fromkeys(name for names in not_done(tests.coverage).values() for name in names)
+    left_out = f" Of the norm not done: {', '.join(names)}." if names else ""
+    return (
+        f"{speed}payload {loads}; U and cycles are those of the errors as left, where there are any.{missing}{left_out}"
+    )
 
 
 def budget_table(result: CertificateResult) -> Table:

@@ -17,7 +17,8 @@ _HELP: Mapping[IsoTest, str] = {
     "multidirectional": "Variation of pose accuracy vAP from three directions of approach.",
     "distance": "Distance accuracy AD and repeatability RD.",
     "drift": "Drift of pose accuracy dAP and repeatability dRP while the arm warms up.",
-    "path": "Path accuracy AT and repeatability RT along a line and a circle.",
+    "path": "Path accuracy AT and repeatability RT, velocity, corners along a line, rectangles and circles.",
+    "stabilisation": "Stabilisation time, overshoot and posing time at P1.",
     "cooperative": "Accuracy and repeatability between the SMRs of two arms.",
 }
 _FEWEST_CYCLES, _MOST_CYCLES = 2, 1000
@@ -43,6 +44,13 @@ def _within(holds: Callable[[float], bool], expected: str, unit: str = "") -> Af
     return AfterValidator(check)
 
 
+def _percents(values: tuple[float, ...]) -> tuple[float, ...]:
+    for value in values:
+        if not 0.0 < value <= 100.0:
+            raise ValueError(f"expected shares above 0 % and up to 100 %, got {value:g} %")
+    return values
+
+
 class Iso9283Request(Request):
     """Test pose accuracy and more by ISO 9283: 'cellapp iso9283 PROFILE' makes all tests. THE ARMS MOVE."""
 
@@ -63,6 +71,7 @@ class Iso9283Request(Request):
                 "distance": "distance: AD, RD",
                 "drift": "drift: dAP, dRP",
                 "path": "path: AT, RT",
+                "stabilisation": "how it comes to rest",
                 "cooperative": "both arms together",
             },
         ),
@@ -88,6 +97,15 @@ class Iso9283Request(Request):
             hint="of the speed that the profile allows",
         ),
     ] = 100.0
+    also_speeds: Annotated[
+        tuple[float, ...],
+        AfterValidator(_percents),
+        Asked(
+            "Repeat pose and path tests at this speed, in percent; may be repeated. The norm also has 50 and 10.",
+            "PERCENT",
+            option="--also-speed",
+        ),
+    ] = ()
     arms: Annotated[
         tuple[str, ...], Asked("Only this arm; may be repeated.", "NAME", option="--arm", label="only arm")
     ] = ()
@@ -115,6 +133,14 @@ class Iso9283Request(Request):
         ),
     ] = 60.0
     """Of the norm's 480 minutes: most of a warm-up shows in the first hour."""
+    with_run: Annotated[
+        Path | None,
+        Asked(
+            "A run with a test of other arms of the same types: exchangeability E, in the cubes of that test.",
+            "DIR",
+            option="--with-run",
+        ),
+    ] = None
     out_of_date: OutOfDate = False
 
     @model_validator(mode="after")

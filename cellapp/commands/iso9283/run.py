@@ -20,12 +20,15 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.basis import basis_of
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.iso9283.exchanging import OtherTest, other_test
+from cellapp.commands.iso9283.points import write_points
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.locate.station import profile_at_station
 from cellapp.commands.plan.run import default_folder
 from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stale_notes
+from cellapp.estimation.iso9283.coverage import coverage
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands
 from cellapp.estimation.iso9283.records import Iso9283Result, IsoConditions
 from cellapp.ground.control import JobControl
@@ -84,6 +87,9 @@ def iso9283_run(
     named = _arms(run.profile, request.arms)
     if request.tests == ("cooperative",) and len(named) < 2:
         raise InputError("iso9283: a cooperative test needs two arms; this cell, or --arm, has one")
+    other = other_test(request.with_run, run.profile, named)
+    if other is not None and ("pose" not in request.tests or "nominal" not in kinds):
+        raise InputError("iso9283: --with-run compares pose tests with nominal commands; ask for both")
     if used is not None and not request.out_of_date:
         require_current_model(run, stages, "iso9283")
     task = IsoTask(
@@ -95,11 +101,13 @@ def iso9283_run(
         cycles=request.cycles,
         speed=request.speed / 100.0,
         drift_s=request.drift_minutes * 60.0,
+        also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
+        cubes={} if other is None else other.cubes,
     )
     notes = _notes(task, stages, used)
     with running_job(run, control, "iso9283", listener) as listener:
         confirm = confirmation(run.profile, ask)
-        return _driven(run, used, task, notes, with_eta(listener), control, confirm, open_with)
+        return _driven(run, used, task, other, notes, with_eta(listener), control, confirm, open_with)
 
 
 def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
@@ -127,6 +135,7 @@ def _driven(
     run: RunFile,
     used: StoredStage | None,
     task: IsoTask,
+    other: OtherTest | None,
     notes: Sequence[str],
     listener: Listener,
     control: JobControl,
@@ -139,11 +148,11 @@ def _driven(
     try:
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
-        if findings.measured.visits or findings.paths:
+        if findings.measured.visits or findings.paths or findings.settling:
             with suppress(InputError):  # the reason of the stop is the one to report
-                _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"))
+                _store(run, used, _result(run.profile, task, other, findings, began, f"stopped: {error}"), findings)
         raise
-    return _store(run, used, _result(run.profile, task, findings, began, ""))
+    return _store(run, used, _result(run.profile, task, other, findings, began, ""), findings)
 
 
 def _commands(asked: Sequence[IsoCommands] | None, *, calibrated: bool) -> tuple[IsoCommands, ...]:
@@ -187,31 +196,44 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
     return notes
 
 
-def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, stopped: str) -> Iso9283Result:
+def _result(
+    profile: Profile, task: IsoTask, other: OtherTest | None, found: IsoFindings, began: str, stopped: str
+) -> Iso9283Result:
     rng = np.random.default_rng([profile.seed, _SEED])
     arms, pairs = arm_results(profile, found, task.arms, rng), pair_results(found, rng)
+    arms = arms if other is None else other.compared(arms)
     air = [one.temperature_c for one in found.measured.visits if one.temperature_c is not None]
+    conditions = IsoConditions(
+        cycles=task.cycles,
+        speed_share=task.speed,
+        dwell_s=DWELL_S,
+        averaging_s=profile.tracker.averaging,
+        commands=task.commands,
+        also_speeds=task.also_speeds,
+        began=began,
+        seconds=found.seconds,
+        temperature_c=(min(air), max(air)) if air else None,
+    )
     return Iso9283Result(
         tests=task.tests,
         arms=arms,
         pairs=pairs,
-        conditions=IsoConditions(
-            cycles=task.cycles,
-            speed_share=task.speed,
-            dwell_s=DWELL_S,
-            averaging_s=profile.tracker.averaging,
-            commands=task.commands,
-            began=began,
-            seconds=found.seconds,
-            temperature_c=(min(air), max(air)) if air else None,
-        ),
+        conditions=conditions,
         judgements=judge_characteristics(profile.tolerances, arms, pairs, task.cycles),
+        coverage=coverage(task.tests, arms, conditions, stopped),
+        abilities=tuple(found.abilities),
         missing=missing_words(found, task.tests),
         stopped=stopped,
         notes=tuple(dict.fromkeys(found.notes)),
     )
 
 
-def _store(run: RunFile, used: StoredStage | None, result: Iso9283Result) -> Iso9283Result:
+def _store(run: RunFile, used: StoredStage | None, result: Iso9283Result, found: IsoFindings) -> Iso9283Result:
+    """Write the raw points beside the run, then append the result; it is kept where they cannot be written."""
+    try:
+        name, digest = write_points(run.folder, found)
+        result = result.model_copy(update={"points_file": name, "points_sha256": digest})
+    except InputError as error:
+        result = result.model_copy(update={"notes": (*result.notes, f"the measured points were not kept: {error}")})
     append_stage(run, ISO9283, result, basis_of(run) if used is None else basis_on_model(run, used))
     return result

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from cellapp.commands.iso9283.cells import pair_columns, series_of, tests_of, value_cells
+from cellapp.commands.iso9283.norm_tables import abilities_table, coverage_table
+from cellapp.commands.iso9283.path_tables import path_tables
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import (
     CommandedTests,
@@ -43,13 +47,17 @@ def iso9283_tables(result: Iso9283Result) -> list[Table]:
     tables = [
         _judgements(result),
         _poses(result),
+        _series(result),
         _axes(result),
         _cooperative(result),
         _directions(result),
         _distances(result),
         _drift(result),
         _drift_groups(result),
-        _paths(result),
+        *path_tables(result),
+        _exchange(result),
+        abilities_table(result.abilities),
+        coverage_table(result.coverage),
         _cubes(result),
         _test_poses(result),
     ]
@@ -65,11 +73,13 @@ def iso9283_sentences(result: Iso9283Result) -> list[str]:
         *_conditions(result),
         *_bases(result),
         *(f"arm {name}: the cube is limited by: {cube.limited_by}" for name, cube in _cubes_of(result) if cube),
+        *(words for one in result.abilities if (words := ability_words(one))),
         *_uncertain(result),
         *(f"missing: {words}" for words in result.missing),
         *_refused(result),
         *(f"{' and '.join(pair.arms)}: {pair.refused}" for pair in result.pairs if pair.refused),
         *result.notes,
+        *([f"all measured points with their times: {result.points_file}"] if result.points_file else []),
     ]
 
 
@@ -192,15 +202,40 @@ def _poses(result: Iso9283Result) -> Table:
         Column("arm"),
         Column("commands"),
         Column("pose"),
-        *_pair_columns("AP", "RP"),
+        *pair_columns("AP", "RP"),
         number_column("n", "d"),
     )
     rows = [
-        (name, kind, pose.pose, *_cells(pose.accuracy), *_cells(pose.repeatability), pose.accuracy.n)
-        for name, kind, tests in _tests(result)
+        (name, kind, pose.pose, *value_cells(pose.accuracy), *value_cells(pose.repeatability), pose.accuracy.n)
+        for name, kind, tests in tests_of(result)
         for pose in tests.pose
     ]
     return Table("Pose accuracy AP and repeatability RP [mm]", columns, tuple(rows))
+
+
+def _series(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        number_column("speed", ".0f", "%"),
+        Column("pose"),
+        *pair_columns("AP", "RP"),
+        number_column("n", "d"),
+    )
+    rows = [
+        (
+            name,
+            kind,
+            1e2 * one.speed_share,
+            pose.pose,
+            *value_cells(pose.accuracy),
+            *value_cells(pose.repeatability),
+            pose.accuracy.n,
+        )
+        for name, kind, one in series_of(result)
+        for pose in one.pose
+    ]
+    return Table("Pose accuracy AP and repeatability RP at other speeds [mm]", columns, tuple(rows))
 
 
 def _axes(result: Iso9283Result) -> Table:
@@ -211,7 +246,7 @@ def _axes(result: Iso9283Result) -> Table:
         *(number_column(f"AP {axis}", ".3f") for axis in "xyz"),
     )
     rows: list[tuple[Cell, ...]] = [
-        (name, kind, pose.pose, *pose.error_mm) for name, kind, tests in _tests(result) for pose in tests.pose
+        (name, kind, pose.pose, *pose.error_mm) for name, kind, tests in tests_of(result) for pose in tests.pose
     ]
     return Table("Components of AP along the axes of the arm's base [mm]", columns, tuple(rows))
 
@@ -221,8 +256,8 @@ def _cooperative(result: Iso9283Result) -> Table:
         Column("arms"),
         Column("commands"),
         Column("poses"),
-        *_pair_columns("AP", "RP"),
-        *_pair_columns("AD", "RD"),
+        *pair_columns("AP", "RP"),
+        *pair_columns("AD", "RD"),
         number_column("n", "d"),
     )
     rows: list[tuple[Cell, ...]] = []
@@ -231,7 +266,7 @@ def _cooperative(result: Iso9283Result) -> Table:
             both = zip(pair.vector.get(kind, ()), pair.distance.get(kind, ()), strict=True)
             for vector, length in both:
                 values = (vector.accuracy, vector.repeatability, length.accuracy, length.repeatability)
-                cells = [cell for value in values for cell in _cells(value)]
+                cells = [cell for value in values for cell in value_cells(value)]
                 rows.append((" and ".join(pair.arms), kind, vector.pose, *cells, vector.accuracy.n))
     title = "Cooperative accuracy and repeatability [mm]: vector and distance between both SMRs"
     return Table(title, columns, tuple(rows))
@@ -247,8 +282,8 @@ def _directions(result: Iso9283Result) -> Table:
         number_column("n", "d"),
     )
     rows = [
-        (name, kind, one.pose, *_cells(one.variation), one.variation.n)
-        for name, kind, tests in _tests(result)
+        (name, kind, one.pose, *value_cells(one.variation), one.variation.n)
+        for name, kind, tests in tests_of(result)
         for one in tests.multidirectional
     ]
     return Table("Multi-directional pose accuracy variation vAP [mm]", columns, tuple(rows))
@@ -260,7 +295,7 @@ def _distances(result: Iso9283Result) -> Table:
         Column("commands"),
         Column("between"),
         number_column("commanded", ".3f"),
-        *_pair_columns("AD", "RD"),
+        *pair_columns("AD", "RD"),
         number_column("n", "d"),
     )
     rows = [
@@ -269,11 +304,11 @@ def _distances(result: Iso9283Result) -> Table:
             kind,
             " and ".join(one.between),
             one.commanded_mm,
-            *_cells(one.accuracy),
-            *_cells(one.repeatability),
+            *value_cells(one.accuracy),
+            *value_cells(one.repeatability),
             one.accuracy.n,
         )
-        for name, kind, tests in _tests(result)
+        for name, kind, tests in tests_of(result)
         for one in tests.distance
     ]
     return Table("Distance accuracy AD and repeatability RD [mm]", columns, tuple(rows))
@@ -284,12 +319,20 @@ def _drift(result: Iso9283Result) -> Table:
         Column("arm"),
         Column("commands"),
         number_column("observed", ".0f", "min"),
-        *_pair_columns("dAP", "dRP"),
+        *pair_columns("dAP", "dRP"),
         number_column("shift of the mean", ".3f"),
         number_column("groups", "d"),
     )
     rows = [
-        (name, kind, one.minutes, *_cells(one.accuracy), *_cells(one.repeatability), one.shift_mm, len(one.groups))
+        (
+            name,
+            kind,
+            one.minutes,
+            *value_cells(one.accuracy),
+            *value_cells(one.repeatability),
+            one.shift_mm,
+            len(one.groups),
+        )
         for name, kind, one in _drifts(result)
     ]
     return Table("Drift at P1 [mm]", columns, tuple(rows))
@@ -313,31 +356,21 @@ def _drift_groups(result: Iso9283Result) -> Table:
     return Table("Groups of the drift test [mm]", columns, tuple(rows))
 
 
-def _paths(result: Iso9283Result) -> Table:
+def _exchange(result: Iso9283Result) -> Table:
     columns = (
         Column("arm"),
-        Column("commands"),
-        Column("path"),
-        number_column("speed", ".0f", "mm/s"),
-        number_column("length", ".0f"),
-        *_pair_columns("AT", "RT"),
+        Column("compared with"),
+        Column("pose"),
+        number_column("E", ".3f"),
+        number_column("U", ".3f"),
         number_column("n", "d"),
     )
-    rows = [
-        (
-            name,
-            kind,
-            one.path,
-            one.speed_mm_s,
-            one.length_mm,
-            *_cells(one.accuracy),
-            *_cells(one.repeatability),
-            one.accuracy.n,
-        )
-        for name, kind, tests in _tests(result)
-        for one in tests.path
+    rows: list[tuple[Cell, ...]] = [
+        (name, one.with_run, one.pose, *value_cells(one.value), one.value.n)
+        for name, arm in result.arms.items()
+        if (one := arm.exchange) is not None
     ]
-    return Table("Path accuracy AT and repeatability RT [mm]", columns, tuple(rows))
+    return Table("Exchangeability E with nominal commands [mm]", columns, tuple(rows))
 
 
 def _cubes(result: Iso9283Result) -> Table:
@@ -368,22 +401,7 @@ def _test_poses(result: Iso9283Result) -> Table:
     return Table("Commanded positions of the SMR in the arm's base", columns, tuple(rows))
 
 
-def _tests(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, CommandedTests]]:
-    for name, arm in result.arms.items():
-        for kind in ISO_COMMANDS:
-            if kind in arm.tests:
-                yield name, kind, arm.tests[kind]
-
-
 def _drifts(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, DriftCharacteristics]]:
-    for name, kind, tests in _tests(result):
+    for name, kind, tests in tests_of(result):
         if tests.drift is not None:
             yield name, kind, tests.drift
-
-
-def _pair_columns(first: str, second: str) -> tuple[Column, ...]:
-    return tuple(number_column(title, ".3f") for name in (first, second) for title in (name, f"U({name})"))
-
-
-def _cells(value: IsoValue) -> tuple[Cell, Cell]:
-    return value.value_mm, value.expanded_mm

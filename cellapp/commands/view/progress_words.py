@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellapp.ground.progress import Detail, LogReport, ReferenceReport, StateChange, StopReport, Suspicion
+from cellapp.ground.progress import Detail, LogReport, Notice, ReferenceReport, StateChange, StopReport, Suspicion
 
 
 def detail_words(detail: Detail) -> str:
@@ -17,7 +17,7 @@ def detail_words(detail: Detail) -> str:
         case ReferenceReport(drift_mm, limit_mm):
             drifts = ", ".join(f"{name} {drift:.3f}" for name, drift in drift_mm.items())
             return f"reference: {drifts} mm from the first measurement, limit {limit_mm:.3f} mm"
-        case LogReport(text=text):
+        case LogReport(text=text) | Notice(text=text):
             return text
         case _:
             return ""

@@ -77,24 +77,25 @@ def path_repeatability(attained: Array) -> Array:
 
 
 def plane_crossings(points: Array, commanded: Array, tangents: Array, within_m: float) -> Array:
-    """Where an attained path crosses the planes normal to the commanded one, (m, 3); NaN where it does not.
+    """Where an attained path crosses the planes normal to the commanded one, (m, c); NaN where it does not.
 
     Parameters
     ----------
-    points : array, shape (k, 3)
-        The attained path, in order [m]; straight between the points.
+    points : array, shape (k, c)
+        The attained path, in order: position [m], straight between the points, and what else changes along it, as the
+        time.
     commanded, tangents : arrays, shape (m, 3)
         Places on the commanded path [m], and its unit tangents there: normals of the planes.
     within_m : float
         A crossing farther from its place belongs to another stretch of the path, as on a closed curve [m].
     """
-    found = np.full(commanded.shape, np.nan)
-    heights = np.einsum("kma,ma->km", points[:, None] - commanded, tangents)
+    found = np.full((len(commanded), points.shape[1]), np.nan)
+    heights = np.einsum("kma,ma->km", points[:, None, :3] - commanded, tangents)
     for m in range(len(commanded)):
         k = np.flatnonzero((heights[:-1, m] <= 0.0) & (heights[1:, m] > 0.0))
         share = heights[k, m] / (heights[k, m] - heights[k + 1, m])
         crossing = points[k] + share[:, None] * (points[k + 1] - points[k])
-        off = np.linalg.norm(crossing - commanded[m], axis=1)
+        off = np.linalg.norm(crossing[:, :3] - commanded[m], axis=1)
         if len(k) and off.min() <= within_m:
             found[m] = crossing[np.argmin(off)]
     return found

@@ -40,12 +40,13 @@ PLANES: tuple[tuple[str, str, str, str], ...] = (
 )
 """The norm's planes a to d, in its order."""
 POSES = ("P1", "P2", "P3", "P4", "P5")
+RECTANGLE_CORNERS = ("P3", "P4", "P5", "P2")
 CYCLE = ("P5", "P4", "P3", "P2", "P1")
 """Order of the visits in a cycle that begins at P1 (7.2): every pose is always reached from the same one."""
 _INSET = 0.1
 """Distance of P2 to P5 from the ends of the diagonals, as share of their length; the norm allows 0.08 to 0.12."""
-_CIRCLE_SHARE = 0.8
-"""Diameter of the large test circle as share of the cube's edge (6.8)."""
+LARGE_CIRCLE, SMALL_CIRCLE = 0.8, 0.08
+"""Diameters of the test circles as shares of the cube's edge (6.8): the small one is a tenth of the large one."""
 _CIRCLE_POINTS = 4
 """Two arcs through four points make the circle."""
 
@@ -62,17 +63,23 @@ def pose_positions(centre: Array, edge: float, plane: tuple[str, str, str, str])
     return dict(zip(POSES, [np.asarray(centre), *corners], strict=True))
 
 
-def circle_positions(poses: Mapping[str, Array], edge: float) -> Array:
-    """Points (5, 3) [m] a quarter turn apart on the large circle about P1 in the plane of the poses, the first twice.
+def rectangle_positions(poses: Mapping[str, Array]) -> Array:
+    """Points (6, 3) [m] of the rectangle P2 to P5: the middle between P2 and P3, then P3, P4, P5, P2, the middle."""
+    middle = 0.5 * (poses["P2"] + poses["P3"])
+    return np.array([middle, *(poses[name] for name in RECTANGLE_CORNERS), middle])
 
-    Each is in the plane; the first one lies towards the middle of P2 and P3.
+
+def circle_positions(poses: Mapping[str, Array], edge: float, share: float = LARGE_CIRCLE) -> Array:
+    """Points (5, 3) [m] a quarter turn apart on a circle about P1 in the plane of the poses, the first twice.
+
+    ``share`` is the diameter as share of the cube's edge. The first point lies towards the middle of P2 and P3.
     """
     centre = poses["P1"]
     first = 0.5 * (poses["P2"] + poses["P3"]) - centre
     second = 0.5 * (poses["P3"] + poses["P4"]) - centre
     first, second = first / np.linalg.norm(first), second / np.linalg.norm(second)
     angle = np.linspace(0.0, 2.0 * np.pi, _CIRCLE_POINTS + 1)[:, None]
-    return np.asarray(centre + 0.5 * _CIRCLE_SHARE * edge * (np.cos(angle) * first + np.sin(angle) * second))
+    return np.asarray(centre + 0.5 * share * edge * (np.cos(angle) * first + np.sin(angle) * second))
 
 
 def lattice_cube(points: NDArray[np.bool_]) -> tuple[int, tuple[int, int, int]] | None:

@@ -11,7 +11,6 @@ from cellapp.estimation.iso9283.characteristics import (
     FEWEST_CYCLES,
     accuracy_vector,
     distances,
-    plane_crossings,
     pose_accuracy,
     pose_repeatability,
 )
@@ -23,7 +22,6 @@ from cellapp.estimation.iso9283.records import (
     DistanceCharacteristics,
     DriftCharacteristics,
     DriftGroup,
-    PathCharacteristics,
     PoseCharacteristics,
 )
 from cellapp.estimation.iso9283.uncertainty import (
@@ -32,14 +30,11 @@ from cellapp.estimation.iso9283.uncertainty import (
     directional_value,
     distance_values,
     drift_values,
-    path_values,
     repeatability_value,
 )
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 
 _MINUTE_S = 60.0
-_SAME_STRETCH_M = 0.02
-"""An arm is nowhere farther from its path; on a closed path the other side is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +69,15 @@ class Measurements:
 
 
 def pose_characteristics(
-    arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator
+    arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator, speed: float = 0.0
 ) -> tuple[PoseCharacteristics, ...]:
-    """AP and RP at each pose that was measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M."""
+    """AP and RP at each pose that was measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M.
+
+    ``speed`` is as in ``Place``.
+    """
     found = []
     for pose in POSES:
-        cycles = _cycles(arm, pose, measured.at(arm.place("pose", pose)))
+        cycles = _cycles(arm, pose, measured.at(arm.place("pose", pose, speed=speed)))
         if cycles is not None:
             found.append(_pose(pose, cycles, base_M, rng))
     return tuple(found)
@@ -164,64 +162,6 @@ def cooperative_characteristics(
         ends_of = f"{names[0]} {place.poses[0]}", f"{names[1]} {place.poses[1]}"
         lengths.append(_distance(ends_of, a, b, rng))
     return tuple(vectors), tuple(lengths)
-
-
-@dataclass(frozen=True, eq=False)
-class PathRuns:
-    """A path that was driven several times.
-
-    Attributes
-    ----------
-    arm, commands, name : str
-    speed : float
-        Commanded [m/s].
-    length : float
-        [m]
-    commanded_M, tangents_M : array, shape (m, 3)
-        Places on the commanded path [m], and its unit tangents there.
-    tracks_M : list
-        Of each cycle, measured points (k, 3) [m] in order.
-    tracker, frame : array, shape (3, 3)
-        As in ``Cycles`` [m^2].
-    wanted : int
-        Cycles that were to be driven.
-    problems : list of str
-        Why fewer were.
-    """
-
-    arm: str
-    commands: IsoCommands
-    name: str
-    speed: float
-    length: float
-    commanded_M: Array
-    tangents_M: Array
-    tracks_M: list[Array]
-    tracker: Array
-    frame: Array
-    wanted: int
-    problems: list[str] = field(default_factory=list)
-
-
-def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharacteristics | None:
-    """AT and RT over the places that every cycle crossed; None with fewer than two cycles."""
-    if len(runs.tracks_M) < FEWEST_CYCLES:
-        return None
-    crossed = np.stack(
-        [plane_crossings(track, runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M) for track in runs.tracks_M], axis=1
-    )
-    kept = np.isfinite(crossed).all(axis=(1, 2))
-    if not kept.any():
-        return None
-    accuracy, repeatability = path_values(crossed[kept], runs.commanded_M[kept], runs.tracker, runs.frame, rng)
-    return PathCharacteristics(
-        path=runs.name,
-        speed_mm_s=runs.speed * 1e3,
-        length_mm=runs.length * 1e3,
-        points=int(kept.sum()),
-        accuracy=accuracy,
-        repeatability=repeatability,
-    )
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

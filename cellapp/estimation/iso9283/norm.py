@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Literal, get_args
 
-IsoTest = Literal["pose", "multidirectional", "distance", "drift", "path", "cooperative"]
+IsoTest = Literal["pose", "multidirectional", "distance", "drift", "path", "stabilisation", "cooperative"]
 ISO_TESTS: tuple[IsoTest, ...] = get_args(IsoTest)
 
 IsoCommands = Literal["nominal", "calibrated"]
@@ -14,8 +14,10 @@ IsoCommands = Literal["nominal", "calibrated"]
 ISO_COMMANDS: tuple[IsoCommands, ...] = get_args(IsoCommands)
 
 NORM_CYCLES: Mapping[IsoTest, int] = MappingProxyType(
-    {"pose": 30, "multidirectional": 30, "distance": 30, "drift": 10, "path": 10, "cooperative": 30}
+    {"pose": 30, "multidirectional": 30, "distance": 30, "drift": 10, "path": 10, "stabilisation": 3, "cooperative": 30}
 )
 """Cycles that the norm asks for; of drift in each group. Cooperative tests take those of the pose test."""
 NORM_DRIFT_MIN = 480.0
 """The norm observes drift for 8 h, or until it slows down (7.6)."""
+NORM_SPEEDS = (1.0, 0.5, 0.1)
+"""Shares of the rated speed: characteristics are asked for at the first, and may be given at the others, too."""

@@ -13,7 +13,8 @@ from cellapp.robot.kinematics.transforms import Array
 class Place:
     """What is measured at a visit: its positions are evaluated together, over all cycles.
 
-    ``poses`` are those of ``arms`` in turn; ``approach`` is the direction of a multi-directional test.
+    ``poses`` are those of ``arms`` in turn; ``approach`` is the direction of a multi-directional test, ``speed`` the
+    share of the profile's speed where the test is repeated at another one, else 0.
     """
 
     test: IsoTest
@@ -21,9 +22,11 @@ class Place:
     arms: tuple[str, ...]
     poses: tuple[str, ...]
     approach: str = ""
+    speed: float = 0.0
 
     def __str__(self) -> str:
         where = "+".join(self.poses) + (f" along {self.approach}" if self.approach else "")
+        where += f", {self.speed:.0%} of the speed" if self.speed else ""
         return f"{self.test} of {' and '.join(self.arms)}, {self.commands} commands, {where}"
 
 
@@ -49,6 +52,6 @@ class ArmProgramme:
     frame: Mapping[str, Array]
     q: Mapping[tuple[str, str], Array]
 
-    def place(self, test: IsoTest, pose: str, approach: str = "") -> Place:
+    def place(self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0) -> Place:
         """The place of a position of this arm alone."""
-        return Place(test, self.commands, (self.name,), (pose,), approach)
+        return Place(test, self.commands, (self.name,), (pose,), approach, speed)

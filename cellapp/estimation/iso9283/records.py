@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
-from cellapp.estimation.uncertainty.records import Judgement
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement
 from cellapp.ground.results import Record, Result
 
 Vector3 = tuple[float, float, float]
@@ -92,8 +92,41 @@ class DriftCharacteristics(Record):
     groups: tuple[DriftGroup, ...]
 
 
+class PathVelocity(Record):
+    """Velocity along the middle half of a path, of ``n`` cycles.
+
+    Attributes
+    ----------
+    accuracy_percent, expanded_percent : float
+        AV and its expanded uncertainty, of the commanded speed.
+    repeatability_percent : float
+        RV
+    fluctuation_mm_s, tracker_fluctuation_mm_s : float
+        FV, and what the tracker's stated uncertainty alone would show.
+    """
+
+    accuracy_percent: float
+    expanded_percent: float
+    repeatability_percent: float
+    fluctuation_mm_s: float
+    tracker_fluctuation_mm_s: float
+    n: int
+
+
+class CornerCharacteristics(Record):
+    """Cornering deviations at one corner: rounding CR and overshoot CO, None where too few cycles passed it."""
+
+    corner: str
+    rounding: IsoValue | None
+    overshoot: IsoValue | None
+
+
 class PathCharacteristics(Record):
-    """Path accuracy AT and repeatability RT: the largest over ``points`` places along the path."""
+    """Path accuracy AT and repeatability RT: the largest over ``points`` places along the path.
+
+    ``velocity`` is None on a path with corners, and where it was not found. ``slowed`` says why the programme itself
+    does not keep the commanded speed.
+    """
 
     path: str
     speed_mm_s: float
@@ -101,6 +134,44 @@ class PathCharacteristics(Record):
     points: int
     accuracy: IsoValue
     repeatability: IsoValue
+    velocity: PathVelocity | None = None
+    corners: tuple[CornerCharacteristics, ...] = ()
+    slowed: str = ""
+
+
+class SettlingCharacteristics(Record):
+    """How an arm comes to rest at a pose.
+
+    Attributes
+    ----------
+    pose, before : str
+        The pose, and the one from which the arm came, ``distance_mm`` away.
+    band_mm : float
+        Radius of the limit band about the position at rest.
+    stabilisation_s, posing_s : float
+        Means over the motions: from entering the band until the SMR stays in it, and from the beginning of the motion.
+    overshoot : IsoValue
+        Largest distance from the position at rest after the band was entered; zero where it was not left again.
+    step_s : float
+        Time between two points: no time is known better.
+    """
+
+    pose: str
+    before: str
+    distance_mm: float
+    band_mm: float
+    stabilisation_s: float
+    posing_s: float
+    overshoot: IsoValue
+    step_s: float
+
+
+class SpeedSeries(Record):
+    """Pose and path tests repeated at another share of the profile's speed."""
+
+    speed_share: float
+    pose: tuple[PoseCharacteristics, ...] = ()
+    path: tuple[PathCharacteristics, ...] = ()
 
 
 class CommandedTests(Record):
@@ -111,6 +182,8 @@ class CommandedTests(Record):
     distance: tuple[DistanceCharacteristics, ...] = ()
     drift: DriftCharacteristics | None = None
     path: tuple[PathCharacteristics, ...] = ()
+    settling: SettlingCharacteristics | None = None
+    series: tuple[SpeedSeries, ...] = ()
 
 
 class IsoPose(Record):
@@ -159,6 +232,17 @@ class BaseAlignment(Record):
     smr_offset_mm: Vector3
 
 
+class Exchangeability(Record):
+    """Exchangeability E of two arms of one type with nominal commands, at the pose where it is largest.
+
+    ``with_run`` is the folder of the other arm's test.
+    """
+
+    with_run: str
+    pose: str
+    value: IsoValue
+
+
 class ArmIso9283(Record):
     """Characteristics of one arm. ``refused`` maps tests that were not made to the reason."""
 
@@ -167,6 +251,7 @@ class ArmIso9283(Record):
     base: BaseAlignment | None = None
     tests: Mapping[IsoCommands, CommandedTests] = {}
     refused: Mapping[IsoTest, str] = {}
+    exchange: Exchangeability | None = None
 
 
 class PairIso9283(Record):
@@ -182,10 +267,52 @@ class PairIso9283(Record):
     refused: str = ""
 
 
+IsoStatus = Literal["done", "in part", "not done"]
+
+
+class IsoLine(Record):
+    """A characteristic or condition that the norm asks for, and what was done of it, for ``arms``.
+
+    ``words`` say how it was done, as "30 cycles, nominal commands", or why not.
+    """
+
+    clause: str
+    characteristic: str
+    arms: tuple[str, ...]
+    status: IsoStatus
+    words: str
+
+
+class IsoAbility(Record):
+    """A tolerance against what the instrument can tell, as found before measuring.
+
+    Attributes
+    ----------
+    shown_mm : float
+        What an arm without any error would show, characteristic and expanded uncertainty together.
+    distance_m : float
+        Largest distance from the tracker to a pose of the test.
+    cycles : int
+        That were asked for.
+    distance_that_does_m, cycles_that_do : float, int or None
+        With which an arm without error would conform; None where nothing helps, or nothing needs to.
+    """
+
+    characteristic: Characteristic
+    where: str
+    tolerance_mm: float
+    shown_mm: float
+    distance_m: float
+    cycles: int
+    distance_that_does_m: float | None = None
+    cycles_that_do: int | None = None
+
+
 class IsoConditions(Record):
     """Conditions of the tests.
 
-    ``speed_share`` is of the speed that the profile allows, ``cycles`` what was asked for, ``temperature_c`` lowest and
+    ``speed_share`` is of the speed that the profile allows, at ``also_speeds`` pose and path tests were repeated;
+    ``cycles`` what was asked for, ``temperature_c`` lowest and
     highest of the measured air.
     """
 
@@ -194,6 +321,7 @@ class IsoConditions(Record):
     dwell_s: float
     averaging_s: float
     commands: tuple[IsoCommands, ...]
+    also_speeds: tuple[float, ...] = ()
     began: str = ""
     seconds: float = 0.0
     temperature_c: tuple[float, float] | None = None
@@ -203,6 +331,9 @@ class Iso9283Result(Result):
     """``iso9283``: the tests that were made, with their conditions; ``judgements`` against the profile's tolerances.
 
     ``missing`` says which cycles, poses or tests could not be measured, and why. ``pairs`` are those of arms.
+    ``coverage`` lists what the norm asks for, done or not; results of before it was kept have none.
+    ``abilities`` compare the tolerances with what the instrument can tell, as found before measuring.
+    ``points_file`` in the folder of the run holds every measured point with its time; ``points_sha256`` is its hash.
     """
 
     schema_: Literal["cellapp-iso9283"] = "cellapp-iso9283"
@@ -212,9 +343,13 @@ class Iso9283Result(Result):
     pairs: tuple[PairIso9283, ...] = ()
     conditions: IsoConditions | None = None
     judgements: tuple[Judgement, ...] = ()
+    coverage: tuple[IsoLine, ...] = ()
+    abilities: tuple[IsoAbility, ...] = ()
     missing: tuple[str, ...] = ()
     stopped: str = ""
     notes: tuple[str, ...] = ()
+    points_file: str = ""
+    points_sha256: str = ""
 
     def complaints(self) -> list[str]:
         """What did not hold: stopped, cycles missing, out of tolerance; empty if all is well."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellapp.ground.control import Aborted, JobControl
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.ground.progress import Progress, StateChange, Suspicion, eta_words
+from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words
 from cellapp.ground.signals import available, ended_by, watch_signals
 from cellapp.interfaces.cli.command_outputs import current_outputs
 
@@ -86,6 +86,8 @@ class Job:
                 self._announce(f"{event.job}: {state}: {reason}")
             case Suspicion(kind, text):
                 self._announce(f"{event.job}: suspicion, {kind}: {text}")
+            case Notice(text):
+                self._announce(f"{event.job}: {text}")
         if not sys.stderr.isatty():
             return
         if self._bars is None:

@@ -19,6 +19,7 @@ from cellapp.ground.progress import (
     MeasurementBegun,
     MotionBegun,
     MotionEnded,
+    Notice,
     PointMeasured,
     PointMissed,
     Progress,
@@ -304,7 +305,7 @@ class JobRecord:
                 self.note(f"{job}: {detail_words(detail)}", "debug")
             case StateChange(state):
                 self.note(f"{job}: {detail_words(detail)}", "info" if state == "running" else "warning")
-            case Suspicion():
+            case Suspicion() | Notice():
                 self.note(f"{job}: {detail_words(detail)}", "warning")
             case ReferenceReport():
                 self.note(f"{job}: {detail_words(detail)}", "info" if within_limit(detail) else "warning")

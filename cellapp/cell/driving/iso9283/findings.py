@@ -11,17 +11,18 @@ from cellapp.cell.driving.iso9283.alignment import Alignment
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
 from cellapp.estimation.iso9283.evaluate import (
     Measurements,
-    PathRuns,
     cooperative_characteristics,
     directional_characteristics,
     distance_characteristics,
     drift_characteristics,
-    path_characteristics,
     pose_characteristics,
 )
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import ArmIso9283, BaseAlignment, CommandedTests, PairIso9283
+from cellapp.estimation.iso9283.evaluate_paths import PathRuns, path_characteristics
+from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns, settling_characteristics
+from cellapp.estimation.iso9283.records import (IsoAbility, PathCharacteristics, SpeedSeries)
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
@@ -44,6 +45,9 @@ class IsoFindings:
     wanted: dict[Place, int] = field(default_factory=dict)
     missed: dict[Place, str] = field(default_factory=dict)
     paths: list[PathRuns] = field(default_factory=list)
+    abilities: list[IsoAbility] = field(default_factory=list)
+    also_speeds: tuple[float, ...] = ()
+    settling: list[SettlingRuns] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
@@ -90,9 +94,14 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
         if n < wanted:
             words.append(f"{place}: {n} of {wanted} cycles: {found.missed.get(place, _ENDED)}")
     for runs in found.paths:
-        if (n := len(runs.tracks_M)) < runs.wanted:
-            where = f"path of {runs.arm}, {runs.commands} commands, {runs.name}"
+        if (n := len(runs.tracks)) < runs.wanted:
+            at = f", {runs.series:.0%} of the speed" if runs.series else ""
+            where = f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}"
             words.append(f"{where}: {n} of {runs.wanted} cycles: {'; '.join(runs.problems) or _ENDED}")
+    for motions in found.settling:
+        if (n := len(motions.tracks)) < motions.wanted:
+            where = f"stabilisation of {motions.arm}, {motions.commands} commands"
+            words.append(f"{where}: {n} of {motions.wanted} motions: {'; '.join(motions.problems) or _ENDED}")
     for name, refused in found.refused.items():
         if set(tests) - {"cooperative"} <= set(refused):
             words += [f"arm {name}: {reason}" for reason in dict.fromkeys(refused.values())]
@@ -105,17 +114,37 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
 
 def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.Generator) -> CommandedTests:
     arm, measured, base_M = found.programmes[name, kind], found.measured, _base_rotation(found, name, kind)
+    series = [
+        SpeedSeries(
+            speed_share=share,
+            pose=pose_characteristics(arm, measured, base_M, rng, share),
+            path=_paths(found, name, kind, rng, share),
+        )
+        for share in found.also_speeds
+    ]
     return CommandedTests(
         pose=pose_characteristics(arm, measured, base_M, rng),
         multidirectional=directional_characteristics(arm, measured, base_M, rng),
         distance=distance_characteristics(arm, measured, rng),
         drift=drift_characteristics(arm, measured, base_M, rng),
-        path=tuple(
-            one
-            for runs in found.paths
-            if (runs.arm, runs.commands) == (name, kind) and (one := path_characteristics(runs, rng)) is not None
+        path=_paths(found, name, kind, rng),
+        settling=next(
+            (
+                one
+                for runs in found.settling
+                if (runs.arm, runs.commands) == (name, kind) and (one := settling_characteristics(runs)) is not None
+            ),
+            None,
         ),
+        series=tuple(one for one in series if one.pose or one.path),
     )
+
+
+def _paths(
+    found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.Generator, series: float = 0.0
+) -> tuple[PathCharacteristics, ...]:
+    own = [runs for runs in found.paths if (runs.arm, runs.commands, runs.series) == (name, kind, series)]
+    return tuple(one for runs in own if (one := path_characteristics(runs, rng)) is not None)
 
 
 def _base_rotation(found: IsoFindings, name: str, kind: IsoCommands) -> Array:

@@ -8,15 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.following import follow_and_track, run_up
+from cellapp.cell.driving.following import INTERVAL_S, follow_and_track, run_up
 from cellapp.cell.driving.iso9283.findings import IsoFindings
-from cellapp.cell.driving.iso9283.paths import path_specs, places_along
+from cellapp.cell.driving.iso9283.instrument import mpe_factor
+from cellapp.cell.driving.iso9283.paths import corners_of, path_specs, places_along
 from cellapp.cell.driving.motion import MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
+from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.plan_path import PathPlan, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
-from cellapp.estimation.iso9283.evaluate import PathRuns
+from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
@@ -29,7 +31,10 @@ from drivers.trackers.protocol import StreamingTracker, TrackerError
 
 @dataclass(frozen=True, eq=False)
 class PathTests:
-    """Drives the paths of one arm after the other in an open cell; ``hold`` is called between motions."""
+    """Drives the paths of one arm after the other in an open cell; ``hold`` is called between motions.
+
+    ``series`` is as in ``PathRuns``.
+    """
 
     profile: Profile
     model: CellModel
@@ -40,9 +45,10 @@ class PathTests:
     hold: Callable[[], None]
     speed_share: float
     cycles: int
+    series: float = 0.0
 
     def drive(self, name: str, commands: tuple[IsoCommands, ...]) -> None:
-        """Drive both paths of an arm with each kind of commands; why one cannot be driven is kept."""
+        """Drive all paths of an arm with each kind of commands; why one cannot be driven is kept."""
         refusal = self._refusal(name)
         specs = refusal or path_specs(name, self.findings.cubes[name], self.speed_share)
         if isinstance(specs, str):
@@ -56,6 +62,11 @@ class PathTests:
                 reason = self._drive(spec, plan, kind)
                 if reason:
                     self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {reason}")
+
+    @property
+    def _interval_s(self) -> float:
+        """Of points, so that there are as many at each speed."""
+        return INTERVAL_S / self.speed_share
 
     def _refusal(self, name: str) -> str:
         """Why no path of an arm can be measured; empty if they can."""
@@ -76,7 +87,7 @@ class PathTests:
             return "the published geometry cannot be driven along it"
         if plan.unseen_m is not None:
             return f"the tracker does not see the SMR at {plan.unseen_m * 1e3:.0f} mm"
-        commanded, tangents = places_along(path)
+        s, commanded, tangents = places_along(path)
         programme = self.findings.programmes.get((spec.arm, kind))
         runs = PathRuns(
             arm=spec.arm,
@@ -86,25 +97,37 @@ class PathTests:
             length=path.length,
             commanded_M=commanded,
             tangents_M=tangents,
-            tracks_M=[],
-            tracker=tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0],
+            s=s,
+            tracks=[],
+            tracker=mpe_factor(self.profile) * tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0],
             frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
             wanted=self.cycles,
+            corners=corners_of(spec, _poses_M(self.model, spec, kind)),
+            slowed=trajectory.slowed,
+            series=self.series,
         )
         self.findings.paths.append(runs)
         try:
             for _ in range(self.cycles):
                 self.hold()
-                runs.tracks_M.append(self._run(spec.arm, trajectory, path))
+                runs.tracks.append(self._run(spec.arm, trajectory, path))
         except (MotionRefused, TrackerError) as error:
             runs.problems.append(str(error))
         return ""
 
-    def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> Array:
+    def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> PathTrack:
         for q in (run_up(trajectory.q), trajectory.q[0]):
             self.mover.go_home_unless_clear(name, q)
             self.mover.move({name: q})
         start_M = path.positions(np.zeros(1))[0]
-        points, _ = follow_and_track(self.cell, self.mover, self.reaction, name, trajectory, start_M)
-        assert points is not None
-        return points
+        track, _ = follow_and_track(self.cell, self.mover, self.reaction, name, trajectory, start_M, self._interval_s)
+        assert track is not None
+        return PathTrack(track.time_s, track.p_M)
+
+
+def _poses_M(model: CellModel, spec: PathSpec, kind: IsoCommands) -> Array:
+    """The poses of a path in M (k, 3) [m], relative to the base that the commands assume; points of arcs left out."""
+    targets = spec.targets()
+    goals = goals_of_arm(model, targets, spec.arm)
+    rows = [k for k, target in enumerate(targets) if target.name.startswith("pose")]
+    return np.asarray((goals.nominal_position_M if kind == "nominal" else goals.position_M)[rows])

@@ -1,15 +1,21 @@
-"""The test paths of ISO 9283 (6.8): the diagonal P2 to P4 and a circle about P1 in the plane of the poses.
-
-The norm's other shapes (rectangle with and without rounded corners) are not driven.
-"""
+"""The test paths of ISO 9283 (6.8): the diagonal P2 to P4, rectangles and circles in the plane of the poses."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube
 from cellapp.cell.targets.path_file import PathPose, PathSpec
-from cellapp.estimation.iso9283.cube import circle_positions
+from cellapp.estimation.iso9283.along import Corner
+from cellapp.estimation.iso9283.cube import (
+    LARGE_CIRCLE,
+    RECTANGLE_CORNERS,
+    SMALL_CIRCLE,
+    circle_positions,
+    rectangle_positions,
+)
 from cellapp.robot.kinematics.transforms import Array, xyz_of, zyx_angles
 from cellapp.robot.paths.cartesian import CartesianPath
 
@@ -22,6 +28,13 @@ _PLACES = 50
 """Places along each path at which it is evaluated; the norm asks for ten or more."""
 _ENDS = 0.02
 """Share of the path at each end that is left out: the arm is at rest there, and no plane is crossed."""
+_BLEND_SHARE = 0.1
+"""Where corners are rounded: of the rectangle's shorter side, before and after each corner."""
+_REACH_SHARE = 0.4
+"""How far from a corner points belong to it, as share of the rectangle's shorter side."""
+
+LINE, RECTANGLE, ROUNDED = "line P2 to P4", "rectangle", "rectangle, rounded corners"
+LARGE, SMALL = "large circle", "small circle"
 
 
 def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec] | str:
@@ -30,23 +43,63 @@ def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec
         return "paths need an arm that can hold its rotation, with six joints or more"
     yaw, pitch, roll = zyx_angles(cube.rotation_B)
     rpy = (roll, pitch, yaw)
-    at = cube.position_B
-    circle = circle_positions({pose: at[pose] for pose in at if " " not in pose}, cube.edge)
-    line = (PathPose(position=xyz_of(at["P2"]), rpy=rpy), PathPose(position=xyz_of(at["P4"])))
-    arcs = (
-        PathPose(position=xyz_of(circle[0]), rpy=rpy),
-        PathPose(position=xyz_of(circle[2]), via=xyz_of(circle[1])),
-        PathPose(position=xyz_of(circle[4]), via=xyz_of(circle[3])),
-    )
+    at = {pose: p_B for pose, p_B in cube.position_B.items() if " " not in pose}
+    sides = rectangle_positions(at)
+    blend = _BLEND_SHARE * _shorter_side(sides)
+    shapes = {
+        LINE: _straight([at["P2"], at["P4"]], rpy),
+        RECTANGLE: _straight(sides, rpy),
+        ROUNDED: _straight(sides, rpy, blend),
+        LARGE: _round(circle_positions(at, cube.edge, LARGE_CIRCLE), rpy),
+        SMALL: _round(circle_positions(at, cube.edge, SMALL_CIRCLE), rpy),
+    }
     return [
         PathSpec(name=words, arm=name, tolerance=_TOLERANCE_M, speed=PATH_SPEED * speed_share, poses=poses)
-        for words, poses in (("line P2 to P4", line), ("circle", arcs))
+        for words, poses in shapes.items()
     ]
 
 
-def places_along(path: CartesianPath) -> tuple[Array, Array]:
-    """Places (m, 3) [m] on a path at which it is evaluated, and its unit tangents (m, 3) there."""
+def places_along(path: CartesianPath) -> tuple[Array, Array, Array]:
+    """Arc lengths (m,) [m] of the places at which a path is evaluated, the places (m, 3) [m], unit tangents (m, 3)."""
     s = path.length * np.linspace(_ENDS, 1.0 - _ENDS, _PLACES)
     half = 1e-4 * path.length
     chord = path.positions(s + half) - path.positions(s - half)
-    return path.positions(s), chord / np.linalg.norm(chord, axis=1, keepdims=True)
+    return s, path.positions(s), chord / np.linalg.norm(chord, axis=1, keepdims=True)
+
+
+def corners_of(spec: PathSpec, positions_M: Array) -> tuple[Corner, ...]:
+    """The corners of a path through ``positions_M`` (k, 3) [m], its poses in turn; none of a line or circle."""
+    if spec.name not in (RECTANGLE, ROUNDED):
+        return ()
+    ways = np.diff(positions_M, axis=0)
+    units = ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    reach = _REACH_SHARE * _shorter_side(positions_M)
+    return tuple(
+        Corner(name, positions_M[k + 1], units[k], units[k + 1], reach) for k, name in enumerate(RECTANGLE_CORNERS)
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _shorter_side(sides: Array) -> float:
+    """Of a rectangle that begins and ends in the middle of a side, (6, 3) [m]."""
+    return float(np.linalg.norm(np.diff(sides[1:5], axis=0), axis=1).min())
+
+
+def _straight(
+    points: Sequence[Array] | Array, rpy: tuple[float, float, float], blend: float = 0.0
+) -> tuple[PathPose, ...]:
+    last = len(points) - 1
+    return tuple(
+        PathPose(position=xyz_of(point), rpy=rpy if k == 0 else None, blend=blend if 0 < k < last else 0.0)
+        for k, point in enumerate(points)
+    )
+
+
+def _round(points: Array, rpy: tuple[float, float, float]) -> tuple[PathPose, ...]:
+    return (
+        PathPose(position=xyz_of(points[0]), rpy=rpy),
+        PathPose(position=xyz_of(points[2]), via=xyz_of(points[1])),
+        PathPose(position=xyz_of(points[4]), via=xyz_of(points[3])),
+    )

@@ -17,8 +17,8 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def wanted_cycles(test: IsoTest, cycles: int) -> int:
-    """Cycles of a test where ``cycles`` were asked for: drift and path take no more than the norm's."""
-    return min(cycles, NORM_CYCLES[test]) if test in ("drift", "path") else cycles
+    """Cycles of a test where ``cycles`` were asked for: some tests take no more than the norm's."""
+    return min(cycles, NORM_CYCLES[test]) if test in ("drift", "path", "stabilisation") else cycles
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +38,13 @@ def legs() -> list[tuple[str, str]]:
     return [(position, before) for before, position in dict.fromkeys(found)]
 
 
-def pose_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
-    """The pose test: to P1, then cycles P5, P4, P3, P2, P1."""
-    yield from _around(arm, "pose", cycles, CYCLE)
+def pose_visits(arm: ArmProgramme, cycles: int, speed: float = 0.0) -> Iterator[Visit]:
+    """The pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` as in ``Place``."""
+    yield _passing(arm, "P1", "P2")
+    for cycle in range(cycles):
+        for position in CYCLE:
+            place = arm.place("pose", position, speed=speed)
+            yield Visit({arm.name: arm.q[position, _before(position)]}, place, cycle)
 
 
 def distance_visits(arm: ArmProgramme, cycles: int) -> Iterator[Visit]:
@@ -105,14 +109,6 @@ def pose_pairs(
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _around(arm: ArmProgramme, test: IsoTest, cycles: int, measured: Sequence[str]) -> Iterator[Visit]:
-    yield _passing(arm, "P1", "P2")
-    for cycle in range(cycles):
-        for position in CYCLE:
-            place = arm.place(test, position) if position in measured else None
-            yield Visit({arm.name: arm.q[position, _before(position)]}, place, cycle)
 
 
 def _exercise(arm: ArmProgramme, cycle: int, at_end: Place | None) -> Iterator[Visit]:

@@ -6,7 +6,7 @@ What was measured is kept from visit to visit in an object of the caller, who ev
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -14,9 +14,10 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.iso9283.alignment import align, alignment_configurations, published_cell
-from cellapp.cell.driving.iso9283.chosen_cube import choose_cube
+from cellapp.cell.driving.iso9283.chosen_cube import choose_cube, same_cube
 from cellapp.cell.driving.iso9283.commands import arm_programme
 from cellapp.cell.driving.iso9283.findings import IsoFindings
+from cellapp.cell.driving.iso9283.instrument import abilities, mpe_factor
 from cellapp.cell.driving.iso9283.path_tests import PathTests
 from cellapp.cell.driving.iso9283.programme import (
     Visit,
@@ -30,19 +31,21 @@ from cellapp.cell.driving.iso9283.programme import (
     wanted_cycles,
 )
 from cellapp.cell.driving.iso9283.reach import CubeSearch
+from cellapp.cell.driving.iso9283.settling_tests import SettlingTests
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, Gate
+from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.cube import POSES
 from cellapp.estimation.iso9283.evaluate import Measured
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
+from cellapp.estimation.iso9283.records import IsoCube
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import MPE_SHARE
-from cellapp.ground.progress import Listener, Progress, ignore
+from cellapp.ground.progress import Listener, Notice, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.protocol import NotReady, Point, TrackerError
@@ -62,7 +65,8 @@ class IsoTask:
 
     ``profile`` has the tracker of a simulated cell where it stands. ``model`` is the calibrated one; without it base
     and SMR of each arm are found first. ``cycles`` are asked for, ``speed`` is the share of the profile's speed,
-    ``drift_s`` how long drift is observed.
+    ``drift_s`` how long drift is observed. Pose and path tests are repeated at ``also_speeds``.
+    ``cubes`` are those of an earlier test, by arm: an arm without one gets its own.
     """
 
     profile: Profile
@@ -73,6 +77,8 @@ class IsoTask:
     cycles: int
     speed: float
     drift_s: float
+    also_speeds: tuple[float, ...] = ()
+    cubes: Mapping[str, IsoCube] = field(default_factory=dict)
 
 
 def drive_tests(
@@ -115,6 +121,7 @@ def drive_tests(
             findings.model = task.model or session.aligned()
             session.use(cell_bodies(profile, findings.model))
             session.prepare(findings.model)
+            session.say_what_can_be_told()
             session.run()
             session.mover.go_home()
         finally:
@@ -191,7 +198,9 @@ class _Session:
         for number, name in enumerate(self.task.arms):
             self._hold()
             self.listener(Progress("find cube", number, len(self.task.arms), f"arm {name}"))
-            chosen = choose_cube(CubeSearch(self.bodies, self.homes, name, model.arms[name], profile.seed))
+            search = CubeSearch(self.bodies, self.homes, name, model.arms[name], profile.seed)
+            earlier = self.task.cubes.get(name)
+            chosen = choose_cube(search) if earlier is None else same_cube(search, earlier)
             if isinstance(chosen, str):
                 found.refuse(name, self.task.tests, chosen)
                 continue
@@ -219,6 +228,14 @@ class _Session:
                     f"arms {first} and {second}: {len(pairs)} of {len(POSES)} pairs of poses can be measured"
                 )
 
+    def say_what_can_be_told(self) -> None:
+        """Compare the tolerances with what the tracker can tell from here; say where it cannot tell them."""
+        task = self.task
+        self.findings.abilities = abilities(task.profile, self.findings, task.tests, task.cycles)
+        for one in self.findings.abilities:
+            if words := ability_words(one):
+                self.listener(Progress("iso9283", 0, self.total, detail=Notice(words)))
+
     # -- the tests -----------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
@@ -227,19 +244,59 @@ class _Session:
         if self.task.profile.moves_hardware:
             self._rehearse()
         self.mover.speed = self.task.speed
+        self.findings.also_speeds = self.task.also_speeds
         visits = self._visits()
-        self.total = max(len(visits), 1)
+        series = {share: self._poses_at(share) for share in self.task.also_speeds}
+        self.total = max(len(visits) + sum(map(len, series.values())), 1)
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
+        self._visit_all(visits)
+        if "path" in tests:
+            self._paths(self.task.speed)
+        if "stabilisation" in tests:
+            self._settling()
+        for share, own in series.items():
+            self.mover.speed = share
+            self._visit_all(own)
+            if "path" in tests:
+                self._paths(share, share)
+
+    def _settling(self) -> None:
+        """How each arm comes to rest, the others at home."""
+        tests = SettlingTests(
+            profile=self.task.profile,
+            cell=self.cell,
+            mover=self.mover,
+            reaction=self.reaction,
+            findings=self.findings,
+            control=self.control,
+            hold=self._hold,
+            cycles=wanted_cycles("stabilisation", self.task.cycles),
+        )
+        for name in self.findings.cubes:
+            self.mover.go_home()
+            tests.drive(name, self.task.commands)
+
+    def _visit_all(self, visits: Sequence[Visit]) -> None:
         for visit in visits:
             self.listener(Progress("iso9283", self._done, self.total, "" if visit.place is None else str(visit.place)))
             self._visit(visit)
             self._done += 1
-        if "path" in tests:
-            self._paths()
 
-    def _paths(self) -> None:
+    def _poses_at(self, share: float) -> list[Visit]:
+        """The pose test at another share of the speed."""
+        if "pose" not in self.task.tests:
+            return []
+        found = [
+            visit
+            for programme in self.findings.programmes.values()
+            for visit in pose_visits(programme, self.task.cycles, share)
+        ]
+        self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
+        return found
+
+    def _paths(self, speed: float, series: float = 0.0) -> None:
         """The paths of one arm after the other, the others at home."""
         model, names = self.findings.model, list(self.findings.cubes)
         assert model is not None
@@ -251,8 +308,9 @@ class _Session:
             reaction=self.reaction,
             findings=self.findings,
             hold=self._hold,
-            speed_share=self.task.speed,
+            speed_share=speed,
             cycles=wanted_cycles("path", self.task.cycles),
+            series=series,
         )
         for done, name in enumerate(names):
             self.listener(Progress("paths", done, len(names), f"arm {name}"))
@@ -328,7 +386,7 @@ class _Session:
             self._miss(visit, str(error))
             return
         self._missed = 0
-        first, share = points[names[0]], _mpe_factor(self.task.profile)
+        first, share = points[names[0]], mpe_factor(self.task.profile)
         self.findings.measured.visits.append(
             Measured(
                 place=visit.place,
@@ -367,8 +425,3 @@ def _raise_if_not_ready(error: Exception) -> None:
     """A tracker that is not ready measures nothing at the next position either."""
     if isinstance(error, NotReady):
         raise HardwareError(str(error)) from error
-
-
-def _mpe_factor(profile: Profile) -> float:
-    """What the tracker's covariance is multiplied by: drivers state half of the maximum permissible error as sigma."""
-    return (MPE_SHARE[profile.tolerances.mpe] / MPE_SHARE["half"]) ** 2

@@ -1,0 +1,35 @@
+"""The file of raw points beside a run, from which another program computes each figure of a test again."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from cellapp.cell.driving.iso9283.findings import IsoFindings
+from cellapp.cell.run.csv_text import table_text
+from cellapp.estimation.iso9283.raw_points import HEADER, raw_rows
+from cellapp.ground.outputs import NEW_ONLY
+
+_NAME = "iso9283-points"
+
+
+def write_points(folder: Path, found: IsoFindings) -> tuple[str, str]:
+    """Write all measured points into a new file of the folder; return its name and SHA-256, empty without a point.
+
+    Raises ``InputError`` if it cannot be written.
+    """
+    if not found.measured.visits and not any(runs.tracks for runs in (*found.paths, *found.settling)):
+        return "", ""
+    data = table_text(HEADER, raw_rows(found.programmes, found.measured, found.paths, found.settling)).encode()
+    path = _unused(folder)
+    NEW_ONLY.write(path, data)
+    return path.name, hashlib.sha256(data).hexdigest()
+
+
+def _unused(folder: Path) -> Path:
+    """A name that no earlier test has: a run keeps the points of each of its tests."""
+    path, number = folder / f"{_NAME}.csv", 1
+    while path.exists():
+        number += 1
+        path = folder / f"{_NAME}-{number}.csv"
+    return path

@@ -1,0 +1,173 @@
+"""What ISO 9283:1998 asks for, against what was done: each characteristic done, done in part, or not done, and why.
+
+Clauses and titles are those of the norm's table of contents, which is public; the norm's text was not at hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, NORM_CYCLES, NORM_DRIFT_MIN, NORM_SPEEDS, IsoTest
+from cellapp.estimation.iso9283.records import (
+    ArmIso9283,
+    CommandedTests,
+    IsoConditions,
+    IsoLine,
+    IsoStatus,
+    IsoValue,
+)
+
+NOT_ASKED = "not asked for"
+NOT_MEASURED = "asked for, and no two cycles were measured"
+ONE_SMR = "one SMR on the flange shows its position, not its orientation"
+PERSON = "a person must load the flange in known steps, which no verb guides yet"
+OTHER_ARM = "it compares arms of one type; no test of another arm was named (--with-run)"
+
+_EXCHANGE = "exchangeability E"
+
+_Values = Callable[[CommandedTests], Sequence[IsoValue]]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A characteristic of the norm; ``never`` is why this program does not measure it, else ``test`` does.
+
+    ``cycles`` are the norm's, where they are not those of the test; ``part`` says what of it is left out at any time.
+    """
+
+    clause: str
+    words: str
+    test: IsoTest | None = None
+    values: _Values = lambda tests: ()
+    never: str = ""
+    cycles: int | None = None
+    part: str = ""
+
+
+def _settled(made: CommandedTests) -> Sequence[IsoValue]:
+    return () if made.settling is None else (made.settling.overshoot,)
+
+
+_ASKED: tuple[_Asked, ...] = (
+    _Asked("7.2", "pose accuracy AP, repeatability RP", "pose", lambda made: [one.accuracy for one in made.pose]),
+    _Asked("7.2", "AP, RP of the orientation", never=ONE_SMR),
+    _Asked(
+        "7.2.3",
+        "multi-directional variation vAP",
+        "multidirectional",
+        lambda made: [one.variation for one in made.multidirectional],
+    ),
+    _Asked(
+        "7.3",
+        "distance accuracy AD, repeatability RD",
+        "distance",
+        lambda made: [one.accuracy for one in made.distance],
+    ),
+    _Asked("7.3", "AD, RD of the orientation", never=ONE_SMR),
+    _Asked("7.4", "position stabilisation time", "stabilisation", _settled),
+    _Asked("7.5", "position overshoot OV", "stabilisation", _settled),
+    _Asked("7.6", "drift dAP, dRP", "drift", lambda made: () if made.drift is None else [made.drift.accuracy]),
+    _Asked("7.7", _EXCHANGE, never=OTHER_ARM),
+    _Asked("8.2, 8.3", "path accuracy AT, repeatability RT", "path", lambda made: [one.accuracy for one in made.path]),
+    _Asked("8.2, 8.3", "AT, RT of the orientation", never=ONE_SMR),
+    _Asked("8.4", "path accuracy on reorientation", never="paths keep one orientation here"),
+    _Asked(
+        "8.5",
+        "cornering deviations CR, CO",
+        "path",
+        lambda made: [corner.rounding for one in made.path for corner in one.corners if corner.rounding is not None],
+        cycles=3,
+    ),
+    _Asked(
+        "8.6",
+        "path velocity AV, RV, FV",
+        "path",
+        lambda made: [one.accuracy for one in made.path if one.velocity is not None],
+    ),
+    _Asked("9", "minimum posing time", "stabilisation", _settled, part="one distance of the norm's several"),
+    _Asked("10", "static compliance", never=PERSON),
+    _Asked("11", "weaving deviations WS, WF", never="no weaving is driven"),
+)
+
+
+def coverage(
+    tests: Sequence[IsoTest], arms: Mapping[str, ArmIso9283], conditions: IsoConditions | None, stopped: str = ""
+) -> tuple[IsoLine, ...]:
+    """One line for each characteristic of the norm; more where arms differ. Conditions stand in the last two lines.
+
+    ``tests`` were asked for, ``stopped`` is why the job ended early.
+    """
+    lines: list[IsoLine] = []
+    for asked in _ASKED:
+        by_words: dict[tuple[IsoStatus, str], list[str]] = {}
+        for name, arm in arms.items():
+            by_words.setdefault(_of_arm(asked, tests, arm, stopped), []).append(name)
+        lines += [
+            IsoLine(clause=asked.clause, characteristic=asked.words, arms=tuple(names), status=status, words=words)
+            for (status, words), names in by_words.items()
+        ]
+    return (*lines, *_conditions(arms, conditions))
+
+
+def not_done(lines: Sequence[IsoLine]) -> dict[str, tuple[str, ...]]:
+    """Reason -> the characteristics that were not done for it, in the norm's order."""
+    found: dict[str, list[str]] = {}
+    for line in lines:
+        if line.status == "not done":
+            found.setdefault(line.words, []).append(line.characteristic)
+    return {reason: tuple(dict.fromkeys(names)) for reason, names in found.items()}
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: str) -> tuple[IsoStatus, str]:
+    if asked.words == _EXCHANGE and arm.exchange is not None:
+        return "in part", f"two of the norm's five arms, with {arm.exchange.with_run}"
+    if asked.test is None:
+        return "not done", asked.never
+    found = {kind: values for kind in ISO_COMMANDS if kind in arm.tests and (values := asked.values(arm.tests[kind]))}
+    refused = arm.refused.get(asked.test, "")
+    if not found:
+        if asked.test not in tests:
+            return "not done", NOT_ASKED
+        return "not done", refused or stopped or NOT_MEASURED
+    norm = asked.cycles or NORM_CYCLES[asked.test]
+    n = min(value.n for values in found.values() for value in values)
+    words = f"{n} of {norm} cycles" if n < norm else f"{n} cycles"
+    short = n < norm
+    if asked.test == "drift":
+        minutes = max(made.drift.minutes for made in arm.tests.values() if made.drift is not None)
+        words += f" a group, over {minutes:.0f} of {NORM_DRIFT_MIN:.0f} min"
+        short = short or minutes < NORM_DRIFT_MIN
+    words = f"{words}, {' and '.join(found)} commands"
+    if left_out := "; ".join(one for one in (refused, asked.part) if one):
+        return "in part", f"{words}; {left_out}"
+    return ("in part" if short else "done"), words
+
+
+def _conditions(arms: Mapping[str, ArmIso9283], made: IsoConditions | None) -> Iterator[IsoLine]:
+    """Speeds and loads of the norm's tests (6.6, 6.7)."""
+    if made is None or not any(arm.tests for arm in arms.values()):
+        return
+    done = {one.speed_share for arm in arms.values() for own in arm.tests.values() for one in own.series}
+    speeds = {round(share, 9) for share in (made.speed_share, *done)}
+    missing = [f"{share:.0%}" for share in NORM_SPEEDS if round(share, 9) not in speeds]
+    why = NOT_MEASURED if any(share in made.also_speeds for share in NORM_SPEEDS if share not in speeds) else NOT_ASKED
+    words = f"{', '.join(f'{share:.0%}' for share in sorted(speeds, reverse=True))} of the profile's speed"
+    yield IsoLine(
+        clause="6.7",
+        characteristic="speeds 100, 50, 10 % of the rated one",
+        arms=tuple(arms),
+        status="in part" if missing else "done",
+        words=f"{words}; {', '.join(missing)}: {why}" if missing else words,
+    )
+    loads = "; ".join(f"{name} {arm.payload_kg:g} kg" for name, arm in arms.items())
+    yield IsoLine(
+        clause="6.6",
+        characteristic="rated load, and 10 % of it",
+        arms=tuple(arms),
+        status="in part",
+        words=f"one load: {loads}; profiles state no rated load",
+    )

@@ -1,0 +1,101 @@
+"""Every measured point of the tests with its time, as rows of a table from which another program computes the same.
+
+A row is ``commanded``, where an SMR should have been, or ``measured``. Commanded positions stand once for each place of
+a test; those of a path are its places of evaluation, in order, with the direction of the path, which is the normal of
+the plane in which a crossing counts. Measured points of a path are all points of each cycle in the order of time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from cellapp.estimation.iso9283.evaluate import Measurements
+from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
+from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns
+from cellapp.estimation.iso9283.norm import IsoCommands
+from cellapp.estimation.iso9283.places import ArmProgramme, Place
+from cellapp.robot.kinematics.transforms import Array
+
+HEADER = (
+    "row",
+    "test",
+    "commands",
+    "arm",
+    "place",
+    "approach",
+    "speed_percent",
+    "group",
+    "cycle",
+    "time_s",
+    "x_m",
+    "y_m",
+    "z_m",
+    "direction_x",
+    "direction_y",
+    "direction_z",
+)
+"""Positions are in the tracker frame [m], times on the cell's clock [s]; ``cycle`` and ``group`` count from 1.
+``speed_percent`` is of the profile's speed where a test was repeated at another one, else empty."""
+_NO_DIRECTION = ("", "", "")
+
+Row = tuple[str, ...]
+
+
+def raw_rows(
+    programmes: Mapping[tuple[str, IsoCommands], ArmProgramme],
+    measured: Measurements,
+    paths: Sequence[PathRuns],
+    settling: Sequence[SettlingRuns] = (),
+) -> Iterator[Row]:
+    """All rows: commanded and measured positions at rest, then those of the paths, then motions to a pose."""
+    for place in dict.fromkeys(one.place for one in measured.visits):
+        for name, pose in zip(place.arms, place.poses, strict=True):
+            where = _place_cells(place, name)
+            yield (
+                "commanded",
+                *where,
+                "",
+                "",
+                "",
+                *_xyz(programmes[name, place.commands].position_M[pose]),
+                "",
+                "",
+                "",
+            )
+    for one in measured.visits:
+        for name, p_M in one.p_M.items():
+            counted = (str(one.group + 1), str(one.cycle + 1), repr(float(one.time_s)))
+            yield ("measured", *_place_cells(one.place, name), *counted, *_xyz(p_M), *_NO_DIRECTION)
+    for runs in paths:
+        yield from _of_path(runs)
+    for motions in settling:
+        where = ("stabilisation", motions.commands, motions.arm, motions.pose, "", "")
+        yield ("commanded", *where, "", "", "", *_xyz(motions.commanded_M), *_NO_DIRECTION)
+        yield from _of_tracks(where, motions.tracks)
+
+
+def _of_path(runs: PathRuns) -> Iterator[Row]:
+    where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
+    for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
+        yield ("commanded", *where, "", "", "", *_xyz(place_M), *_xyz(tangent_M))
+    yield from _of_tracks(where, runs.tracks)
+
+
+def _of_tracks(where: Row, tracks: Sequence[PathTrack]) -> Iterator[Row]:
+    for number, track in enumerate(tracks, start=1):
+        for time_s, p_M in zip(track.time_s, track.p_M, strict=True):
+            yield ("measured", *where, "1", str(number), repr(float(time_s)), *_xyz(p_M), *_NO_DIRECTION)
+
+
+def _place_cells(place: Place, name: str) -> tuple[str, ...]:
+    return place.test, place.commands, name, "+".join(place.poses), place.approach, _percent(place.speed)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:g}" if share else ""
+
+
+def _xyz(vector: Array) -> tuple[str, str, str]:
+    """Coordinates with all their digits."""
+    x, y, z = (repr(float(value)) for value in vector)
+    return x, y, z
