@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from itertools import combinations, pairwise
 from pathlib import Path
 from statistics import fmean, stdev
+from typing import Any
 
 import pytest
 
@@ -19,12 +20,12 @@ from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import Outputs
-from tests.commands.test_record import (asked)
-from tests.commands.test_iso9283 import (left_alone)
+from tests.commands.test_iso9283 import left_alone
+from tests.commands.test_record import asked
 
 Point = tuple[float, float, float]
 Rows = list[dict[str, str]]
-EXACT = {"rel": 1e-9, "abs": 1e-9}
+EXACT: dict[str, Any] = {"rel": 1e-9, "abs": 1e-9}
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,6 @@ from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.commands.run_results import StageResults
-from cellapp.commands.report.result import (RunResults)
 from cellapp.estimation.iso9283.norm import NORM_CYCLES
 from cellapp.estimation.uncertainty.budget import distance_budget, expanded_mm, not_given, position_budget
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.report.result import (read_results)
+from cellapp.commands.report.result import read_results
 from cellapp.estimation.iso9283.exchange import exchanged
 from cellapp.estimation.iso9283.records import ArmIso9283, IsoCube
 from cellapp.ground.errors import InputError

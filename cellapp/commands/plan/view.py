@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.planning.design_records import ViewResult
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
@@ -10,8 +12,10 @@ from cellapp.commands.plan.design_view import design_sentences, design_tables, p
 from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.plan.tracker_view import view_sentences, view_tables
 from cellapp.commands.record import Request, View
-from cellapp.commands.show.tables import plan_tables
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.table import Column, Table, number_column
+
+_DEG = ".2f"
+"""Number format of joint angles in degrees."""
 
 
 def view(
@@ -32,3 +36,21 @@ def view(
     design = result.design
     told: tuple[Table | str, ...] = () if design is None else (*design_tables(design), *design_sentences(design))
     return View((*plan_tables(result), *planned, *told))
+
+
+def plan_tables(stops: StopsResult) -> list[Table]:
+    """Joint angles [deg] of every planned stop, one table for each arm."""
+    tables = []
+    for name in stops.stops[0].q if stops.stops else ():
+        joints = len(stops.stops[0].q[name])
+        columns = (
+            number_column("stop", "d"),
+            Column("measured"),
+            *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)),
+        )
+        rows = tuple(
+            (stop.configuration, "yes" if stop.measured else "no", *map(math.degrees, stop.q[name]))
+            for stop in stops.stops
+        )
+        tables.append(Table(f"Arm {name}: planned stops", columns, rows))
+    return tables

@@ -10,7 +10,6 @@ from cellapp.commands.compensate.details import stored_state
 from cellapp.commands.out_of_date import complaints_of
 from cellapp.commands.plan.run import stored_plan
 from cellapp.commands.record import Work
-from cellapp.commands.registry import STORING
 from cellapp.commands.report.result import read_results
 from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
@@ -46,7 +45,7 @@ def _found(run: RunFile, request: ShowRequest, work: Work) -> Shown:
             return Shown(part=request.part, result=run_log(run, request.level, request.last))
         case "profile":
             return Shown(part=request.part, text=profile_text(run.profile))
-    return _stored(run, request.part) if request.target is None else _target(run, request.target)
+    return _stored(run, request) if request.target is None else _target(run, request.target)
 
 
 def _plan(run: RunFile, request: ShowRequest, work: Work) -> Result:
@@ -67,10 +66,10 @@ def _target(run: RunFile, name: str) -> Shown:
     return Shown(part="targets", result=alone, results=results)
 
 
-def _stored(run: RunFile, part: str) -> Shown:
+def _stored(run: RunFile, request: ShowRequest) -> Shown:
     """The stored result of one verb, and whether it still holds."""
     results = read_results(run)
-    verb, how = next((verb, how) for verb in STORING for how in verb.stored if how.part == part)
+    verb, how = next((verb, how) for verb in request.storing for how in verb.stored if how.part == request.part)
     name = next((stage for stage in how.stages if getattr(results, stage) is not None), how.stages[-1])
     reason = {str(key): text for key, text in results.out_of_date.items()}.get(name, "")
     made_by = f"cellapp {how.made_by or verb.name}"
@@ -78,4 +77,4 @@ def _stored(run: RunFile, part: str) -> Shown:
     if stored is None:
         why = f"{name} is stored, but {reason}" if reason else f"{how.missing} stored"
         raise InputError(f"{run.path}: {why}; run '{made_by}' first")
-    return Shown(part=part, result=stored, out_of_date=reason, made_by=made_by)
+    return Shown(part=request.part, result=stored, out_of_date=reason, made_by=made_by)

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
 
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.in_order import order_sentences
-from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.ground.profile import Profile
 from cellapp.ground.times import second_of
-
-_DEG = ".2f"
-"""Number format of joint angles in degrees."""
 
 
 def overview_tables(state: OverviewResult) -> list[Table]:
@@ -72,24 +67,6 @@ def history_lines(history: HistoryResult) -> list[str]:
         lines.append(f"      {_holds(stage)}")
         lines.append(f"      rests on: {', '.join(stage.rests_on)}")
     return lines
-
-
-def plan_tables(stops: StopsResult) -> list[Table]:
-    """Joint angles [deg] of every planned stop, one table for each arm."""
-    tables = []
-    for name in stops.stops[0].q if stops.stops else ():
-        joints = len(stops.stops[0].q[name])
-        columns = (
-            number_column("stop", "d"),
-            Column("measured"),
-            *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)),
-        )
-        rows = tuple(
-            (stop.configuration, "yes" if stop.measured else "no", *map(math.degrees, stop.q[name]))
-            for stop in stops.stops
-        )
-        tables.append(Table(f"Arm {name}: planned stops", columns, rows))
-    return tables
 
 
 def log_lines(log: LogResult) -> list[str]:

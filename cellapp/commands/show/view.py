@@ -7,7 +7,6 @@ from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.compensate.details import details_tables, stored_state, target_details
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.record import Request, View
-from cellapp.commands.registry import STORING
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, Shown
 from cellapp.commands.show.tables import history_lines, log_lines, overview_sentences, overview_tables
@@ -34,9 +33,11 @@ def _view_of(found: Shown, request: Request | None) -> View:
             return View(log_lines(found.result) or ("no log lines to show",))
         case CollectionResult():
             return View(collection_tables(found.result))
-    target = request.target if isinstance(request, ShowRequest) else None
+    asked = request if isinstance(request, ShowRequest) else None
+    target = None if asked is None else asked.target
     if target is not None and found.results is not None and (state := stored_state(found.results, target)):
         details = target_details(state)
         return View((*details_tables(details), *details.sentences))
-    verb, how = next(((verb, how) for verb in STORING for how in verb.stored if how.part == found.part), (PLAN, None))
+    storing = () if asked is None else asked.storing
+    verb, how = next(((verb, how) for verb in storing for how in verb.stored if how.part == found.part), (PLAN, None))
     return verb.view(found.result) if how is None else verb.stored_view(how, found.result)

@@ -10,11 +10,11 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from importlib.resources import files
 from pathlib import Path
 
 from pydantic import ValidationError
 
-import cellapp
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.result import arm_result
@@ -153,7 +153,7 @@ def judge_run(folder: Path, source: str) -> None:
 
 def source_digest() -> str:
     """Short SHA-256 of the modules that calibrate and search: it distinguishes results of different program states."""
-    root = Path(cellapp.__file__).parent
+    root = Path(str(files("cellapp")))
     found = hashlib.sha256()
     for package in _SEARCHING:
         for path in sorted((root / package).rglob("*.py")):

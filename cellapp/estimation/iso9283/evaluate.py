@@ -15,7 +15,6 @@ from cellapp.estimation.iso9283.characteristics import (
     pose_repeatability,
 )
 from cellapp.estimation.iso9283.cube import DIRECTIONAL_POSES, DIRECTIONS, POSES
-from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import (
     DirectionalCharacteristics,

@@ -17,12 +17,19 @@ from cellapp.estimation.iso9283.evaluate import (
     drift_characteristics,
     pose_characteristics,
 )
-from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
-from cellapp.estimation.iso9283.places import ArmProgramme, Place
-from cellapp.estimation.iso9283.records import ArmIso9283, BaseAlignment, CommandedTests, PairIso9283
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, path_characteristics
 from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns, settling_characteristics
-from cellapp.estimation.iso9283.records import (IsoAbility, PathCharacteristics, SpeedSeries)
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
+from cellapp.estimation.iso9283.places import ArmProgramme, Place
+from cellapp.estimation.iso9283.records import (
+    ArmIso9283,
+    BaseAlignment,
+    CommandedTests,
+    IsoAbility,
+    PairIso9283,
+    PathCharacteristics,
+    SpeedSeries,
+)
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
