@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -182,6 +182,8 @@ class Work:
         The result of a certificate -> its page as HTML.
     screens : callable
         Profile, folder of a run or None, and a folder -> pictures of the terminal application, written there.
+    verbs : sequence of Verb
+        All of them, for a verb that speaks of others.
     ask : callable
         Profile's name -> what asks a person before the first motion of real arms; None where nobody can be asked.
     outputs : Outputs
@@ -201,6 +203,7 @@ class Work:
     control: JobControl
     ask: Callable[[str], Callable[[str], bool] | None]
     outputs: Outputs
+    verbs: Sequence[Verb] = ()
     result_page: Callable[[Result, Path], Path] = field(default=_no_result_page)
     certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
     screens: Callable[[Path, Path | None, Path], Sequence[Path]] = field(default=_no_screens)
@@ -283,9 +286,10 @@ class Verb:
         return (self.request.__doc__ or "").strip().split("\n", 1)[0]
 
     @property
-    def result(self) -> Any:
-        """Type of its result, as its run declares it."""
-        return get_type_hints(self._part("run").run)["return"]
+    def results(self) -> tuple[type[Result], ...]:
+        """Types of its result, as its run declares them."""
+        declared = get_type_hints(self._part("run").run)["return"]
+        return get_args(declared) or (declared,)
 
     def asked(self, values: Mapping[str, Any], named: Callable[[str], str] | None = None) -> Request:
         """The request with these values of its fields.

@@ -91,6 +91,9 @@ class Record(BaseModel):
 class Result(Record):
     """The result of one verb. Subclasses set ``schema_`` and ``version`` to literals."""
 
+    has_own_schema: ClassVar[bool] = True
+    """Whether its JSON is its own; False where ``to_json`` writes something else that it holds."""
+
     schema_: str
     version: int
 

@@ -1,11 +1,12 @@
-"""The parts of chapters that repeat what the code declares: effects with their laws, results with their schemas."""
+"""The parts of chapters that repeat what the code declares: verbs, effects with their laws, results with schemas."""
 
 from __future__ import annotations
 
 import re
 
 from cellapp.commands.docs.effect_parts import declared_part
-from cellapp.commands.schemas import VERB_RESULTS
+from cellapp.commands.registry import VERBS
+from cellapp.commands.schema.results import written_results
 from cellapp.ground.results import Result
 from cellapp.robot.effects import EFFECTS
 
@@ -13,17 +14,29 @@ _DECLARED = re.compile(r"<!-- declared: (\w+) -->\n.*?<!-- end -->\n", re.DOTALL
 
 
 def with_declarations(text: str) -> str:
-    """The text with the parts that repeat declarations (between markers) renewed: of effects, of results as JSON."""
+    """The text with the parts that repeat declarations (between markers) renewed: verbs, effects, results as JSON."""
+    lists = {"results": results_part, "verbs": verbs_part}
     return _DECLARED.sub(
-        lambda match: results_part() if match[1] == "results" else declared_part(EFFECTS[match[1]]), text
+        lambda match: lists[match[1]]() if match[1] in lists else declared_part(EFFECTS[match[1]]), text
     )
+
+
+def verbs_part() -> str:
+    """Every verb, what it does, whether it moves arms, and its chapter, as a Markdown table with the markers around it."""
+    rows = [
+        f"| `cellapp {verb.name}` | {verb.summary} | {'**yes**' if verb.moves_arms else 'no'}"
+        f" | [{verb.chapter}]({verb.chapter}.md) |"
+        for verb in VERBS
+    ]
+    head = ["| command | what it does | moves the arms | chapter |", "| --- | --- | --- | --- |"]
+    return "\n".join(["<!-- declared: verbs -->", *head, *rows, "<!-- end -->", ""])
 
 
 def results_part() -> str:
     """Every result of a verb, its schema and what it says, as a Markdown table with the markers around it."""
     rows = [
         f"| `{one.model_fields['schema_'].default}` | {one.model_fields['version'].default} | {_first_sentence(one)} |"
-        for one in VERB_RESULTS
+        for one in written_results(VERBS)
     ]
     head = ["| schema | version | what it holds |", "| --- | --- | --- |"]
     return "\n".join(["<!-- declared: results -->", *head, *rows, "<!-- end -->", ""])

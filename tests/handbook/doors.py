@@ -18,7 +18,8 @@ from cellapp.cell.run.csv_import import read_readings_csv
 from cellapp.cell.targets.path_file import load_paths
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.init.answers import write_answers
-from cellapp.commands.schemas import json_schemas
+from cellapp.commands.registry import VERBS
+from cellapp.commands.schema.results import json_schemas, written_results
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import ArmType
 from tests.handbook.chapters import EXCERPT, Example
@@ -114,7 +115,7 @@ def _read_csv(path: Path, profile: Profile) -> None:
 
 def _read_json(example: Example) -> None:
     content = json.loads(example.text)
-    schemas = json_schemas()
+    schemas = json_schemas(written_results(VERBS))
     if isinstance(content, dict) and content.get("schema") in schemas:
         jsonschema.validate(content, schemas[content["schema"]])
 

@@ -105,6 +105,7 @@ class Shown(Result):
         What of the run is out of date, where a strict person asks.
     """
 
+    has_own_schema = False
     schema_: Literal["cellapp-shown"] = "cellapp-shown"
     version: Literal[1] = 1
     part: str

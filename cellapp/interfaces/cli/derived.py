@@ -19,6 +19,7 @@ from pydantic.fields import FieldInfo
 from typer.core import TyperGroup
 
 from cellapp.commands.record import PASSPHRASE_VARIABLE, Asked, Verb, View, Work
+from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job, require_none
@@ -101,6 +102,7 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         job.control,
         lambda profile_name: asking(job, profile_name, allowed=allowed),
         job.outputs,
+        verbs=VERBS,
         write_page=write_page,
         result_page=partial(write_result_page, outputs=job.outputs),
         certificate_page=certificate_page,

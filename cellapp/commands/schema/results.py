@@ -1,0 +1,56 @@
+"""The results that are written as JSON, and their schemas."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from cellapp.cell.driving.records import CollectionResult, RequestResult
+from cellapp.cell.planning.design_records import PlanDesignResult
+from cellapp.cell.planning.records import PlanForecastResult
+from cellapp.commands.plan.result import StopsResult
+from cellapp.commands.record import Verb
+from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult
+from cellapp.ground.results import ErrorResult, Result
+
+WITHOUT_VERB: tuple[type[Result], ...] = (
+    PlanForecastResult,
+    PlanDesignResult,
+    CollectionResult,
+    OverviewResult,
+    HistoryResult,
+    LogResult,
+    StopsResult,
+    RequestResult,
+    ErrorResult,
+)
+"""Results that no verb declares as its own: parts that ``show`` prints, requests to a running job, failures."""
+
+
+def written_results(verbs: Iterable[Verb]) -> tuple[type[Result], ...]:
+    """Every result that ``--json`` writes, each once: those of the verbs in their order, then the others."""
+    own = (one for verb in verbs for one in verb.results if one.has_own_schema)
+    return tuple(dict.fromkeys((*own, *WITHOUT_VERB)))
+
+
+def json_schemas(results: Iterable[type[Result]]) -> dict[str, dict[str, Any]]:
+    """JSON Schema (2020-12) of each result, by the name that its JSON objects carry under ``schema``.
+
+    As ``--json`` writes NaN and infinity as null, every number may be null.
+    """
+    return {_schema_name(result): _nullable_numbers(result.model_json_schema()) for result in results}
+
+
+def _schema_name(result: type[Result]) -> str:
+    return str(result.model_fields["schema_"].default)
+
+
+def _nullable_numbers(schema: Any) -> Any:
+    if isinstance(schema, list):
+        return [_nullable_numbers(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    changed = {key: _nullable_numbers(part) for key, part in schema.items()}
+    if changed.get("type") == "number":
+        changed["type"] = ["number", "null"]
+    return changed
