@@ -291,6 +291,17 @@ class Verb:
         declared = get_type_hints(self._part("run").run)["return"]
         return get_args(declared) or (declared,)
 
+    @property
+    def opens_run(self) -> bool:
+        """Whether it works on a run that is there, which its field ``folder`` names."""
+        return any(
+            name == "folder" and words.argument and words.metavar == "DIR" for name, words in self.request.asked()
+        )
+
+    def is_needed(self, field: str) -> bool:
+        """Whether a field of its request must be given."""
+        return self.request.model_fields[field].is_required()
+
     def asked(self, values: Mapping[str, Any], named: Callable[[str], str] | None = None) -> Request:
         """The request with these values of its fields.
 

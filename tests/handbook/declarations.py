@@ -22,7 +22,7 @@ def with_declarations(text: str) -> str:
 
 
 def verbs_part() -> str:
-    """Every verb, what it does, whether it moves arms, and its chapter, as a Markdown table with the markers around it."""
+    """Every verb, what it does, whether it moves arms, its chapter: a Markdown table with its markers."""
     rows = [
         f"| `cellapp {verb.name}` | {verb.summary} | {'**yes**' if verb.moves_arms else 'no'}"
         f" | [{verb.chapter}]({verb.chapter}.md) |"

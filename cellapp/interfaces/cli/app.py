@@ -10,7 +10,7 @@ import typer
 from cellapp.commands.registry import VERBS
 from cellapp.ground.version import __version__
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.derived import command_of, group_of
+from cellapp.interfaces.cli.derived import add_verbs
 from cellapp.interfaces.cli.program import run_program
 from cellapp.interfaces.cli.request_commands import abort, pause, resume, stop
 from cellapp.interfaces.cli.trials import trials_app
@@ -48,11 +48,7 @@ def tui(
         raise typer.Exit(run_app())
 
 
-for verb in VERBS:
-    if verb.variants:
-        app.add_typer(group_of(verb), name=verb.name)
-    else:
-        app.command(verb.name)(command_of(verb))
+add_verbs(app, VERBS)
 for request in (pause, resume, stop, abort):
     app.command()(request)
 app.add_typer(trials_app, name="trials")

@@ -7,7 +7,7 @@ import inspect
 import operator
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType, UnionType
@@ -39,6 +39,15 @@ class _FirstByDefault(TyperGroup):
         if args and args[0] not in self.commands and args[0] != "--help":
             args = [next(iter(self.commands)), *args]
         return super().parse_args(ctx, args)
+
+
+def add_verbs(app: Commands, verbs: Iterable[Verb]) -> None:
+    """Add the command of each verb; a verb with variants is a group."""
+    for verb in verbs:
+        if verb.variants:
+            app.add_typer(group_of(verb), name=verb.name)
+        else:
+            app.command(verb.name)(command_of(verb))
 
 
 def group_of(verb: Verb) -> Commands:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.follow.request import VERB as FOLLOW
-from cellapp.commands.record import Request
+from cellapp.commands.record import Request, Verb
+from cellapp.commands.registry import VERBS
 from cellapp.commands.replay.request import VERB as REPLAY
+from cellapp.interfaces.render.plain import plain_text
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
@@ -20,11 +22,14 @@ from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
+    from cellapp.ground.results import Result
 
 BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
 WRITE = (Answer("write", "Write", "ctrl+s", "success"), Answer("no", "Close", "f10"))
 USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
 """Answers where the model is out of date; the first one has the focus."""
+_READING_WIDTH = 76
+"""Characters of a line of a text that fits into the narrowest terminal."""
 _SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
 """Speeds of a replay and their keys."""
 
@@ -49,6 +54,44 @@ def offer_whole_day(app: Host) -> None:
             app.action_show("collect")
 
     app.push_screen(Choice("Everything, unattended?", text, BEGIN), begin)
+
+
+class _VerbView:
+    """Shows the result of a verb that the palette began, as its view says it."""
+
+    def __init__(self, app: Host, verb: Verb) -> None:
+        self._app, self._verb = app, verb
+
+    def show_result(self, result: Result) -> None:
+        """Show it as a text to read."""
+        text = plain_text(self._verb.view(result).parts, _READING_WIDTH)
+        self._app.push_screen(Reading(f"# {self._verb.name}\n\n```text\n{text}\n```"))
+
+
+def verbs_of_run() -> tuple[Verb, ...]:
+    """The verbs that work on a run and whose other needed fields a dialog asks for."""
+    return tuple(
+        verb
+        for verb in VERBS
+        if verb.opens_run
+        and all(name == "folder" or not verb.is_needed(name) or words.label for name, words in verb.request.asked())
+    )
+
+
+def offer_verb(screen: DayScreen, verb: Verb) -> None:
+    """Ask for the request of any verb on the run that is open, then do it and show its view."""
+    folder = screen.open_folder()
+    if folder is None:
+        return
+    app = screen.cell_app
+
+    def begin(request: Request | None) -> None:
+        if request is not None and app.start_job(work.verb_job(verb, request)):
+            app.asked_by = _VerbView(app, verb)
+
+    text = f"{verb.summary}" + (f" {arms_words(screen.workspace)}." if verb.moves_arms else "")
+    simulated = screen.workspace.kind == "simulated"
+    app.push_screen(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
 
 
 def offer_paths(screen: DayScreen) -> None:

@@ -11,6 +11,7 @@ from textual.binding import Binding, BindingType
 from textual.command import CommandPalette
 
 from cellapp.interfaces.tui.host import Host
+from cellapp.interfaces.tui.offers import offer_verb, verbs_of_run
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.stop import StopCorner
@@ -38,3 +39,5 @@ def possible_commands(app: Host, screen: DayScreen) -> Iterator[SystemCommand]:
         if own and active.enabled and not hidden:
             run = partial(app.run_action, binding.action, active.node)
             yield SystemCommand(binding.description, binding.tooltip or f"key {key}", run)
+    for verb in verbs_of_run():
+        yield SystemCommand(f"cellapp {verb.name}", verb.summary, partial(offer_verb, screen, verb))
