@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from cellapp.cell.exports.arm_commands import ArmCommands
 from cellapp.cell.exports.arm_export import hashed
 from cellapp.cell.exports.export_format import CommandFormat
+from cellapp.cell.run.csv_text import quoted_text
 from cellapp.cell.targets.sides import signs_words
 
 _NOTES = (
@@ -43,7 +44,7 @@ def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
     for one in (command.record for command in commands.commands):
         writer.writerow(
             [
-                one.name,
+                quoted_text(one.name),
                 one.arm,
                 *_numbers(one.q_compensated, len(joints)),
                 *_numbers(one.q_nominal, len(joints)),
@@ -52,7 +53,7 @@ def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
                 *("" if value is None else repr(value) for value in (one.uncertainty_mm, one.within_mm)),
                 "" if one.tolerance_mm is None else repr(one.tolerance_mm),
                 one.verdict,
-                one.refusal,
+                quoted_text(one.refusal),
             ]
         )
     return hashed([*sentences, *_NOTES]) + text.getvalue()

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cellapp.cell.run.csv_import import is_known
-from cellapp.cell.run.csv_text import write_csv
+from cellapp.cell.run.csv_text import quoted_text, write_csv
 from cellapp.cell.run.file import RunFile
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.estimation.readings.readings import Readings
@@ -55,11 +55,14 @@ def _header(arms: Mapping[str, Readings], imported: Sequence[str]) -> list[str]:
 def _rows(arm: str, readings: Readings, names: Sequence[str]) -> list[tuple[str, ...]]:
     """The cells of one arm's readings in the columns ``names``; empty where it has no value."""
     n = len(readings)
-    texts: dict[str, Sequence[str]] = {"arm": [arm] * n, **readings.extras}
+    texts: dict[str, Sequence[str]] = {
+        "arm": [arm] * n,
+        **{name: [*map(quoted_text, its)] for name, its in readings.extras.items()},
+    }
     for column in COLUMNS:
         values = getattr(readings, column.name)
         if isinstance(values, tuple):
-            texts[column.csv[0]] = [word or "" for word in values]
+            texts[column.csv[0]] = [quoted_text(word or "") for word in values]
         elif values is not None:
             matrix = column.matrix(values)
             for place, name in enumerate(column.csv_names(readings.joints)):

@@ -19,7 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.csv_text import NUMBER, WHOLE, CsvTable, Problems, check_names, read_csv_table, short
+from cellapp.cell.run.csv_text import (
+    NUMBER,
+    WHOLE,
+    CsvTable,
+    Problems,
+    check_names,
+    read_csv_table,
+    short,
+    unquoted_text,
+)
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.cell.run.records import ArmOrder
@@ -314,7 +323,7 @@ def _read_arm(cells: _ArmCells, arm: str, joints: int, limits: NDArray[np.float6
     _check_once(cells, configuration, arm)
     if problems.count > before:
         return None
-    extras = {name: tuple(cells.texts(name)) for name in cells.table.names if not is_known(name)}
+    extras = {name: tuple(map(unquoted_text, cells.texts(name))) for name in cells.table.names if not is_known(name)}
     return readings_from_columns(values, extras)
 
 

@@ -20,6 +20,8 @@ _SHOWN = 5
 """Problems per message: enough to see a pattern, few enough to read."""
 _LONGEST_SHOWN = 40
 """Characters of a wrong cell that a message shows."""
+_FORMULA = ("=", "+", "-", "@")
+"""Characters with which spreadsheets let a formula begin."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,16 @@ class Problems:
 def short(text: str) -> str:
     """A wrong cell as a message shows it."""
     return text if len(text) <= _LONGEST_SHOWN else text[: _LONGEST_SHOWN - 3] + "..."
+
+
+def quoted_text(text: str) -> str:
+    """A text cell that no spreadsheet takes for a formula: with an apostrophe before = + - @; numbers stay."""
+    return f"'{text}" if text.lstrip("'").startswith(_FORMULA) and not NUMBER.fullmatch(text) else text
+
+
+def unquoted_text(text: str) -> str:
+    """What ``quoted_text`` was given."""
+    return text[1:] if text.startswith("'") and text.lstrip("'").startswith(_FORMULA) else text
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]], outputs: Outputs = NEW_ONLY) -> None:

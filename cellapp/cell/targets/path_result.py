@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cellapp.cell.run.csv_text import quoted_text
 from cellapp.cell.targets.path_records import DrivenPath, PathRecord, PathResult, PathReversal
 from cellapp.cell.targets.plan_path import PathPlan
 from cellapp.robot.model import CellModel
@@ -32,7 +33,7 @@ def path_csv(plans: Sequence[PathPlan]) -> str:
     for plan in plans:
         if plan.trajectory is None or plan.refusal:
             continue
-        trajectory, head = plan.trajectory, [plan.spec.name, plan.spec.arm]
+        trajectory, head = plan.trajectory, [quoted_text(plan.spec.name), plan.spec.arm]
         table = np.column_stack([trajectory.time_s, trajectory.s, trajectory.q]).tolist()
         writer.writerows([*head, *(repr(value) for value in row)] for row in table)
     return text.getvalue()

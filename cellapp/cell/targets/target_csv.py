@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from cellapp.cell.profile.messages import KeyPath
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, unquoted_text
 from cellapp.cell.targets.target_source import TargetSource
 from drivers.quantities import parse_quantity
 
@@ -225,7 +225,7 @@ def _fill(
     for name, path in _WORDS.items():
         for row, text in zip(rows, table.cells.get(name, ())):
             if text.strip() or name in ("name", "arm"):
-                _enter(row, path, text.strip())
+                _enter(row, path, unquoted_text(text.strip()))
     vectors: dict[KeyPath, list[_Column]] = {}
     for column in sorted(columns, key=lambda column: column.path[-1] if isinstance(column.path[-1], int) else -1):
         if isinstance(column.path[-1], int):

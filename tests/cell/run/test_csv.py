@@ -314,6 +314,18 @@ def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.fast
+def test_a_text_is_no_formula_of_a_spreadsheet(path: Path, tmp_path: Path) -> None:
+    rows = [row.replace("good", "=1+2").replace("bad", "-0.5") for row in ROWS]
+    write(path, *rows)
+    with import_csv(two_arms(), path, tmp_path / "run") as run:
+        assert run.readings("left").extras["mood"] == ("=1+2", "-0.5")
+        write_readings_csv(run, tmp_path / "out.csv")
+    with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as file:
+        moods = [row["mood"] for row in csv.DictReader(file) if row["arm"] == "left"]
+    assert moods == ["'=1+2", "-0.5"], "a number stays one"
+    assert read_readings_csv(tmp_path / "out.csv", JOINTS)[0]["left"].extras["mood"] == ("=1+2", "-0.5")
+
+
 def test_export_of_nothing_and_to_nowhere(path: Path, tmp_path: Path) -> None:
     with RunFile.create(tmp_path / "run", two_arms()) as run:
         with pytest.raises(InputError, match="no readings yet"):
