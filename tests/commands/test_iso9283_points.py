@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from itertools import combinations, pairwise
 from pathlib import Path
 from statistics import fmean, stdev
-from typing import Any
 
 import pytest
 
@@ -25,7 +24,6 @@ from tests.commands.test_record import asked
 
 Point = tuple[float, float, float]
 Rows = list[dict[str, str]]
-EXACT: dict[str, Any] = {"rel": 1e-9, "abs": 1e-9}
 
 
 @pytest.fixture(scope="module")
@@ -71,15 +69,15 @@ def test_ap_rp_and_vap_follow_from_the_points(tested: tuple[Iso9283Result, Path]
     for one in left(tested).pose:
         (wanted,) = select(rows, "commanded", test="pose", place=one.pose)
         ap, rp = ap_rp_mm([xyz(r) for r in select(rows, "measured", test="pose", place=one.pose)], xyz(wanted))
-        assert one.accuracy.value_mm == pytest.approx(ap, **EXACT)
-        assert one.repeatability.value_mm == pytest.approx(rp, **EXACT)
+        assert one.accuracy.value_mm == pytest.approx(ap, rel=1e-9, abs=1e-9)
+        assert one.repeatability.value_mm == pytest.approx(rp, rel=1e-9, abs=1e-9)
     for each in left(tested).multidirectional:
         means = [
             mean([xyz(r) for r in select(rows, "measured", test="multidirectional", place=each.pose, approach=a)])
             for a in "xyz"
         ]
         largest = max(math.dist(a, b) for a, b in combinations(means, 2))
-        assert each.variation.value_mm == pytest.approx(1e3 * largest, **EXACT)
+        assert each.variation.value_mm == pytest.approx(1e3 * largest, rel=1e-9, abs=1e-9)
 
 
 def test_ad_and_rd_follow_from_the_points(tested: tuple[Iso9283Result, Path]) -> None:
@@ -88,8 +86,8 @@ def test_ad_and_rd_follow_from_the_points(tested: tuple[Iso9283Result, Path]) ->
     ends = [[xyz(r) for r in select(rows, "measured", test="distance", place=place)] for place in ("P2", "P4")]
     wanted = math.dist(*(xyz(select(rows, "commanded", test="distance", place=place)[0]) for place in ("P2", "P4")))
     lengths = [math.dist(a, b) for a, b in zip(*ends, strict=True)]
-    assert one.accuracy.value_mm == pytest.approx(1e3 * (fmean(lengths) - wanted), **EXACT)
-    assert one.repeatability.value_mm == pytest.approx(1e3 * 3.0 * stdev(lengths), **EXACT)
+    assert one.accuracy.value_mm == pytest.approx(1e3 * (fmean(lengths) - wanted), rel=1e-9, abs=1e-9)
+    assert one.repeatability.value_mm == pytest.approx(1e3 * 3.0 * stdev(lengths), rel=1e-9, abs=1e-9)
 
 
 def test_drift_follows_from_the_points_and_their_times(tested: tuple[Iso9283Result, Path]) -> None:
@@ -100,9 +98,9 @@ def test_drift_follows_from_the_points_and_their_times(tested: tuple[Iso9283Resu
     groups = [select(rows, "measured", test="drift", group=str(k + 1)) for k in range(len(drift.groups))]
     found = [ap_rp_mm([xyz(r) for r in group], xyz(wanted)) for group in groups]
     for number, value in enumerate((drift.accuracy.value_mm, drift.repeatability.value_mm)):
-        assert value == pytest.approx(max(abs(one[number] - found[0][number]) for one in found), **EXACT)
+        assert value == pytest.approx(max(abs(one[number] - found[0][number]) for one in found), rel=1e-9, abs=1e-9)
     minutes = (float(groups[-1][0]["time_s"]) - float(groups[0][0]["time_s"])) / 60.0
-    assert drift.minutes == pytest.approx(minutes, **EXACT)
+    assert drift.minutes == pytest.approx(minutes, rel=1e-9, abs=1e-9)
 
 
 def crossing(track: list[Point], place: Point, normal: Point) -> Point:
@@ -129,8 +127,8 @@ def test_at_and_rt_follow_from_the_points(tested: tuple[Iso9283Result, Path]) ->
             normal = xyz(place, "direction_x direction_y direction_z")
             each.append(ap_rp_mm([crossing(track, xyz(place), normal) for track in tracks], xyz(place)))
         assert len(each) == one.points
-        assert one.accuracy.value_mm == pytest.approx(max(at for at, _ in each), **EXACT)
-        assert one.repeatability.value_mm == pytest.approx(max(rt for _, rt in each), **EXACT)
+        assert one.accuracy.value_mm == pytest.approx(max(at for at, _ in each), rel=1e-9, abs=1e-9)
+        assert one.repeatability.value_mm == pytest.approx(max(rt for _, rt in each), rel=1e-9, abs=1e-9)
 
 
 def test_the_result_says_which_file_and_its_hash(tested: tuple[Iso9283Result, Path]) -> None:

@@ -43,6 +43,8 @@ def test_the_commands_ask_for_what_the_page_says(
         (ISO_TESTS, 30, both, ("nominal", "calibrated")),
         (("pose",), 5, ("right",), ("calibrated",)),
         (("drift",), 30, both, ("nominal",)),
+        (ISO_TESTS, 30, both, ("nominal", "calibrated")),
     ]
-    assert tasks[-1].drift_s == 480.0 * 60.0
-    assert tasks[-1].model is None
+    assert tasks[2].drift_s == 480.0 * 60.0
+    assert tasks[2].model is None
+    assert tasks[3].also_speeds == (0.5, 0.1)

@@ -18,8 +18,8 @@ def write_points(folder: Path, found: IsoFindings) -> tuple[str, str]:
 
     Raises ``InputError`` if it cannot be written.
     """
-    moved = any(one.tracks for one in found.paths) or any(one.tracks for one in found.settling)
-    if not found.measured.visits and not moved:
+    tracks = [*(runs.tracks for runs in found.paths), *(runs.tracks for runs in found.settling)]
+    if not found.measured.visits and not any(tracks):
         return "", ""
     data = table_text(HEADER, raw_rows(found.programmes, found.measured, found.paths, found.settling)).encode()
     path = _unused(folder)

@@ -21,6 +21,7 @@ from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, miss
 from cellapp.cell.driving.iso9283.paths import path_specs
 from cellapp.cell.driving.iso9283.reach import CubeSearch
 from cellapp.cell.driving.iso9283.tests import IsoTask, drive_tests
+from cellapp.cell.targets.path_file import PathSpec
 from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import ArmIso9283
 from cellapp.ground.control import JobControl
@@ -209,12 +210,13 @@ def test_drift_and_paths_of_an_arm_that_does_not_drift() -> None:
 
 def test_a_rounded_corner_is_missed_by_what_its_programme_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     """An arm that is as published: at sharp corners it stops, at rounded ones it passes by at a known distance."""
-    specs = path_specs
-    monkeypatch.setattr(
-        path_tests,
-        "path_specs",
-        lambda *of: [one for one in specs(*of) if not isinstance(one, str) and "rectangle" in one.name],
-    )
+
+    def rectangles(name: str, cube: ChosenCube, share: float) -> list[PathSpec]:
+        specs = path_specs(name, cube, share)
+        assert not isinstance(specs, str)
+        return [one for one in specs if "rectangle" in one.name]
+
+    monkeypatch.setattr(path_tests, "path_specs", rectangles)
     profile = one_arm()
     assert profile.plant is not None
     exact = {key: 0.0 for key in type(profile.plant.geometry).model_fields}

@@ -77,7 +77,8 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
             screen.show_tab(ISO9283)
             screen.start(work.verb_job(ISO9283_VERB, request))
 
-    text = f"Drive to the poses of the test cube again and again, and measure, in {folder}; {arms_words(workspace)}."
+    where = folder if workspace.folder is None else "this run"  # whose folder the first line of the screen shows
+    text = f"Drive to the poses of the test cube and measure, in {where}; {arms_words(workspace)}."
     if stale:
         text += f"\nThe model is not up to date: {stale}."
     cell = workspace.profile_path if workspace.folder is None else None  # a run has its own
