@@ -92,18 +92,7 @@ def iso9283_run(
         raise InputError("iso9283: --with-run compares pose tests with nominal commands; ask for both")
     if used is not None and not request.out_of_date:
         require_current_model(run, stages, "iso9283")
-    task = IsoTask(
-        profile=profile_at_station(run, stages),
-        model=None if used is None else model_of(run, used),
-        commands=kinds,
-        tests=tuple(test for test in ISO_TESTS if test in request.tests),
-        arms=named,
-        cycles=request.cycles,
-        speed=request.speed / 100.0,
-        drift_s=request.drift_minutes * 60.0,
-        also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
-        cubes={} if other is None else other.cubes,
-    )
+    task = _task(run, request, stages, other, kinds, named)
     notes = _notes(task, stages, used)
     with running_job(run, control, "iso9283", listener) as listener:
         confirm = confirmation(run.profile, ask)
@@ -129,6 +118,30 @@ def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _task(
+    run: RunFile,
+    request: Iso9283Request,
+    stages: RunStages,
+    other: OtherTest | None,
+    kinds: tuple[IsoCommands, ...],
+    named: tuple[str, ...],
+) -> IsoTask:
+    """What is driven: ``kinds`` of commands, the arms ``named``, in the cubes of the ``other`` test if there is one."""
+    used = stages.in_force
+    return IsoTask(
+        profile=profile_at_station(run, stages),
+        model=None if used is None else model_of(run, used),
+        commands=kinds,
+        tests=tuple(test for test in ISO_TESTS if test in request.tests),
+        arms=named,
+        cycles=request.cycles,
+        speed=request.speed / 100.0,
+        drift_s=request.drift_minutes * 60.0,
+        also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
+        cubes={} if other is None else other.cubes,
+    )
 
 
 def _driven(

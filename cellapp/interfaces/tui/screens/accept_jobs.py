@@ -77,8 +77,8 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
             screen.show_tab(ISO9283)
             screen.start(work.verb_job(ISO9283_VERB, request))
 
-    where = folder if workspace.folder is None else "this run"  # whose folder the first line of the screen shows
-    text = f"Drive to the poses of the test cube and measure, in {where}; {arms_words(workspace)}."
+    where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows that of a run
+    text = f"Drive to the test cube's poses{where}; {arms_words(workspace)}."
     if stale:
         text += f"\nThe model is not up to date: {stale}."
     cell = workspace.profile_path if workspace.folder is None else None  # a run has its own
