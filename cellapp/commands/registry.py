@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 from cellapp.commands.at_rest.request import VERB as AT_REST
-from cellapp.commands.calibrate.request import VERB as CALIBRATE
-from cellapp.commands.certificate.request import VERB as CERTIFICATE
-from cellapp.commands.check.request import VERB as CHECK
 from cellapp.commands.check_certificate.request import VERB as CHECK_CERTIFICATE
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.compare.request import VERB as COMPARE
-from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.correct.request import VERB as CORRECT
 from cellapp.commands.demo.request import VERB as DEMO
-from cellapp.commands.discover.request import VERB as DISCOVER
 from cellapp.commands.docs.request import VERB as DOCS
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.emulate.request import VERB as EMULATE
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.fleet.request import VERB as FLEET
-from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.import_.request import VERB as IMPORT
 from cellapp.commands.init.request import VERB as INIT
-from cellapp.commands.iso9283.request import VERB as ISO9283
-from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.plan.request import VERB as PLAN
-from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.recalibrate.request import VERB as RECALIBRATE
 from cellapp.commands.record import Verb
 from cellapp.commands.replay.request import VERB as REPLAY
@@ -34,20 +25,9 @@ from cellapp.commands.runs.request import VERB as RUNS
 from cellapp.commands.schema.request import VERB as SCHEMA
 from cellapp.commands.show.request import show_verb
 from cellapp.commands.sign_key.request import VERB as SIGN_KEY
+from cellapp.commands.storing import STORING
 from cellapp.commands.tracker_bridge.request import VERB as TRACKER_BRIDGE
 
-STORING: tuple[Verb, ...] = (
-    CALIBRATE,
-    DISCOVER,
-    LOCATE,
-    COMPENSATE,
-    PUSH,
-    FOLLOW,
-    ISO9283,
-    CHECK,
-    CERTIFICATE,
-)
-"""Verbs that store results in a run, in the order in which ``show`` names them."""
 VERBS: tuple[Verb, ...] = (
     RUN,
     DEMO,

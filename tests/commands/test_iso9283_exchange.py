@@ -14,8 +14,7 @@ from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.commands.iso9283.view import iso9283_tables
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from tests.commands.test_iso9283 import left_alone
-from tests.commands.test_record import asked
+from tests.commands.test_iso9283 import asked, left_alone
 from tests.twin import small_twin
 
 

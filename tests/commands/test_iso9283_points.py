@@ -19,8 +19,7 @@ from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import Outputs
-from tests.commands.test_iso9283 import left_alone
-from tests.commands.test_record import asked
+from tests.commands.test_iso9283 import asked, left_alone
 
 Point = tuple[float, float, float]
 Rows = list[dict[str, str]]

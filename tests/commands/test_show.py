@@ -12,13 +12,14 @@ from cellapp.commands.discover.request import VERB as DISCOVER
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Request, Stored, Verb
-from cellapp.commands.registry import STORING, VERBS
+from cellapp.commands.registry import VERBS
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.show.request import OWN_PARTS, show_verb
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.view import view
+from cellapp.commands.storing import STORING
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.cli.derived import command_of

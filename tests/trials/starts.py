@@ -6,7 +6,6 @@ any failure ends the command with exit code 1.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import time
@@ -14,6 +13,9 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from statistics import median
+from typing import Annotated
+
+import typer
 
 from drivers.arms.ur import UrArm
 from tests.drivers.arms.emulated_ur_cell import HOSTS, drivers_of, emulated_cell
@@ -55,15 +57,18 @@ def say(line: str) -> None:
     sys.stdout.flush()
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Start ``--n`` times beside ``--busy`` processes that compute; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--n", type=int, default=500, help="starts of both arms")
-    parser.add_argument("--busy", type=int, default=0, help="processes that compute beside them")
-    asked = parser.parse_args(arguments)
+app = typer.Typer(pretty_exceptions_enable=False)
+
+
+@app.command()
+def starts(
+    n: Annotated[int, typer.Option("--n", min=1, help="Starts of both arms.")] = 500,
+    beside: Annotated[int, typer.Option("--busy", min=0, help="Processes that compute beside them.")] = 0,
+) -> None:
+    """Start both emulated arms' drivers again and again; exit code 1 if any start fails."""
     failed, took_s = 0, []
-    with emulated_cell(), busy(asked.busy):
-        for number in range(1, asked.n + 1):
+    with emulated_cell(), busy(beside):
+        for number in range(1, n + 1):
             began_s = time.monotonic()
             failures = failures_of_one_start()
             took_s.append(time.monotonic() - began_s)
@@ -73,9 +78,10 @@ def main(arguments: list[str] | None = None) -> int:
             if number % _SAY_EVERY == 0:
                 say(f"{number} starts, {failed} failed")
     each = f"{median(took_s):.2f} s each, {max(took_s):.2f} s at most"
-    say(f"{asked.n} starts of {len(HOSTS)} arms, {failed} failed; {each}")
-    return 1 if failed else 0
+    say(f"{n} starts of {len(HOSTS)} arms, {failed} failed; {each}")
+    if failed:
+        raise typer.Exit(1)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    app()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, create_model, model_validator
 
@@ -17,8 +17,6 @@ OWN_PARTS = ("overview", "plan", "collection", "log", "profile", "history")
 class ShowRequest(Request):
     """Print what a run holds; nothing is changed, and only --check and --forecast compute anything."""
 
-    storing: ClassVar[tuple[Verb, ...]] = ()
-    """The verbs whose stored results it shows."""
     folder: RunFolder
     part: Annotated[str, Asked("What to print.", argument=True)] = "overview"
     level: Annotated[str | None, Asked("With log: only lines of this level.", "WORD")] = None
@@ -53,5 +51,4 @@ def show_verb(verbs: Sequence[Verb]) -> Verb:
         __doc__=ShowRequest.__doc__,
         part=(annotated[parts, asked], first),
     )
-    request.storing = tuple(verbs)
     return Verb("show", request, chapter="commands")

@@ -15,6 +15,7 @@ from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.tables import profile_text
+from cellapp.commands.storing import STORING
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import Result
 
@@ -69,7 +70,7 @@ def _target(run: RunFile, name: str) -> Shown:
 def _stored(run: RunFile, request: ShowRequest) -> Shown:
     """The stored result of one verb, and whether it still holds."""
     results = read_results(run)
-    verb, how = next((verb, how) for verb in request.storing for how in verb.stored if how.part == request.part)
+    verb, how = next((verb, how) for verb in STORING for how in verb.stored if how.part == request.part)
     name = next((stage for stage in how.stages if getattr(results, stage) is not None), how.stages[-1])
     reason = {str(key): text for key, text in results.out_of_date.items()}.get(name, "")
     made_by = f"cellapp {how.made_by or verb.name}"

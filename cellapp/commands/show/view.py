@@ -10,6 +10,7 @@ from cellapp.commands.record import Request, View
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, Shown
 from cellapp.commands.show.tables import history_lines, log_lines, overview_sentences, overview_tables
+from cellapp.commands.storing import STORING
 
 
 def view(found: Shown, request: Request | None = None) -> View:
@@ -38,6 +39,5 @@ def _view_of(found: Shown, request: Request | None) -> View:
     if target is not None and found.results is not None and (state := stored_state(found.results, target)):
         details = target_details(state)
         return View((*details_tables(details), *details.sentences))
-    storing = () if asked is None else asked.storing
-    verb, how = next(((verb, how) for verb in storing for how in verb.stored if how.part == found.part), (PLAN, None))
+    verb, how = next(((verb, how) for verb in STORING for how in verb.stored if how.part == found.part), (PLAN, None))
     return verb.view(found.result) if how is None else verb.stored_view(how, found.result)

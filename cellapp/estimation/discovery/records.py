@@ -60,7 +60,7 @@ class RunnerUp(Record):
     effect: str
     statistic: float
     distinguishable: bool = Field(
-        validation_alias=AliasChoices("distinguishable", "told_apart"), serialization_alias="told_apart"
+        validation_alias=AliasChoices("told_apart", "distinguishable"), serialization_alias="told_apart"
     )
 
 

@@ -19,7 +19,7 @@ def write_page(run: RunFile) -> Path:
     return page.write_page(run)
 
 
-def certificate_page(result: CertificateResult) -> str:
+def draw_certificate(result: CertificateResult) -> str:
     """The page of a certificate as HTML."""
     from cellapp.interfaces.page.certificate_page import certificate_page as drawn
 

@@ -12,7 +12,7 @@ from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.progress import Listener, ignore
-from cellapp.interfaces.page import certificate_page, write_page
+from cellapp.interfaces.page import draw_certificate, write_page
 from cellapp.interfaces.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
             lambda profile_name: ask,
             outputs,
             write_page=write_page,
-            certificate_page=certificate_page,
+            certificate_page=draw_certificate,
         )
         return verb.run(request, given)
 

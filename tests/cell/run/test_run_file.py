@@ -417,7 +417,8 @@ WRITER = """
 import sys
 from pathlib import Path
 import numpy as np
-from cellapp.cell.run import Reading, RunFile
+from cellapp.cell.run import RunFile
+from cellapp.estimation.readings import Reading
 
 with RunFile.open(Path(sys.argv[1]), write=True) as run:
     stop = max(run.stops_done(), default=-1)

@@ -368,7 +368,8 @@ def test_the_doctor_finds_emulated_controllers_until_they_are_cancelled(real: Pr
     before = threading.active_count()
     emulate(profile, cancel, announced, on_free_ports(profile))
     assert threading.active_count() == before
-    assert "UR10 (CB3), serial 20153012345, at 127.0.0.2: dashboard " in str(listening[0])
+    first = listening[0]
+    assert (first.controller.model, first.controller.serial, first.host) == ("UR10", "20153012345", "127.0.0.2")
     failed = {subject for subject, finding in found.items() if finding.status == "failed"}
     assert failed == {"tracker"}
     assert found["arm left: payload"].text == "0.350 kg at [15.0, 7.0, 30.0] mm"

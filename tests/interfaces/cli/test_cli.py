@@ -571,7 +571,7 @@ BAD = [
     (None, "compare done done", ["done and done are the same run"]),
     (None, "compare done nothing", ["nothing: run folder not found"]),
     (newer, "compare done collected", ["written by a newer cellapp (schema 99"]),
-    (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-plan, "]),
+    (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-run, "]),
     (None, "push done targets.yaml --verify --iterate 0", ["--iterate: expected 1 to 20 rounds, got 0"]),
     (None, "push done targets.yaml --iterate 2", ["--iterate corrects what was measured; add --verify"]),
     (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
@@ -717,12 +717,20 @@ def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
 
 
 @pytest.mark.fast
-@pytest.mark.parametrize("arguments", [["nonsense"], ["plan"], ["plan", "twin.yaml"], ["collect", "--unknown", "done"]])
-def test_bad_usage(work: Path, call: Any, arguments: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nonsense"], "Usage"),
+        (["collect", "--unknown", "done"], "Usage"),
+        (["plan"], "cellapp: plan: PROFILE is missing"),
+        (["plan", "twin.yaml"], "cellapp: plan: --run DIR is missing"),
+    ],
+)
+def test_bad_usage(work: Path, call: Any, arguments: list[str], says: str) -> None:
     ended = call(*arguments)
     assert ended.code == 2
     assert ended.out == ""
-    assert "Usage" in ended.err
+    assert says in ended.err
 
 
 # -- processes --------------------------------------------------------------------------------------------------------
@@ -744,7 +752,7 @@ LIGHT = (
 """Commands that neither open the terminal application nor need several computers."""
 WATCH = """
 import sys
-from cellapp import cli
+from cellapp.interfaces import cli
 HEAVY = {"torch", "matplotlib", "pandas", "dask", "plotly", "playwright", "textual", "scipy.stats"}
 for command in sys.argv[1:]:
     sys.argv = ["cellapp", *command.split()]
@@ -914,7 +922,7 @@ def test_interrupted_before_the_command_begins_it_exits_with_four(
     def interrupt(profile: object) -> None:
         signal.raise_signal(number)
 
-    monkeypatch.setattr("cellapp.interfaces.cli.app.Job", interrupt)
+    monkeypatch.setattr("cellapp.interfaces.cli.derived.Job", interrupt)
     before = signal.getsignal(number)
     one_sentence(call("plan", "twin.yaml", "--run", "new"), "stopped on request", code=4)
     assert signal.getsignal(number) is before

@@ -35,6 +35,8 @@ READ = {
     *(
         "--run",
         "--from",
+        "--keep",
+        "--with-run",
         "--check",
         "--prior",
         "--answers",
