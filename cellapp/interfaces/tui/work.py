@@ -119,20 +119,6 @@ def _of_run(name: str, folder: Path, work: Callable[[RunFile, Listener, JobContr
     return Job(name, opened, folder)
 
 
-def on_run(
-    name: str, folder: Path, work: Callable[[RunFile, Listener, JobControl, Ask], Result], *, moves: bool = False
-) -> Job:
-    """A job that opens a run to add to it."""
-
-    def opened(listener: Listener, control: JobControl, ask: Ask) -> Result:
-        from cellapp.cell.run import RunFile
-
-        with RunFile.open(folder, write=True) as run:
-            return work(run, listener, control, ask)
-
-    return Job(name, opened, folder, moves=moves)
-
-
 def report_data(folder: Path | None) -> ReportData | None:
     """What plots of a calibrated run need; None where there is no calibration. For a thread of its own."""
     from cellapp.cell.run import RunFile

@@ -11,6 +11,7 @@ import pytest
 from textual.pilot import Pilot
 
 from cellapp.cell.run import ReferenceRow
+from cellapp.commands.record import Verb
 from cellapp.ground.control import Request
 from cellapp.ground.progress import (
     AirReport,
@@ -278,11 +279,12 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[HeldJob, dict[str, Any]
     """Collections that are asked for: each is held, with what was asked."""
     calls: list[tuple[HeldJob, dict[str, Any]]] = []
 
-    def collect(folder: Path, **how: bool) -> object:
+    def job_of(verb: Verb, folder: Path, **how: bool) -> object:
+        assert verb.name == "collect"
         calls.append((HeldJob(()), {"folder": folder, **how}))
         return calls[-1][0].job(folder=folder)
 
-    monkeypatch.setattr(work, "collect", collect)
+    monkeypatch.setattr(work, "job_of", job_of)
     return calls
 
 
