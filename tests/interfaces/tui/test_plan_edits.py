@@ -52,6 +52,7 @@ def table(app: CellApp) -> StopsTable:
 async def fill(pilot: Pilot[None], app: CellApp, dialog: type, field: str, text: str) -> None:
     """Answer a dialog by typing into its field."""
     await until(pilot, lambda: isinstance(app.screen, dialog), dialog.__name__)
+    await until(pilot, lambda: not app.screen.query(".-active"), "a button that was pressed a moment ago")
     app.screen.query_one(field, Input).value = text
     await pilot.press("enter")
 
