@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -42,9 +43,27 @@ def fleet(folders: Sequence[Path]) -> FleetResult:
     for folder in folders:
         for record in indexed_records(folder).records:
             records.setdefault(Path(record.run).resolve(), record)
-    by_time = sorted(records.values(), key=lambda record: (record.began, record.run))
-    empty = [] if by_time else [f"no runs below {', '.join(map(str, folders))}; 'cellapp run PROFILE' makes one"]
-    return fleet_result(by_time, [str(folder) for folder in folders], notes=empty)
+    by_time, notes = _each_once(sorted(records.values(), key=lambda record: (record.began, record.run)))
+    if not by_time:
+        notes.append(f"no runs below {', '.join(map(str, folders))}; 'cellapp run PROFILE' makes one")
+    return fleet_result(by_time, [str(folder) for folder in folders], notes=notes)
+
+
+def _each_once(records: Sequence[RunRecord]) -> tuple[list[RunRecord], list[str]]:
+    """The runs without copies of others, and a note on each that has some.
+
+    A copy began at the same instant and says the same of every arm: ten copies of a run are one measurement.
+    """
+    alike: dict[str, list[RunRecord]] = {}
+    for record in records:
+        content = record.model_copy(update={"notes": ()}).model_dump_json().replace(json.dumps(record.run, ensure_ascii=False), "")
+        alike.setdefault(content if record.began and record.arms else record.run, []).append(record)
+    notes = [
+        f"{first.run} counts once; copies of it: {', '.join(one.run for one in copies)}"
+        for first, *copies in alike.values()
+        if copies
+    ]
+    return [first for first, *_ in alike.values()], notes
 
 
 def compare_many(folders: Sequence[Path]) -> FleetResult:

@@ -65,7 +65,8 @@ def _write_new(path: Path, content: bytes, mode: int) -> None:
     try:
         handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, mode)
     except OSError as error:
-        raise InputError(f"sign-key: {path}: cannot be made ({error.strerror})") from None
+        missing = "" if path.parent.is_dir() else f": there is no folder {path.parent}; make it first"
+        raise InputError(f"sign-key: {path}: cannot be made ({error.strerror}){missing}") from None
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)

@@ -145,6 +145,17 @@ def test_each_run_counts_once_and_one_that_cannot_be_read_is_a_row(worn: Path, t
     assert ("broken", "cannot be read") in [(row[0].split("/")[-1], row[2]) for row in runs_table(result).text_rows()]
 
 
+def test_copies_of_a_run_are_one_measurement(worn: Path, tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        shutil.copytree(worn / "m0", tmp_path / name)
+    shutil.copytree(worn / "m1", tmp_path / "later")
+    result = fleet([tmp_path])
+    assert len(result.runs) == 2
+    assert [note for note in result.notes if "counts once" in note] == [
+        f"{tmp_path / 'a'} counts once; copies of it: {tmp_path / 'b'}, {tmp_path / 'c'}"
+    ]
+
+
 def test_a_plan_alone_is_a_run_without_figures(tmp_path: Path) -> None:
     planned_run(tmp_path / "plan").close()
     result = fleet([tmp_path])
