@@ -56,7 +56,8 @@ def _each_once(records: Sequence[RunRecord]) -> tuple[list[RunRecord], list[str]
     """
     alike: dict[str, list[RunRecord]] = {}
     for record in records:
-        content = record.model_copy(update={"notes": ()}).model_dump_json().replace(json.dumps(record.run, ensure_ascii=False), "")
+        path = json.dumps(record.run, ensure_ascii=False)
+        content = record.model_copy(update={"notes": ()}).model_dump_json().replace(path, "")
         alike.setdefault(content if record.began and record.arms else record.run, []).append(record)
     notes = [
         f"{first.run} counts once; copies of it: {', '.join(one.run for one in copies)}"

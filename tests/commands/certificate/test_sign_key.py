@@ -64,7 +64,7 @@ def test_a_link_to_nowhere_is_not_followed(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_missing_and_a_name_of_a_public_key_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no folder .* make it first"):
+    with pytest.raises(InputError, match=r"there is no folder .* make it first"):
         new_sign_key(tmp_path / "nowhere" / "lab.key")
     with pytest.raises(InputError, match=r"must not end in \.pub"):
         new_sign_key(tmp_path / "lab.pub")
