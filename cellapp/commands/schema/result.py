@@ -10,6 +10,7 @@ from cellapp.ground.results import Result
 class SchemaResult(Result):
     """``schema``: JSON schemas as a text, which is its JSON, too."""
 
+    has_own_schema = False
     schema_: Literal["cellapp-schema"] = "cellapp-schema"
     version: Literal[1] = 1
     text: str
