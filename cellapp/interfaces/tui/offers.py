@@ -28,7 +28,7 @@ BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
 WRITE = (Answer("write", "Write", "ctrl+s", "success"), Answer("no", "Close", "f10"))
 USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
 """Answers where the model is out of date; the first one has the focus."""
-_READING_WIDTH = 76
+_READING_WIDTH = 66
 """Characters of a line of a text that fits into the narrowest terminal."""
 _SPEEDS = ((1, "1"), (10, "2"), (100, "3"))
 """Speeds of a replay and their keys."""
