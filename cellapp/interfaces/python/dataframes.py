@@ -7,14 +7,16 @@ column that has a unit to it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.python.api import Run
 from cellapp.interfaces.python.frames import parameters_frame, readings_frame, residuals_frame, targets_frame
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["parameters", "readings", "residuals", "targets"]
 

@@ -301,11 +301,11 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
         await ask(pilot, app, "g", VerbQuestion)
         fill(app, path="mine.pem", passphrase=PASSPHRASE)
         app.screen.query_one("#passphrase-again", Input).value = "another one"
-        await pilot.press("enter", "m")
+        await pilot.press("enter")
         assert "passphrase differ: type the same one twice" in shown_text(app)
         app.screen.query_one("#passphrase-again", Input).value = PASSPHRASE
         assert PASSPHRASE not in shown_text(app)
-        await pilot.press("enter", "m")
+        await pilot.press("enter")
         await until(pilot, lambda: isinstance(app.screen, Reading), "the key")
         assert "mine.pub" in shown_text(app)
         await pilot.press("q")
@@ -313,7 +313,7 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
             await ask(pilot, app, "s", VerbQuestion)
             assert app.screen.query_one("#key", Input).value == "mine.pem", "the key that was made"
             fill(app, number="K-1", passphrase=passphrase)
-            await pilot.press("enter", "w")
+            await pilot.press("enter")
             await ended(pilot, app)
             await until(pilot, lambda says=says: says in app.message, "how it ended")  # type: ignore[misc]
         assert tab(app) == "certificate-pane"
@@ -323,7 +323,7 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
             certificate.write_bytes(certificate.read_bytes() + content)
             await ask(pilot, app, "f", VerbQuestion)
             app.screen.query_one("#public-key", Input).value = "mine.pub"
-            await pilot.press("enter", "c")
+            await pilot.press("enter")
             await ended(pilot, app)
             await until(pilot, lambda says=says: says in shown_text(app), "the check")  # type: ignore[misc]
         assert PASSPHRASE not in log_text(app)
