@@ -14,13 +14,13 @@ FOLDERS = sorted({path.parent for path in TESTS.rglob("test_*.py")})
 
 
 TESTED_ELSEWHERE = {
-    "interfaces/page": ("calibrate", "collect", "discover", "report", "show", "view"),
-    "interfaces/cli": ("at_rest", "run", "schema"),
+    "interfaces/page": ("calibrate", "collect", "discover", "report", "view"),
+    "interfaces/cli": ("at_rest", "demo", "run", "schema"),
     "commands": ("check_certificate", "sign_key"),
     "cell/targets": ("compensate", "follow", "push"),
     "cell/run": ("import_",),
     "cell/programs": ("correct",),
-    "cell/driving": ("locate",),
+    "cell/driving": ("locate", "replay"),
     "handbook": ("docs",),
 }
 """Folder of tests -> verbs that are tested there, with what they call or with what shows them."""

@@ -59,11 +59,23 @@ def test_identification_of_27_parameters_at_400_configurations(benchmark):
     found = benchmark(identify, start, q, p_M)
     assert (len(found.names), found.iterations) == (27, 3)
     A, b = least_squares_of(start, q)
-    times = times_of(200, lambda: identify(start, q, p_M), lambda: np.linalg.lstsq(A, b, rcond=None))
-    (ours, theirs), (least, their_least) = np.median(times, axis=0), times.min(axis=0)
+    columns = found.parameter_set.columns
+
+    def floor():
+        """What three iterations cannot do without: a Jacobian and a normal matrix each."""
+        for _ in range(found.iterations):
+            _, J = jacobian(start, JointAngles.of(q), columns)
+            rows = J.transpose(0, 2, 1).reshape(-1, len(columns))
+            rows.T @ rows
+
+    times = times_of(200, lambda: identify(start, q, p_M), lambda: np.linalg.lstsq(A, b, rcond=None), floor)
+    ours, theirs, _ = np.median(times, axis=0)
+    least, _, least_floor = times.min(axis=0)
     benchmark.extra_info["ratio_to_lstsq"] = ours / theirs
     print(f"\nidentify / numpy.linalg.lstsq (1200 x 27): {ours / theirs:.2f}")  # noqa: T201
-    assert least / their_least < 6.0  # well above what the handbook states: only a real loss trips it
+    # against the floor, 2.3 where it was measured: lstsq is one call of LAPACK and gains more by wide vector registers
+    # (ratio 7 there, 4.5 elsewhere), and only a real loss shall trip this
+    assert least / least_floor < 3.5
 
 
 @pytest.mark.benchmark(group="400 configurations, 27 parameters")

@@ -141,6 +141,7 @@ def test_what_a_run_does_not_have_yet_is_said_with_the_command(tmp_path: Path, r
 
 def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    monkeypatch.delitem(sys.modules, "cellapp.interfaces.python.dataframes")
+    for module in ("dataframes", "frames"):
+        monkeypatch.delitem(sys.modules, f"cellapp.interfaces.python.{module}", raising=False)
     with pytest.raises(ImportError, match=r"need pandas; install it with: pip install 'cellapp\[pandas\]'"):
         importlib.import_module("cellapp.interfaces.python.dataframes")
