@@ -71,11 +71,6 @@ _APART_M = 0.5
 """Between two positions; their distance changes their uncertainty by nothing that matters here."""
 
 
-def judged_here(characteristic: Characteristic) -> bool:
-    """Whether it can be said beforehand what would be shown of a characteristic."""
-    return characteristic in _FORMULAS
-
-
 def least_shown_mm(characteristic: Characteristic, instrument: Instrument, distance_m: float, n: int) -> float:
     """Characteristic plus its expanded uncertainty [mm] of an arm without error, ``n`` cycles: the median of a few."""
     count, formula = _FORMULAS[characteristic]

@@ -97,11 +97,8 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
 
 def _show(job: Job, shown: View, result: Result) -> None:
     """Print the tables and sentences of a view in their order, then write the JSON of its result."""
-    for part in () if shown.is_json and job.writes_json else shown.parts:
-        if isinstance(part, str):
-            job.say(part)
-        else:
-            job.show([part])
+    if not (shown.is_json and job.writes_json):
+        job.show_view(shown.parts)
     job.result(result)
 
 
