@@ -45,7 +45,7 @@ def scores(runs: Sequence[ScoredRun]) -> Scores:
         posteriors=posteriors,
         seconds_an_arm=Spread.of([found.seconds for found in every]),
         cpu_seconds_an_arm=Spread.of([found.cpu_seconds for found in every]),
-        misses=tuple(miss for run in runs for miss in _misses(run)),
+        misses=tuple(miss for run in runs for miss in [_miss(run, arm) for arm in run.arms if _missed(run, arm)]),
         trials=tuple(runs),
     )
 
@@ -126,11 +126,6 @@ def _end_state(arms: Sequence[ArmFindings]) -> EndState:
         heldout_to_stated=Spread.of([found.to_stated for found in arms if found.to_stated is not None]),
         verdicts={word: verdicts.count(word) for word in VERDICTS if word in verdicts},
     )
-
-
-def _misses(run: ScoredRun) -> list[Miss]:
-    """The arms of a run in which not exactly the hidden effects were found."""
-    return [_miss(run, arm) for arm in run.arms if _missed(run, arm)]
 
 
 def _missed(run: ScoredRun, arm: str) -> bool:

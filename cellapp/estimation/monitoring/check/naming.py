@@ -196,7 +196,7 @@ def _cause(design: Design, found: _Found, sizes: Array, covariance: Array) -> Ca
     own = slice(len(sizes) - len(fit.members), len(sizes))
     coordinates = fit.stops.rows.shape[1]
     behind = [
-        (_behind(its, fit, coordinates), one)
+        (min(0.5 * (its.chi_squared - fit.chi_squared), fit.gain(coordinates) - its.gain(coordinates)), one)
         for one, its in zip(found.alternatives, found.fits, strict=True)
         if one is not chosen
     ]
@@ -212,11 +212,6 @@ def _cause(design: Design, found: _Found, sizes: Array, covariance: Array) -> Ca
             design.name_of(one) for by, one in behind if by <= SURE and _tells(design, chosen, sizes[own], one)
         ),
     )
-
-
-def _behind(its: _Fit, best: _Fit, coordinates: int) -> float:
-    """By how much the log likelihood of a fit is less than that of the best one, by itself or with its few numbers."""
-    return min(0.5 * (its.chi_squared - best.chi_squared), best.gain(coordinates) - its.gain(coordinates))
 
 
 def _best(fits: Sequence[_Fit], coordinates: int) -> int:
