@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cellapp.commands.record import Writes
+from cellapp.ground.outputs import Writes
 
 if TYPE_CHECKING:
     from cellapp.ground.scale.executor import Resources
