@@ -69,7 +69,7 @@ def _serve(profile_text: str, pipe: Connection) -> None:
         lambda _: pipe.send(ports[0]),
         arms,
         pace=PACE,
-        tracker=EmulatedTracker("127.0.0.1", 0),
+        tracker=EmulatedTracker(host="127.0.0.1", port=0),
         announce_tracker=lambda where: ports.append(where.port),
     )
 
