@@ -16,7 +16,8 @@ import pytest
 from cellapp.cell.driving.cell import tracker_driver
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
 from cellapp.commands.doctor.run import examine
-from cellapp.commands.emulate.run import EmulatedTracker, emulate, emulated_arms, emulated_tracker
+from cellapp.commands.emulate.result import EmulatedTracker
+from cellapp.commands.emulate.run import emulate, emulated_arms, emulated_tracker
 from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
 from cellapp.commands.tracker_bridge.run import serve_tracker
 from cellapp.commands.tracker_bridge.view import view

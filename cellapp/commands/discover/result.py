@@ -48,12 +48,8 @@ def proposal_result(proposed: ProposedStops, first: int | None, notes: Sequence[
 
 
 def _question(predicted: PredictedDiscrimination) -> ProposalQuestion:
-    return ProposalQuestion(
-        effect=predicted.effect,
-        against=predicted.against or None,
-        needed=predicted.needed,
-        discrimination=Discrimination(now=predicted.now, proposed=predicted.proposed, random=predicted.random),
-        gain_over_random=predicted.gain_over_random,
+    return ProposalQuestion.like(
+        predicted, against=predicted.against or None, discrimination=Discrimination.like(predicted)
     )
 
 

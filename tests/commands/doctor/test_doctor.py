@@ -17,7 +17,8 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.doctor.run import LONGEST_PROBE_S, examine, examine_run, probe_devices, repeatable_devices
-from cellapp.commands.emulate.run import EmulatedArm, emulate, emulated_arms
+from cellapp.commands.emulate.result import EmulatedArm
+from cellapp.commands.emulate.run import emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
