@@ -103,14 +103,11 @@ class SmrSearch:
         found = self._search(name, state)
         if isinstance(found, FoundPoint):
             self.found.append(found)
-            self._learn(found)
+            # compute the station again, unless it predicted the point well enough already
+            if found.found_off_m > _KNOWN_M or self._reach_m(found.point.p_M) > _REACH_M[0]:
+                fit = fit_station(self.model, self.points(), self.T_new_old, excess_m=self.excess_m, rough=self._rough)
+                self._so_far = fit.T_new_old, fit.covariance
         return found
-
-    def _learn(self, found: FoundPoint) -> None:
-        """Compute the station again, unless it predicted the point well enough already."""
-        if found.found_off_m > _KNOWN_M or self._reach_m(found.point.p_M) > _REACH_M[0]:
-            fit = fit_station(self.model, self.points(), self.T_new_old, excess_m=self.excess_m, rough=self._rough)
-            self._so_far = fit.T_new_old, fit.covariance
 
     def _reach_m(self, p_M: Vector) -> float:
         """How far from a predicted point (3,) [m] its SMR is searched for."""
@@ -121,7 +118,9 @@ class SmrSearch:
     def _search(self, name: str, state: ArmState) -> FoundPoint | str:
         conditions = self._conditions(name, state)
         others = {other: q for other, q in self.mover.positions().items() if other != name}
-        expected = self._expected(name, state.q, conditions, others)
+        # where the SMR of an arm is predicted from the station so far, (3,) [m]
+        own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
+        expected = np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
         reach_m, problem = self._reach_m(expected), ""
         for offset in lattice(reach_m):
             self.checkpoint()
@@ -135,13 +134,6 @@ class SmrSearch:
             repeats_M = np.array([one.p_M for one in points])
             return FoundPoint(name, state.q, mean_point(points), repeats_M, conditions, off_m, others)
         return f"arm {name}: no SMR within {reach_m * 1e3:.0f} mm of its prediction: {problem}"
-
-    def _expected(
-        self, name: str, q: Vector, conditions: MeasurementConditions, others: Mapping[str, Vector]
-    ) -> Vector:
-        """Where the SMR of an arm is predicted from the station so far, (3,) [m]."""
-        own = ArmPoints(q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
-        return np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
 
     def _conditions(self, name: str, state: ArmState) -> MeasurementConditions:
         """What is known of the arm where it came to rest, one row."""

@@ -397,7 +397,7 @@ def test_a_port_in_use_is_named_and_nothing_is_left_open(twin: Profile) -> None:
     with UrControllerServer([other]) as server:
         _, taken = server.addresses.arms["other"]["dashboard"]
         left, right = on_free_ports(twin)
-        arms = [left, replace(right, dashboard_port=taken)]
+        arms = [left, right.model_copy(update={"dashboard_port": taken})]
         with pytest.raises(HardwareError, match=rf"arm right: cannot listen on 127\.0\.0\.3:{taken}"):
             emulate(twin, CancelToken(), lambda _: None, arms)
     assert threading.active_count() == before

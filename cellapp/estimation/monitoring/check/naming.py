@@ -240,7 +240,8 @@ def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int],
         base=points if moves else None,
         linear=[k for k in whole if design.directions[k].kind not in ("tracker", "base")],
     )
-    left = _chi_squared(found.stops, whole)
+    moments = Moments.of(found.stops)
+    left = float(np.sum((after(moments, whole) if whole else moments).white ** 2))
     motion = {"tracker": found.tracker, "base": found.base}.get(one.kind) if moves else None
     station = found.tracker if belief.station_free else np.eye(4)
     return _Fit(members, found.stops, left, before - left, len(basis), motion, station)
@@ -254,8 +255,3 @@ def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative)
     basis = np.linalg.qr(whole[[*rival.members, *free]].T)[0]
     left = moved - basis @ (basis.T @ moved)
     return float(np.linalg.norm(left)) > _INSEPARABLE * float(np.linalg.norm(moved))
-
-
-def _chi_squared(stops: StopRows, nuisance: Sequence[int]) -> float:
-    moments = Moments.of(stops)
-    return float(np.sum((after(moments, nuisance) if nuisance else moments).white ** 2))
