@@ -89,6 +89,19 @@ def check_splits(words: Sequence[str | None]) -> None:
             raise ValueError(f"'{word}' is not a split; splits are {', '.join(SPLITS)}")
 
 
+def update_splits(connection: sqlite3.Connection, arm: str, names: Sequence[str | None]) -> None:
+    """Store the split of each reading of an arm, in the order of ``select_readings``."""
+    stops = connection.execute(
+        "SELECT configuration FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
+    ).fetchall()
+    if len(stops) != len(names):
+        raise ValueError(f"{len(names)} splits for the {len(stops)} readings of arm {arm}")
+    connection.executemany(
+        "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
+        ((name, arm, stop) for name, (stop,) in zip(names, stops, strict=True)),
+    )
+
+
 def vectors_from_json(texts: Sequence[str]) -> NDArray[np.float64]:
     """A matrix from the JSON texts of its rows; null is NaN."""
     return np.array(json.loads("[" + ",".join(texts) + "]"), dtype=np.float64)
