@@ -58,6 +58,7 @@ from cellapp.cell.run.sqlite_file import (
     sync_folder,
 )
 from cellapp.estimation.readings.readings import Reading, Readings
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.plugins import program_of
@@ -311,7 +312,7 @@ class RunFile:
                 "SELECT configuration FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
             ).fetchall()
             if len(stops) != len(names):
-                raise ValueError(f"{len(names)} splits for the {len(stops)} readings of arm {arm}")
+                raise ValueError(f"{len(names)} splits for the {counted(len(stops), 'reading')} of arm {arm}")
             connection.executemany(
                 "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
                 ((name, arm, stop) for name, (stop,) in zip(names, stops, strict=True)),

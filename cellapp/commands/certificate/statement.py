@@ -24,6 +24,7 @@ from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import expanded_mm, position_budget
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.records import Characteristic
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, CERTIFICATE, COMPENSATE, ISO9283, VERIFY
 
@@ -263,7 +264,10 @@ def _limits(results: StageResults, verify: VerifyResult | None) -> list[str]:
         sentences += _not_measured(arm, [target.name for target in own if target.final_mm is None], len(own))
         corrected = sum(target.corrected_mm is not None for target in own)
         if corrected:
-            sentences.append(f"Arm {arm}: {corrected} of {len(own)} targets were corrected by measuring them.")
+            sentences.append(
+                f"Arm {arm}: {corrected} of {counted(len(own), 'target was', 'targets were')} corrected by"
+                " measuring them."
+            )
         sentences += _conditions(results, arm)
     return sentences
 
@@ -272,7 +276,10 @@ def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
     if not names:
         return []
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return [f"Arm {arm}: {len(names)} of {count} targets were not measured: {', '.join(names[:_MOST_NAMED])}{more}."]
+    return [
+        f"Arm {arm}: {len(names)} of {counted(count, 'target was', 'targets were')} not measured:"
+        f" {', '.join(names[:_MOST_NAMED])}{more}."
+    ]
 
 
 def _conditions(results: StageResults, arm: str) -> list[str]:

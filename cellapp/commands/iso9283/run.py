@@ -32,6 +32,7 @@ from cellapp.estimation.iso9283.coverage import coverage
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands
 from cellapp.estimation.iso9283.records import Iso9283Result, IsoConditions
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
@@ -201,7 +202,9 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
     if task.profile.plant is not None and not task.profile.moves_hardware:
         notes.append("measured in a simulated cell")
     if task.cycles < NORM_CYCLES["pose"]:
-        notes.append(f"{task.cycles} cycles were asked for; the norm's number is {NORM_CYCLES['pose']}")
+        notes.append(
+            f"{counted(task.cycles, 'cycle was', 'cycles were')} asked for; the norm's number is {NORM_CYCLES['pose']}"
+        )
     if "cooperative" in task.tests and len(task.arms) < 2:
         notes.append("no cooperative test was made: it needs two arms")
     if "drift" in task.tests and task.drift_s < NORM_DRIFT_MIN * 60.0:

@@ -22,6 +22,7 @@ from cellapp.estimation.iso9283.records import (
     PoseCharacteristics,
 )
 from cellapp.estimation.uncertainty.records import overall
+from cellapp.ground.counting import counted
 
 _UNCERTAIN_SHARE = 0.25
 """The norm's limit of the uncertainty of measuring, as share of the characteristic (6.5)."""
@@ -126,7 +127,8 @@ def _conditions(result: Iso9283Result) -> Iterator[str]:
         low, high = made.temperature_c
         air = f"; air {low:.1f} degC" if high - low < 0.05 else f"; air {low:.1f} to {high:.1f} degC"
     yield (
-        f"{made.cycles} cycles at {made.speed_share:.0%} of the profile's speed, {made.dwell_s:g} s of rest before each"
+        f"{counted(made.cycles, 'cycle')} at {made.speed_share:.0%} of the profile's speed, {made.dwell_s:g} s of"
+        " rest before each"
         f" measurement of {made.averaging_s:g} s; payload: {loads}{air}; {made.seconds / 60.0:.0f} min in all"
     )
 
@@ -135,7 +137,8 @@ def _bases(result: Iso9283Result) -> Iterator[str]:
     for name, arm in result.arms.items():
         if arm.base is not None:
             yield (
-                f"arm {name}: base and SMR fitted to {arm.base.n} positions, residuals {arm.base.rms_mm:.3f} mm rms;"
+                f"arm {name}: base and SMR fitted to {counted(arm.base.n, 'position')}, residuals"
+                f" {arm.base.rms_mm:.3f} mm rms;"
                 f" the fit adds {arm.base.uncertainty_mm:.3f} mm to the standard uncertainty of a commanded coordinate"
             )
 

@@ -38,7 +38,7 @@ class Description:
     variables : tuple of str
         What it depends on.
     size_um : float
-        Rms displacement of the SMR, without the part that the other parameters can explain [um].
+        Rms displacement of the SMR, without the part that the other parameters can explain [µm].
     formula : str
         Short formula; empty where none explains the effect as well as the curve.
     gain : float, optional
@@ -70,12 +70,12 @@ def describe(data: ArmData, fit: JointFit, number: int) -> Description:
         length = fit.terms[number].law.constants[FIELD_LENGTH.name]
         sentence = (
             f"{channel.name} depends on the position, a field over the workspace that changes within some"
-            f" {length:.1g} m; {size_um:.0f} um rms at the SMR"
+            f" {length:.1g} m; {size_um:.0f} µm rms at the SMR"
         )
         return Description(channel.name, names, size_um, "", None, (), sentence)
     formula, gain = _formula(data, fit, number, channel, variables, values)
     shape = f", about {formula}" if formula else ""
-    sentence = f"{channel.name} depends on {' and '.join(names)}{shape}; {size_um:.0f} um rms at the SMR"
+    sentence = f"{channel.name} depends on {' and '.join(names)}{shape}; {size_um:.0f} µm rms at the SMR"
     one_curve = len(variables) == 1 and fit.term_columns(number)[0].joint is not None
     curve = _curve(fit, number, values[0]) if one_curve else ()
     return Description(channel.name, names, size_um, formula, gain, curve, sentence)
@@ -86,7 +86,7 @@ def _contradiction(fit: JointFit, number: int) -> Description:
     term, size_um = fit.terms[number], _visible_rms(fit, number) * 1e6
     places = dict.fromkeys(column.where for column in fit.term_columns(number))
     names = sorted(variable.value for variable in term.law.form.variables)
-    sentence = f"{term.note}; {size_um:.0f} um rms at the SMR"
+    sentence = f"{term.note}; {size_um:.0f} µm rms at the SMR"
     return Description(", ".join(places), tuple(names), size_um, "", None, (), sentence)
 
 

@@ -43,6 +43,7 @@ from cellapp.estimation.discovery.structure import structure_left
 from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
 from cellapp.estimation.discovery.verdict import sampling_allowance, verdict
 from cellapp.estimation.readings import Readings
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
@@ -361,7 +362,7 @@ def _gap_steps(
     if found.dropped:
         steps.append(GapStep(f"dropped in review: {_titles(found.dropped)}", "", after_mm))
     if fitted is not None:
-        steps.append(GapStep(f"fitted to all {fitted} readings", "", after_mm))
+        steps.append(GapStep(f"fitted to all {counted(fitted, 'reading')}", "", after_mm))
     return tuple(steps)
 
 

@@ -17,6 +17,7 @@ from cellapp.estimation.iso9283.records import (
     IsoStatus,
     IsoValue,
 )
+from cellapp.ground.counting import counted
 
 NOT_ASKED = "not asked for"
 NOT_MEASURED = "asked for, and no two cycles were measured"
@@ -135,7 +136,7 @@ def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: s
         return "not done", refused or stopped or NOT_MEASURED
     norm = asked.cycles or NORM_CYCLES[asked.test]
     n = min(value.n for values in found.values() for value in values)
-    words = f"{n} of {norm} cycles" if n < norm else f"{n} cycles"
+    words = f"{n} of {counted(norm, 'cycle')}" if n < norm else counted(n, "cycle")
     short = n < norm
     if asked.test == "drift":
         minutes = max(made.drift.minutes for made in arm.tests.values() if made.drift is not None)

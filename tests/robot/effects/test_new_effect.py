@@ -102,7 +102,7 @@ def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discov
     term = EffectTerm(
         "unknown", ("half_play2",), np.array([-4e-5]), np.array([1e-6]), ("rad",), form.law(), note=sentence
     )
-    described = Description("joint 2", ("approach",), 31.4, "", None, (), f"{sentence}; 31 um rms at the SMR")
+    described = Description("joint 2", ("approach",), 31.4, "", None, (), f"{sentence}; 31 µm rms at the SMR")
     wrong = replace(accepted, term=term, joints=(2,), acts_on=("joint 2",), description=described)
     modulation = Modulation(accepted.term.law_names[0], Variable(Quantity.PAYLOAD), 1, low=0.5, high=5.0)
     free = replace(

@@ -30,6 +30,7 @@ from cellapp.estimation.iso9283.records import (
     PathCharacteristics,
     SpeedSeries,
 )
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
@@ -99,16 +100,18 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
         groups = found.measured.groups(place) or [0]
         n = min(len(found.measured.at(place, group)) for group in groups)
         if n < wanted:
-            words.append(f"{place}: {n} of {wanted} cycles: {found.missed.get(place, _ENDED)}")
+            words.append(f"{place}: {n} of {counted(wanted, 'cycle')}: {found.missed.get(place, _ENDED)}")
     for runs in found.paths:
         if (n := len(runs.tracks)) < runs.wanted:
             at = f", {runs.series:.0%} of the speed" if runs.series else ""
             where = f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}"
-            words.append(f"{where}: {n} of {runs.wanted} cycles: {'; '.join(runs.problems) or _ENDED}")
+            words.append(f"{where}: {n} of {counted(runs.wanted, 'cycle')}: {'; '.join(runs.problems) or _ENDED}")
     for motions in found.settling:
         if (n := len(motions.tracks)) < motions.wanted:
             where = f"stabilisation of {motions.arm}, {motions.commands} commands"
-            words.append(f"{where}: {n} of {motions.wanted} motions: {'; '.join(motions.problems) or _ENDED}")
+            words.append(
+                f"{where}: {n} of {counted(motions.wanted, 'motion')}: {'; '.join(motions.problems) or _ENDED}"
+            )
     for name, refused in found.refused.items():
         if set(tests) - {"cooperative"} <= set(refused):
             words += [f"arm {name}: {reason}" for reason in dict.fromkeys(refused.values())]
