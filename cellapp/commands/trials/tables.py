@@ -96,7 +96,7 @@ def refused(result: JudgeResult | MatrixResult) -> str:
 def setup_words(setup: Setup) -> str:
     """The conditions of a set of trials in words."""
     said = [f"kind {setup.hides}", f"noise {setup.noise}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
-    said.append(f"masses {100 * setup.mass_error:.0f} % of")
+    said.append(f"masses {100 * setup.mass_error:.0f} % off")
     return ", ".join([*said, *([] if setup.stated else ["no stated uncertainty"])])
 
 
