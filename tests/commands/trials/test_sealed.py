@@ -632,7 +632,7 @@ def test_the_table_for_the_readme_ends_with_date_seed_and_program() -> None:
         "noise heavy",
         "2026-01-02",
         "run-0009: broken",
-        "1 run in",
+        "1 run was",
     ):
         assert word in last, word
     assert last.endswith(judge_sentences(result)[-1])
