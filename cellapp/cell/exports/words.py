@@ -26,11 +26,11 @@ class Form(Protocol):
 _TOGETHER = "all that is not rigid"
 
 
-def form_line(form: Form) -> str:
-    """The first line of every file."""
+def form_line(form: Form, *, simulated: bool) -> str:
+    """The first line of every file; ``simulated`` is the cell, whose numbers must not pass for a real one's."""
     plugin = all_formats().plugin(form.name)
     writer = "cellapp" if plugin is None else f"{plugin.distribution} {plugin.version}, a plug-in of cellapp"
-    return f"{form.what[0].upper()}{form.what[1:]}, by {writer}."
+    return f"{form.what[0].upper()}{form.what[1:]}, by {writer}{', of a simulated cell' if simulated else ''}."
 
 
 def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | None) -> list[str]:

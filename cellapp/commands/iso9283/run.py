@@ -199,7 +199,7 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
         )
     else:
         notes += stale_notes(stages, used)
-    if task.profile.plant is not None and not task.profile.moves_hardware:
+    if task.profile.is_simulated:
         notes.append("measured in a simulated cell")
     if task.cycles < NORM_CYCLES["pose"]:
         notes.append(

@@ -20,7 +20,6 @@ from cellapp.commands.view.acceptance_words import judged_sentence
 from cellapp.commands.view.charts import enumerated, mm
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.uncertainty.records import Judgement
-from cellapp.ground.counting import counted
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, StageName
 from cellapp.ground.times import day_of
 from cellapp.interfaces.page.page_parts import PageParts
@@ -171,9 +170,9 @@ def _collection_message(state: CollectionResult | None) -> str:
     if state is None:
         return ""
     count = len(state.sessions)
-    parts = [counted(count, "session")]
+    parts = [f"{count} session{'s' if count != 1 else ''}"]
     missing = len(state.missing)
-    parts.append(f"{counted(missing, 'planned reading')} missing" if missing else "no planned reading missing")
+    parts.append(f"{missing} planned readings missing" if missing else "no planned reading missing")
     drifts = [reference.drift_mm for reference in state.references]
     if drifts:
         parts.append(f"references moved by at most {mm(max(drifts))}, limit {mm(state.drift_limit_mm)}")
@@ -187,7 +186,7 @@ def _parameters_message(data: ReportData) -> str:
         nominal = data.calibrated.arms[name].nominal
         values = dict(zip(parameter_names(nominal.joints), nominal.vector().tolist(), strict=True))
         changes = {key: arm.identified[key].value - values[key] for key in arm.identified if _CHAIN_LENGTH.match(key)}
-        words = f"{counted(len(arm.identified), 'parameter')} of arm {name}"
+        words = f"{len(arm.identified)} parameters of arm {name}"
         if changes:
             key = max(changes, key=lambda length: abs(changes[length]))
             words += f" ({key} is off nominal most, by {changes[key] * 1e3:+.3f} mm)"
@@ -203,8 +202,8 @@ def _cell_message(data: ReportData) -> str:
 
 def _notes_message(data: ReportData) -> str:
     notes, missing = len(warnings(data)), len(missing_results(data))
-    parts = [counted(notes, "warning or note", "warnings or notes")] if notes else []
-    parts += [f"{counted(missing, 'result')} not in this report"] if missing else []
+    parts = [f"{notes} warning{'s' if notes != 1 else ''} or note{'s' if notes != 1 else ''}"] if notes else []
+    parts += [f"{missing} result{'s' if missing != 1 else ''} not in this report"] if missing else []
     return f"{enumerated(parts)}." if parts else ""
 
 
@@ -212,8 +211,7 @@ def _provenance_message(data: ReportData) -> str:
     origin = data.calibrate.provenance
     count = sum(len(readings) for readings in data.readings.values())
     return (
-        f"Calibrated by {origin.program} on {day_of(origin.written)} from {counted(count, 'reading')}; hashes"
-        " identify the data."
+        f"Calibrated by {origin.program} on {day_of(origin.written)} from {count} readings; hashes identify the data."
     )
 
 
