@@ -141,6 +141,8 @@ def _task(
         speed=request.speed / 100.0,
         drift_s=request.drift_minutes * 60.0,
         also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
+        also_loads=request.also_loads,
+        forces=request.forces,
         cubes={} if other is None else other.cubes,
     )
 
@@ -162,7 +164,7 @@ def _driven(
     try:
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
-        if findings.measured.visits or findings.paths or findings.settling:
+        if findings.measured.visits or findings.paths or findings.settling or findings.weaving:
             with suppress(InputError):  # the reason of the stop is the one to report
                 _store(run, used, _result(run.profile, task, other, findings, began, f"stopped: {error}"), findings)
         raise
@@ -226,6 +228,7 @@ def _result(
         averaging_s=profile.tracker.averaging,
         commands=task.commands,
         also_speeds=task.also_speeds,
+        also_loads=task.also_loads,
         began=began,
         seconds=found.seconds,
         temperature_c=(min(air), max(air)) if air else None,
@@ -241,6 +244,7 @@ def _result(
         missing=missing_words(found, task.tests),
         stopped=stopped,
         notes=tuple(dict.fromkeys(found.notes)),
+        by_person=tuple(found.by_person),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from cellapp.commands.iso9283.by_hand_tables import by_hand_sentences, by_hand_tables
 from cellapp.commands.iso9283.cells import pair_columns, series_of, tests_of, value_cells
 from cellapp.commands.iso9283.norm_tables import abilities_table, coverage_table
 from cellapp.commands.iso9283.path_tables import path_tables
@@ -49,6 +50,7 @@ def iso9283_tables(result: Iso9283Result) -> list[Table]:
         _judgements(result),
         _poses(result),
         _series(result),
+        *by_hand_tables(result),
         _axes(result),
         _cooperative(result),
         _directions(result),
@@ -76,6 +78,7 @@ def iso9283_sentences(result: Iso9283Result) -> list[str]:
         *(f"arm {name}: the cube is limited by: {cube.limited_by}" for name, cube in _cubes_of(result) if cube),
         *(words for one in result.abilities if (words := ability_words(one))),
         *_uncertain(result),
+        *by_hand_sentences(result),
         *(f"missing: {words}" for words in result.missing),
         *_refused(result),
         *(f"{' and '.join(pair.arms)}: {pair.refused}" for pair in result.pairs if pair.refused),
