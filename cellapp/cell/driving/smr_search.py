@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -206,10 +207,6 @@ def _joined(rows: list[MeasurementConditions]) -> MeasurementConditions:
         known = [np.asarray(value, dtype=np.float64) for value in values if value is not None]
         return np.concatenate(known) if len(known) == len(values) else None
 
-    return MeasurementConditions(
-        approach=joined([row.approach for row in rows]),
-        step=joined([row.step for row in rows]),
-        dwell_s=joined([row.dwell_s for row in rows]),
-        payload_kg=joined([row.payload_kg for row in rows]),
-        joints_c=joined([row.joints_c for row in rows]),
-    )
+    names = ("approach", "step", "dwell_s", "payload_kg", "joints_c")
+    known: dict[str, Any] = {name: joined([getattr(row, name) for row in rows]) for name in names}
+    return MeasurementConditions(**known)

@@ -6,6 +6,7 @@ from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.monitoring.check.records import TRACKER, CheckResult, FoundChange, WeakChange
+from cellapp.ground.counting import counted
 
 _VERDICTS = {
     "valid": "the calibration still holds",
@@ -58,7 +59,10 @@ def verdict_sentence(result: CheckResult) -> str:
     took = "" if result.seconds is None else f" in {result.seconds:.0f} s"
     what = ", ".join(one.words for one in result.changes if one.words != TRACKER)
     found = f" ({what})" if what else ""
-    return f"{_VERDICTS[result.verdict]}{found}: {len(result.stops)} of {result.planned} stops were measured{took}"
+    return (
+        f"{_VERDICTS[result.verdict]}{found}: {len(result.stops)} of"
+        f" {counted(result.planned, 'stop was', 'stops were')} measured{took}"
+    )
 
 
 def evidence_sentence(result: CheckResult) -> str:
