@@ -107,7 +107,8 @@ def open_cell(
     simulated = None if _has_real_arm(profile) else plant
     together = in_threads if simulated is None else one_by_one
     with ExitStack() as stack:
-        stack.callback(_disconnect_all, arms, together)
+        # whatever one of them says: an earlier error is the one to report
+        stack.callback(answers_of_all, together, {name: arm.disconnect for name, arm in arms.items()})
         _connect_all(arms, together, control)
         stack.callback(tracker.disconnect)
         unmet = start_tracker(tracker, profile.tracker.driver)
@@ -155,11 +156,6 @@ def _connect_all(arms: Mapping[str, Arm], together: Together, control: JobContro
     control.check()
     for error in errors.values():
         raise HardwareError(str(error)) from error
-
-
-def _disconnect_all(arms: Mapping[str, Arm], together: Together) -> None:
-    """Disconnect every arm, whatever another one says: an earlier error is the one to report."""
-    answers_of_all(together, {name: arm.disconnect for name, arm in arms.items()})
 
 
 def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...]:

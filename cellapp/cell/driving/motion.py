@@ -102,6 +102,12 @@ class Mover:
         self.stop: int | None = None
         """Stop to which the next motions lead; None on other ways."""
 
+    def slow_start(self, visited: int | None = None) -> None:
+        """Move slowly on real hardware while fewer stops are ``visited`` than the profile asks for; None: always."""
+        slow = self._profile.collection.slow_start
+        slowly = self._profile.moves_hardware and (visited is None or visited < slow.stops)
+        self.speed = slow.speed if slowly else 1.0
+
     def positions(self) -> dict[str, Vector]:
         """Return the joint positions (N,) of all arms [rad]. Raises ``CellStopped`` if one is not ready or moves."""
         positions = {}
@@ -304,7 +310,8 @@ class Mover:
                     with self._cell.pulse.waiting(self._cell.oldest_data_s):
                         states[name] = self._cell.arms[name].wait_settled(_ROUND_S)
                 except ArmTimeout:
-                    late, fraction = name, min(fraction, self._speed_fraction(name))
+                    slider = self._state(name).speed_fraction  # None: its controller does not report it
+                    late, fraction = name, fraction if slider is None else min(fraction, slider)
                     continue
                 except ArmError as error:
                     raise self.stop_cell(cause_of(name, error)) from error
@@ -322,11 +329,6 @@ class Mover:
         if standing_s >= _STANDSTILL_S:
             text = f"arm {late}: its speed slider is at 0 %, so that it does not move; raise it on the pendant"
         raise self.stop_cell(StopCause("fault", text, late))
-
-    def _speed_fraction(self, name: str) -> float:
-        """Return the speed slider of an arm, 1 if its controller does not report it."""
-        fraction = self._state(name).speed_fraction
-        return 1.0 if fraction is None else fraction
 
     def approach(self, name: str) -> NDArray[np.int8]:
         """Return the sign of each joint's last motion (N,); 0 if it has not moved yet."""

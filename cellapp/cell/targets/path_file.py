@@ -200,7 +200,7 @@ def _require_path(poses: tuple[PathPose, ...]) -> None:
     for number, (before, pose) in enumerate(itertools.pairwise(poses), start=1):
         if problem := _piece_problem(before, pose):
             raise PoseProblem(number, problem)
-    lengths = [_chord_m(before, pose) for before, pose in itertools.pairwise(poses)]
+    lengths = np.linalg.norm(np.diff([pose.position for pose in poses], axis=0), axis=1).tolist()
     for number, pose in enumerate(poses[1:-1], start=1):
         shortest = min(lengths[number - 1], lengths[number])
         if pose.blend > 0.5 * shortest:
@@ -226,10 +226,6 @@ def _piece_problem(before: PathPose, pose: PathPose) -> str:
     if height < _COLLINEAR * longest:
         return "the three points of its arc lie on one line; leave 'via' out for a straight line"
     return ""
-
-
-def _chord_m(before: PathPose, pose: PathPose) -> float:
-    return float(np.linalg.norm(np.subtract(pose.position, before.position)))
 
 
 def _line_of(text: str, location: tuple[int | str, ...]) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series, styles
+from cellapp.ground.grouping import grouped
 from cellapp.ground.progress import ReferenceReport, StopReport
 
 NO_READINGS = "No readings yet: collect first."
@@ -69,9 +70,7 @@ def _arm_series(
 
 def drift_by_reference(references: Iterable[ReferenceDrift]) -> dict[str, list[tuple[int, float]]]:
     """Stops done and drift [mm] of each reference, in the order of measurement."""
-    drift_mm: dict[str, list[tuple[int, float]]] = {}
-    for row in references:
-        drift_mm.setdefault(row.name, []).append((row.stops_done, row.drift_mm))
+    drift_mm = grouped((row.name, (row.stops_done, row.drift_mm)) for row in references)
     return drift_mm
 
 

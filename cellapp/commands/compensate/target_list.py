@@ -13,6 +13,7 @@ from cellapp.commands.compensate.words import Measured, arms_words, shown_tolera
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.stages import change_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE
 
 R = TypeVar("R", bound=TargetRecord)
@@ -101,9 +102,9 @@ def target_states(targets: Sequence[Target], results: StageResults | None) -> li
     """
     if results is None:
         return [TargetState()] * len(targets)
-    commands = {} if results.compensate is None else _by_name(results.compensate.targets)
+    commands = {} if results.compensate is None else grouped((one.name, one) for one in results.compensate.targets)
     pushes = [
-        (_by_name(pushed.targets), {pair.name: pair for pair in pushed.pairs})
+        (grouped((one.name, one) for one in pushed.targets), {pair.name: pair for pair in pushed.pairs})
         for pushed in (results.verify, results.push)
         if pushed is not None
     ]
@@ -231,13 +232,6 @@ def _short_state(state: TargetState) -> str:
     if state.measured:
         return "measured" if state.is_measured else "reached"
     return "compensated" if state.commands else ""
-
-
-def _by_name(stored: Sequence[R]) -> dict[str, list[R]]:
-    found: dict[str, list[R]] = {}
-    for entry in stored:
-        found.setdefault(entry.name, []).append(entry)
-    return found
 
 
 def _about(target: Target, stored: Mapping[str, Sequence[R]]) -> tuple[R, ...]:

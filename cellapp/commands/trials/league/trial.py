@@ -11,9 +11,10 @@ from typing import Literal
 import numpy as np
 
 from cellapp.commands.trials.league.draws import DRAWS, DrawTask, LeagueDraw
-from cellapp.commands.trials.league.series import SERIES, Entrant, Group, Rows, draw_rows, parse_entrants, series_texts
+from cellapp.commands.trials.league.series import SERIES, Group, Rows, draw_rows, parse_entrants, series_texts
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
 
@@ -158,7 +159,9 @@ def league_trials(
     ]
     curve_tasks = _curve_tasks(seeds) if curve else []
     every = [*tasks, *curve_tasks]
-    _check_rows(parse_entrants(texts), every)
+    entrants = parse_entrants(texts)
+    for task in every:  # too few rows are said before hours of work
+        draw_rows(entrants[task.series], task.rows, task.seed, task.learnable)
     gathered = work.gather(DRAWS, "league", texts, every, "series {0.series}, {0.rows} rows, seed {0.seed}")
     draws = [draw for draw in gathered.results[: len(tasks)] if draw is not None]
     curve_draws = [draw for draw in gathered.results[len(tasks) :] if draw is not None]
@@ -189,12 +192,6 @@ def results_of(
     )
 
 
-def _check_rows(entrants: Mapping[str, Entrant], tasks: Sequence[DrawTask]) -> None:
-    """Too few rows are said before hours of work."""
-    for task in tasks:
-        draw_rows(entrants[task.series], task.rows, task.seed, task.learnable)
-
-
 def _curve_tasks(seeds: int) -> list[DrawTask]:
     return [
         DrawTask(series=CURVE_SERIES, rows=size, seed=seed, learnable=CURVE_ROWS[-1])
@@ -204,9 +201,7 @@ def _curve_tasks(seeds: int) -> list[DrawTask]:
 
 
 def _lines(draws: Sequence[LeagueDraw]) -> tuple[LeagueLine, ...]:
-    by_size: dict[tuple[str, Rows], list[LeagueDraw]] = {}
-    for draw in draws:
-        by_size.setdefault((draw.series, draw.rows), []).append(draw)
+    by_size = grouped(((draw.series, draw.rows), draw) for draw in draws)
     return tuple(_line(some, group) for some in by_size.values() for group in some[0].scores)
 
 
