@@ -16,9 +16,9 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
 from cellapp.cell.safety.path_gate import refuse_path
 from cellapp.ground.errors import CellappError, InputError
-from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Detail, MotionBegun
+from cellapp.robot.model.nominal import joint_rates
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, FollowedPath, MotionStopped, PathFollower
 from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
 
@@ -46,13 +46,6 @@ Confirm = Callable[[Mapping[str, Vector], Mapping[str, Vector]], bool]
 
 def no_one(detail: Detail) -> None:
     """Takes details of motions that nobody watches."""
-
-
-def rates(arm: ArmProfile, share: float = 1.0) -> tuple[Vector, Vector]:
-    """Return speeds (N,) [rad/s] and accelerations (N,) [rad/s^2] of motions at a share of the profile's speed."""
-    joints = arm.type.joints
-    speeds = np.array([joint.speed for joint in joints]) * arm.speed_scale * share
-    return speeds, np.array([joint.acceleration for joint in joints]) * arm.speed_scale
 
 
 def motion_s(way: Vector, speeds: Vector, accelerations: Vector) -> float:
@@ -183,7 +176,7 @@ class Mover:
 
     def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector]) -> dict[str, ArmState]:
         """Start all arms and wait until they have settled. The gate has accepted the motion."""
-        allowed = {name: rates(self._profile.arms[name], self.speed) for name in targets}
+        allowed = {name: joint_rates(self._profile.arms[name], self.speed) for name in targets}
         expected_s = max(motion_s(q - start[name], *allowed[name]) for name, q in targets.items())
         self._emit(
             MotionBegun(self.stop, vectors({name: start[name] for name in targets}), vectors(targets), expected_s)

@@ -280,10 +280,7 @@ def calibrated_earlier(series: RealSeries) -> RealArm:
 def real_draw(arm: RealArm, task: RealTask) -> SignatureDraw:
     """One draw of rows with and without the earlier series."""
     entrant = arm.entrant
-    rows = draw_rows(entrant, task.rows, task.seed)
-    words = np.full(len(entrant.readings), None, dtype=object)
-    words[rows.learned], words[rows.judged] = "identify", "validate"
-    readings = replace(entrant.readings, split=tuple(words.tolist()))
+    readings = draw_rows(entrant, task.rows, task.seed).split(entrant.readings)
     profile = entrant.profile.model_copy(update={"seed": task.seed})
     conditions = measurement_conditions(readings)
     model = calibrate_arm(profile, entrant.arm, readings)[0].model

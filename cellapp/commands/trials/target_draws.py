@@ -15,7 +15,7 @@ from cellapp.cell.targets.targets import Partner, Target
 from cellapp.commands.trials.sealed_cases import MIXTURE, OUT, cases
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.transforms import Array, invert, transform, xyz_of, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, invert, rpy_of, transform, xyz_of
 from cellapp.robot.model import CellModel
 from drivers.plant import suggest, suggest_other_law
 
@@ -123,5 +123,4 @@ def _target(
 
 
 def _rpy(rotation: Array) -> tuple[float, float, float]:
-    yaw, pitch, roll = zyx_angles(rotation)
-    return roll, pitch, yaw
+    return rpy_of(rotation)
