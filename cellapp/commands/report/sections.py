@@ -61,7 +61,7 @@ _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Names of the lengths of a chain: a1, d1 and so on."""
 _MOST_EVENTS = 100
 """Newest events of the run's log in the report; the run file has all of them."""
-_MOST_CURVES = 4
+_MOST_CURVES = 3
 """Joints of an arm that have a chart of what all effects turn them by, the most turned ones first."""
 SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "judgements": ("Errors against their tolerances", (CALIBRATE,)),

@@ -323,6 +323,11 @@ class Profile(Section, defer_build=True):
         """Whether a motion in this cell moves a real arm."""
         return any(arm.driver.moves_hardware for arm in self.arms.values())
 
+    @property
+    def is_simulated(self) -> bool:
+        """Whether an arm or the tracker is simulated, so that nothing real was measured."""
+        return any(one.driver.needs_plant for one in (*self.arms.values(), self.tracker))
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         self._check_plant()
@@ -358,7 +363,7 @@ class Profile(Section, defer_build=True):
         if self.plant is None:
             if self.sensors.air is not None and self.sensors.air.needs_plant:
                 raise ValueError("sensors.air: a simulated station needs a section 'plant' that it measures")
-            if self.tracker.driver.needs_plant or any(arm.driver.needs_plant for arm in self.arms.values()):
+            if self.is_simulated:
                 raise ValueError("plant: simulated drivers need a section 'plant' that specifies what they simulate")
             return
         for name in self.plant.effects:
