@@ -11,6 +11,7 @@ from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart, mm
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.counting import counted
 from cellapp.ground.times import second_of
 
 _MOST_LISTED = 10
@@ -30,8 +31,7 @@ def stored_view(state: CollectionResult) -> View:
 def collection_section(state: CollectionResult) -> Section:
     """How a run was collected, with sessions, missing readings and drift in one sentence."""
     count, missing = len(state.sessions), len(state.missing)
-    words = [f"{count} session{'s' if count != 1 else ''}"]
-    words.append(f"{missing} planned readings missing" if missing else "no planned reading missing")
+    words = [counted(count, "session"), f"{counted(missing, 'planned reading')} missing"]
     drifts = [reference.drift_mm for reference in state.references]
     if drifts:
         words.append(f"references moved by at most {mm(max(drifts))}, limit {mm(state.drift_limit_mm)}")
@@ -53,10 +53,10 @@ def _drift_charts(state: CollectionResult) -> list[Chart]:
 
 def collect_lines(result: CollectResult) -> list[str]:
     """How many stops are stored, how the session ended, which readings are missing."""
-    lines = [f"{result.stops} stops stored: {result.outcome}"]
+    lines = [f"{counted(result.stops, 'stop')} stored: {result.outcome}"]
     if result.missing:
         share = f"{result.missing_share:.1%}, tolerated {result.tolerated_share:.1%}"
-        lines.append(f"{len(result.missing)} planned readings are missing ({share}):")
+        lines.append(f"{counted(len(result.missing), 'planned reading is', 'planned readings are')} missing ({share}):")
         groups = _grouped(result.missing)
         lines += [f"  stop {stops}, arm {arm}: {kind}: {reason}" for stops, arm, kind, reason in groups[:_MOST_LISTED]]
         if len(groups) > _MOST_LISTED:

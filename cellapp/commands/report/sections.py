@@ -51,8 +51,8 @@ from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
 from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
-from cellapp.commands.view.words import METHOD_WORDS
 from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.ground.counting import counted
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, StageName
 from cellapp.ground.times import day_of
 from cellapp.robot.kinematics.chain import parameter_names
@@ -183,9 +183,11 @@ def _terms(calibrate: CalibrateResult) -> Iterator[str]:
         if tracker
         else "The readings state no uncertainty: there is no noise floor to compare with."
     )
-    methods = "; ".join(f"{method}: {words}" for method, words in METHOD_WORDS.items() if method in calibrate.pair)
-    if methods:
-        yield f"Cooperative error: error of the computed distance between the two arms' SMRs at one stop. {methods}."
+    if calibrate.pair:
+        yield (
+            "Cooperative error: error of the computed distance between the two arms' SMRs at one stop. \"Network in the"
+            " tracker frame\" is the paper's counter-example: what was learned there is added in the base frame."
+        )
 
 
 def _tracker_words(calibrate: CalibrateResult) -> str:
@@ -399,9 +401,8 @@ def _parameters_message(data: ReportData) -> str:
 
 def _notes(data: ReportData) -> Section | None:
     notes, missing = warnings(data), missing_results(data)
-    counts = [f"{len(notes)} warning{'s' if len(notes) != 1 else ''} or note{'s' if len(notes) != 1 else ''}"]
-    counts = counts if notes else []
-    counts += [f"{len(missing)} result{'s' if len(missing) != 1 else ''} not in this report"] if missing else []
+    counts = [f"{counted(len(notes), 'warning')} or note{'s' if len(notes) != 1 else ''}"] if notes else []
+    counts += [f"{counted(len(missing), 'result')} not in this report"] if missing else []
     about = "DIR is the folder of this run, TARGETS a list of targets."
     parts = [
         *([Section("Warnings and notes", notes)] if notes else []),

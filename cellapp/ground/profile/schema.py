@@ -325,8 +325,9 @@ class Profile(Section, defer_build=True):
 
     @property
     def is_simulated(self) -> bool:
-        """Whether an arm or the tracker is simulated, so that nothing real was measured."""
-        return any(one.driver.needs_plant for one in (*self.arms.values(), self.tracker))
+        """Whether what this cell measures is simulated: it has simulated devices, or emulated ones alone."""
+        kinds = {self.tracker.driver.kind, *(arm.driver.kind for arm in self.arms.values())}
+        return "simulated" in kinds or (self.plant is not None and not self.moves_hardware)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -363,7 +364,7 @@ class Profile(Section, defer_build=True):
         if self.plant is None:
             if self.sensors.air is not None and self.sensors.air.needs_plant:
                 raise ValueError("sensors.air: a simulated station needs a section 'plant' that it measures")
-            if self.is_simulated:
+            if self.tracker.driver.needs_plant or any(arm.driver.needs_plant for arm in self.arms.values()):
                 raise ValueError("plant: simulated drivers need a section 'plant' that specifies what they simulate")
             return
         for name in self.plant.effects:

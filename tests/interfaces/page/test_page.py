@@ -266,7 +266,7 @@ def test_errors_stand_beside_their_intervals_and_the_tracker(whole: RunFile, who
     summary = calibrate.pair["effects"].cooperative_mm
     assert summary.mean_ci95 is not None
     low, high = summary.mean_ci95
-    shown = {row[0]: dict(zip(tables[-1].headings, row)) for row in tables[-1].text_rows()}["effects"]
+    shown = {row[0]: dict(zip(tables[-1].headings, row)) for row in tables[-1].text_rows()}["geometry and effects"]
     assert shown["95 % of mean"] == f"{low:.4f} to {high:.4f}"
     assert shown["p95"] == f"{summary.p95:.4f}"
     left, right = (arm.tracker_mm for arm in calibrate.arms.values())
@@ -397,7 +397,7 @@ def test_discovery_shows_everything_that_was_found(double: RunFile) -> None:
     assert f"Arm {LEFT}: unknown effect" in page.texts
     assert f"Arm {RIGHT}: nothing missing" in page.texts
     for words in (
-        "Something that the library does not have; 31 um rms held out.",
+        "Something that the library does not have; 31 µm rms held out.",
         "pedestal_compliance or link_bending would explain these data as well as joint_compliance",
         "Nearly as good as joint_compliance, but ruled out by these data: tracker_angle_error.",
         "There is no figure of joint_compliance for joint 6: the SMR hardly moves with this joint.",
@@ -425,7 +425,7 @@ def test_nothing_missing_is_said(double: RunFile) -> None:
     store_discovery(double, DiscoverResult(arms={name: nothing_missing(name) for name in (LEFT, RIGHT)}))
     text = page_of(double).text
     assert "Out of date" not in text
-    assert "nothing missing: 23 um rms held out" in text
+    assert "nothing missing: 23 µm rms held out" in text
     assert "no effects: none was found" in text
 
 
