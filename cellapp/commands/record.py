@@ -14,19 +14,19 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import Writes
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from cellapp.cell.run import RunFile
-    from cellapp.commands.view.table import Table
+    from cellapp.commands.view.parts import Part
     from cellapp.ground.control import JobControl
     from cellapp.ground.outputs import Outputs
     from cellapp.ground.progress import Listener
@@ -35,16 +35,6 @@ if TYPE_CHECKING:
 
 PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
 """Environment variable with the passphrase of a signing key, where nobody can be asked."""
-
-
-class Writes(Enum):
-    """How a path that a field names is written."""
-
-    FILE = "the file itself; looked at before the command begins"
-    FILES = "a file, or several that are named after it; looked at when they are written"
-    FOLDER = "files in a folder; looked at when they are written"
-    STORE = "a store of results, to which is added; never replaced"
-    OWN_FOLDER = "a folder that is new, or is continued; never replaced"
 
 
 @dataclass(frozen=True)
@@ -130,11 +120,12 @@ class Request(BaseModel):
 
 @dataclass(frozen=True)
 class View:
-    """A result for people: tables and sentences in the order in which they are read. Interfaces draw it.
+    """A result for people: sentences, tables and charts in the order in which they are read. Interfaces draw it.
 
     Attributes
     ----------
-    parts : sequence of Table or str
+    parts : sequence of Part
+        Plain text leaves the charts out.
     failed : sequence of str
         What did not hold.
     checks : str
@@ -145,7 +136,7 @@ class View:
         Whether the parts are the result's JSON, which is not shown where it is written to a file.
     """
 
-    parts: Sequence[Table | str] = ()
+    parts: Sequence[Part] = ()
     failed: Sequence[str] = ()
     checks: str = ""
     refused: str = ""

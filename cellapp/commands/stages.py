@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 from pydantic import BaseModel, ValidationError
 
@@ -268,15 +268,7 @@ def _stage(run: RunFile, row: StageRow) -> StoredStage:
         basis = None if row.basis is None else Basis.model_validate_json(row.basis)
     except ValidationError:
         raise InputError(f"{run.path} is damaged (basis of stage {row.number}); restore it from a copy") from None
-    return StoredStage(
-        number=row.number,
-        name=cast(StageName, row.name),
-        written=row.written,
-        program=row.program,
-        basis=basis,
-        text=row.text,
-        model=row.model,
-    )
+    return StoredStage(**{**vars(row), "basis": basis})
 
 
 def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredStage]:

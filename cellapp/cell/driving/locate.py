@@ -173,7 +173,7 @@ class _Measuring:
         """Measure until every arm has its number of points, or has no more to offer; other arms then measure more."""
         total = max(sum(wanted.values()), len(self.found))
         for name, count in wanted.items():
-            self._measure_arm(name, count - self._count(name), total)
+            self._measure_arm(name, count - sum(one.arm == name for one in self.found), total)
         for name in wanted:
             self._measure_arm(name, total - len(self.found), total)
         if len(self.found) < total:
@@ -188,9 +188,6 @@ class _Measuring:
             excess_m=self.task.excess_m,
             seed=(self.task.profile.seed,),
         )
-
-    def _count(self, name: str) -> int:
-        return sum(one.arm == name for one in self.found)
 
     def _measure_arm(self, name: str, count: int, total: int) -> None:
         """Measure so many points of one arm, as long as it can be moved to any that the tracker should see."""

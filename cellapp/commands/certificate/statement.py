@@ -81,13 +81,9 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
     }
     arms = {arm: _arm(given, arm, expanded_mm(budget)) for arm, budget in budgets.items()}
     lines = [one.model_copy(update={"where": arm}) for arm, budget in budgets.items() for one in budget]
-    return CertificateResult(
-        number=given.number,
-        run=given.run,
+    return CertificateResult.like(
+        given,
         profile=profile.name,
-        issued=given.issued,
-        measured=given.measured,
-        program=given.program,
         organisation=stated.organisation,
         location=stated.location,
         operator=stated.operator,
@@ -111,9 +107,6 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
             *(f"{one.role}: {one.note}" for one in instruments if one.note),
         ),
         out_of_date=tuple(f"{name}: {why}" for name, why in results.out_of_date.items() if name != CERTIFICATE),
-        data=given.data,
-        files=given.files,
-        key_id=given.key_id,
     )
 
 
@@ -124,20 +117,16 @@ def _arm(given: CertificateInput, arm: str, expanded: float | None) -> Certified
     stated = given.profile.traceability.arms.get(arm)
     controller = given.controllers.get(arm, Controller())
     conditions = given.conditions.get(arm, MeasuredConditions(readings=0))
-    return CertifiedArm(
+    return CertifiedArm.like(
+        conditions,
         type=given.profile.arms[arm].type.model,
         serial="" if stated is None else stated.serial,
         asset="" if stated is None else stated.asset,
         controller_model=controller.model,
         controller_serial=controller.serial,
         controller_software=controller.software,
-        readings=conditions.readings,
         errors=_errors(given.results, arm),
         expanded_mm=expanded,
-        payload_kg=conditions.payload_kg,
-        air_c=conditions.air_c,
-        joints_c=conditions.joints_c,
-        distance_m=conditions.distance_m,
     )
 
 
@@ -191,14 +180,7 @@ def _tests(results: StageResults) -> CertifiedTests | None:
         return None
     return CertifiedTests(
         characteristics=tuple(
-            CertifiedCharacteristic(
-                where=name,
-                characteristic=characteristic,
-                commands=kind,
-                value_mm=largest.value_mm,
-                expanded_mm=largest.expanded_mm,
-                n=largest.n,
-            )
+            CertifiedCharacteristic.like(largest, where=name, characteristic=characteristic, commands=kind)
             for name, arm in tested.arms.items()
             for kind, made in arm.tests.items()
             for characteristic, largest in _largest(made).items()

@@ -182,14 +182,8 @@ class OutcomeCounts(EndState):
 
     def count(self, outcome: Outcome) -> int:
         """Number of one outcome."""
-        return {
-            "named": self.named,
-            "extra": self.extra,
-            "part": self.part,
-            "wrong": self.wrong,
-            "unknown": self.unknown,
-            "none": self.none,
-        }[outcome]
+        found: int = getattr(self, outcome)
+        return found
 
 
 class EffectCounts(Record):

@@ -312,7 +312,7 @@ def uncertainty_with_scatter(data: ArmData, scatter_m: float) -> Array:
 def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[EffectColumn, ...]]:
     """Joint identification of geometry and terms, with effect parameters in the order of the terms' columns."""
     columns = data.term_columns(terms)
-    order = _joint_columns_first(columns)
+    order = np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
     settings = data.profile.calibration
     found = identify(
         data.model.geometry,
@@ -328,11 +328,6 @@ def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[E
         max_iterations=settings.max_iterations,
     )
     return _reordered(found, np.argsort(order)), columns
-
-
-def _joint_columns_first(columns: Sequence[EffectColumn]) -> NDArray[np.intp]:
-    """Places of the columns that offset a joint, then of those that shift the SMR."""
-    return np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
 
 
 def _effect_columns(

@@ -217,13 +217,11 @@ def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
     """
     scattered = {one.effect: one.smallest_seen_rms_mm for _, one in _absent(design.with_scatter(EXPECTED_SCATTER_M))}
     return tuple(
-        PlannedEffect(
-            effect=one.effect,
+        PlannedEffect.like(
+            one,
             visible=visible,
             reason="" if visible else one.reason,
-            visible_share=one.visible_share,
             smallest_seen=one.smallest_seen or {},
-            smallest_seen_rms_mm=one.smallest_seen_rms_mm,
             with_scatter_rms_mm=scattered.get(one.effect),
         )
         for visible, one in _absent(design)

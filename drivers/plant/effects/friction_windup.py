@@ -73,18 +73,14 @@ def friction_windup(parameters: Parameters) -> Effect:
     law, parameters = parameters.by_law("proportional", "stribeck", "root_load")
     extra = {"proportional": (), "stribeck": ("rise", "short"), "root_load": ("typical_load",)}[law]
     parameters.require("friction", "load_friction", "stiffness", *extra)
-    windup = _proportional(parameters)
+    windup = FrictionWindup(
+        parameters.numbers("friction", least=0.0),
+        parameters.numbers("load_friction", least=0.0),
+        parameters.stiffnesses("stiffness"),
+    )
     plain = windup.friction, windup.load_friction, windup.stiffness
     if law == "stribeck":
         return StribeckWindup(*plain, parameters.number("rise"), parameters.number("short", above=0.0))
     if law == "root_load":
         return RootLoadWindup(*plain, parameters.numbers("typical_load", least=0.0))
     return windup
-
-
-def _proportional(parameters: Parameters) -> FrictionWindup:
-    return FrictionWindup(
-        parameters.numbers("friction", least=0.0),
-        parameters.numbers("load_friction", least=0.0),
-        parameters.stiffnesses("stiffness"),
-    )

@@ -30,7 +30,6 @@ from drivers.trackers.protocol import (
     TrackerTimeout,
     Unstable,
     WrongTarget,
-    measure_nests,
 )
 from tests.drivers.trackers.fake_lmf import E, LmfException, Scene
 
@@ -429,12 +428,6 @@ def test_the_beam_breaks(tracker: Callable[..., LmfTracker], scene: Scene) -> No
         driver.measure(LEFT, 1.0)
     assert type(caught.value) is TrackerError
     assert driver.measure(LEFT, 1.0).p_M == pytest.approx(LEFT)
-
-
-def test_nests(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
-    points, missed = measure_nests(tracker(), {"a": LEFT, "b": LEFT + 1.0, "c": RIGHT}, 1.0)
-    assert list(points) == ["a", "c"]
-    assert isinstance(missed["b"], TargetLost)
 
 
 def test_warnings_of_lmf_come_with_the_point(tracker: Callable[..., LmfTracker], scene: Scene) -> None:

@@ -279,7 +279,7 @@ class PlanScreen(PlanEdits):
     @work(thread=True, exclusive=True, group="charts")
     def _make_charts(self, workspace: Workspace) -> None:
         """Draw the design: the mathematics that this needs takes half a second to load."""
-        from cellapp.interfaces.page.plan_section import design_charts_of, design_tables_of
+        from cellapp.commands.plan.section import design_charts_of, design_tables_of
 
         profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
         if profile is not None and ways is not None and stops is not None and stops.stops:
