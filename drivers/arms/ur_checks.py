@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,8 @@ from drivers.arms.protocol import (
 from drivers.arms.ur_motion import SLIDER_DOWN
 from drivers.arms.ur_probe import UrProbe
 from drivers.arms.ur_safety import safety_error, safety_remedy
+from drivers.findings import Status
 
-Status = Literal["ok", "warning", "failed"]
 JOINTS = 6
 
 _LIMIT_SLACK_RAD = 1e-3

@@ -28,6 +28,9 @@ _WITHIN_95 = (0.90, 0.98)
 """Share of measured coordinates that stated 95 % intervals must hold."""
 
 
+BarKind = Literal["held-out error [mm]", "worst draw to mean", "within 95 %"]
+
+
 class LeagueLine(Record):
     """A series at one size: means over its draws on one group of held-out rows.
 
@@ -74,7 +77,7 @@ class LeagueBar(Record):
 
     series: str
     rows: Rows
-    what: Literal["held-out error [mm]", "worst draw to mean", "within 95 %"]
+    what: BarKind
     least: float | None
     most: float
     reached: float
@@ -254,7 +257,7 @@ def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
 
 def _bar(
     line: LeagueLine,
-    what: Literal["held-out error [mm]", "worst draw to mean", "within 95 %"],
+    what: BarKind,
     least: float | None,
     most: float,
     reached: float,
