@@ -22,6 +22,7 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.rows import StageRow
 from cellapp.commands.basis import Basis, PriorBasis, ReadingsBasis, basis_of, readings_digest, sha256_of
 from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import (
     CALIBRATE,
@@ -374,7 +375,7 @@ def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
 def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, ReadingsBasis]) -> list[str]:
     before, after = (sum(arm.n for arm in arms.values()) for arms in (then, now))
     if after > before:
-        return [f"{after - before} readings were added since"]
+        return [f"{counted(after - before, 'reading was', 'readings were')} added since"]
     same = then.keys() == now.keys() and all(now[name].is_same(arm) for name, arm in then.items())
     return [] if same else ["the readings or their splits were changed since"]
 

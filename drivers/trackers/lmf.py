@@ -401,7 +401,7 @@ class LmfTracker:
         p_M, precision_M = read_position(self._lmf, result.Position, face)
         precision_m = float(np.linalg.norm(precision_M))
         if precision_m > self._use.shaking:
-            raise Unstable(f"tracker: the SMR moved while it was measured: precision {precision_m * 1e6:.0f} um")
+            raise Unstable(f"tracker: the SMR moved while it was measured: precision {precision_m * 1e6:.0f} µm")
         covariance_M = self._law.covariance(p_M)
         covariance_M *= max(1.0, precision_m**2 / float(np.trace(covariance_M)))  # the SMR shook more than specified
         air, quality = read_air(result)

@@ -17,6 +17,7 @@ from cellapp.cell.run import RunFile, SessionEnd
 from cellapp.cell.run.collected import missing_readings, missing_share, reference_drifts
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.control import Aborted, JobControl, Stopped
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Listener, ignore
 from drivers.arms.protocol import ArmError
@@ -53,7 +54,7 @@ def collect_run(
     control = control or JobControl()
     work = remaining_work(run, resume=resume)
     if not work.stops:
-        return _collected(run, "complete", [f"all {work.total} stops were stored already"])
+        return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
     bodies = cell_bodies(run.profile)
     with opening(run.profile, control, opened, watch_clearance=watch_clearance) as cell:
         notes = list(check_controllers(run, cell).notes)

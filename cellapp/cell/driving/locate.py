@@ -25,6 +25,7 @@ from cellapp.estimation.calibration.station_location import (
     possible_causes,
 )
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
@@ -132,7 +133,7 @@ def _explained(task: LocateTask, measuring: _Measuring) -> tuple[StationFit, tup
     if fit.explains:
         return fit, ()
     measuring.notes.append(
-        f"one motion of the tracker does not explain the {len(measuring.found)} points (probability"
+        f"one motion of the tracker does not explain the {counted(len(measuring.found), 'point')} (probability"
         f" {fit.probability:.1g}, at least {LEAST_PROBABILITY:g} is asked): more were measured to see what does"
     )
     measuring.measure({name: DIAGNOSTIC_POINTS for name in task.candidates})
@@ -176,7 +177,7 @@ class _Measuring:
         for name in wanted:
             self._measure_arm(name, total - len(self.found), total)
         if len(self.found) < total:
-            self.notes.append(f"{len(self.found)} of {total} points could be measured")
+            self.notes.append(f"{len(self.found)} of {counted(total, 'point')} could be measured")
 
     def fit(self) -> StationFit:
         """The station from the points alone. Raises ``InputError`` if they do not fix it."""

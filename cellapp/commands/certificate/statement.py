@@ -24,6 +24,7 @@ from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import expanded_mm, position_budget
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.records import Characteristic
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, CERTIFICATE, COMPENSATE, ISO9283, VERIFY
 
@@ -215,8 +216,7 @@ def _calibration(results: StageResults) -> CalibrateResult | None:
 
 def _simulated(profile: Profile) -> list[str]:
     """A simulated cell must not pass for a real one."""
-    kinds = {arm.driver.kind for arm in profile.arms.values()} | {profile.tracker.driver.kind}
-    return ["simulated cell: no real arm and no real tracker was measured"] if "simulated" in kinds else []
+    return ["simulated cell: no real arm and no real tracker was measured"] if profile.is_simulated else []
 
 
 def _unverified(profile: Profile, results: StageResults) -> list[str]:
@@ -245,7 +245,10 @@ def _limits(results: StageResults, verify: VerifyResult | None) -> list[str]:
         sentences += _not_measured(arm, [target.name for target in own if target.final_mm is None], len(own))
         corrected = sum(target.corrected_mm is not None for target in own)
         if corrected:
-            sentences.append(f"Arm {arm}: {corrected} of {len(own)} targets were corrected by measuring them.")
+            sentences.append(
+                f"Arm {arm}: {corrected} of {counted(len(own), 'target was', 'targets were')} corrected by"
+                " measuring them."
+            )
         sentences += _conditions(results, arm)
     return sentences
 
@@ -254,7 +257,10 @@ def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
     if not names:
         return []
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return [f"Arm {arm}: {len(names)} of {count} targets were not measured: {', '.join(names[:_MOST_NAMED])}{more}."]
+    return [
+        f"Arm {arm}: {len(names)} of {counted(count, 'target was', 'targets were')} not measured:"
+        f" {', '.join(names[:_MOST_NAMED])}{more}."
+    ]
 
 
 def _conditions(results: StageResults, arm: str) -> list[str]:

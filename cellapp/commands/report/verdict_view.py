@@ -12,7 +12,6 @@ from cellapp.commands.report.result import read_results
 from cellapp.commands.report.summary import Summary, summary
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Column, Table, number_column
-from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
 from cellapp.ground.errors import InputError
 
@@ -40,7 +39,7 @@ def read_verdict(run: RunFile, today: date) -> RunVerdict:
         title = "Not calibrated yet"
         sentence = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
         return RunVerdict(overall(judgements), title, sentence, judgements, ())
-    judgements = judge_run(run.profile, results, measured_conditions(data.readings))
+    judgements = data.judgements
     first: Summary = summary(data, judgements, today)
     steps = tuple(f"{step.text} {step.command}".strip() for step in first.steps)
     verdict = first.verdict

@@ -9,6 +9,7 @@ from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.out_of_date import complaints_of
 from cellapp.commands.show.result import HistoryResult, LogLine, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.stages import RunStages, StoredStage, read_history, read_stages
+from cellapp.ground.counting import counted
 
 
 def run_overview(run: RunFile) -> OverviewResult:
@@ -62,7 +63,7 @@ def _rests_on(stage: StoredStage) -> tuple[str, ...]:
     basis = stage.basis
     return (
         f"profile {basis.profile[:12]}",
-        *(f"{arm.n} readings of {name} {arm.sha256[:12]}" for name, arm in basis.readings.items()),
+        *(f"{counted(arm.n, 'reading')} of {name} {arm.sha256[:12]}" for name, arm in basis.readings.items()),
         *(f"{name} {digest[:12] or 'none'}" for name, digest in basis.stages.items()),
         *(() if basis.targets is None else (f"targets {basis.targets[:12]}",)),
     )

@@ -215,7 +215,7 @@ def _compare(
 
 
 def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
-    """What was found in an arm, beside the rms length of the noise drawn at its held-out stops [um]."""
+    """What was found in an arm, beside the rms length of the noise drawn at its held-out stops [µm]."""
     found = stored.discovery
     return ArmFindings(
         accepted=tuple(effect.effect for effect in found.accepted),

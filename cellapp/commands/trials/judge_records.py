@@ -47,7 +47,7 @@ class DescribedTerm(Record):
 
 
 class NoiseLengths(Record):
-    """Rms length of the noise that the search assumed, and of the noise really drawn at the held-out stops [um].
+    """Rms length of the noise that the search assumed, and of the noise really drawn at the held-out stops [µm].
 
     ``stated`` is None where the search had no number for it.
     """

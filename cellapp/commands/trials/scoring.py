@@ -141,7 +141,7 @@ def _miss(run: ScoredRun, arm: str) -> Miss:
 
 
 def _hidden_words(effect: HiddenEffect) -> str:
-    """``backlash/many_plays (84, beyond its law 12)``: visible size, and what the library's law leaves of it [um]."""
+    """``backlash/many_plays (84, beyond its law 12)``: visible size, and what the library's law leaves of it [µm]."""
     law = f"/{effect.law}" if effect.law else ""
     beyond = "" if effect.beyond_law_um is None else f", beyond its law {effect.beyond_law_um:.0f}"
     return f"{effect.plant}{law} ({effect.visible_um:.0f}{beyond})"

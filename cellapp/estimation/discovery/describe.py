@@ -60,7 +60,7 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
         formula=formula,
         gain_over_curve=gain,
         curve=curve,
-        sentence=f"{said}; {size_um:.0f} um rms at the SMR",
+        sentence=f"{said}; {size_um:.0f} µm rms at the SMR",
     )
 
 

@@ -47,6 +47,7 @@ from cellapp.estimation.discovery.structure import structure_left
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of
 from cellapp.estimation.discovery.verdict import sampling_allowance, verdict
 from cellapp.estimation.readings import Readings
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
@@ -362,5 +363,5 @@ def _gap_steps(
     if found.dropped:
         errors.append((f"dropped in review: {_titles(found.dropped)}", "", after_mm))
     if fitted is not None:
-        errors.append((f"fitted to all {fitted} readings", "", after_mm))
+        errors.append((f"fitted to all {counted(fitted, 'reading')}", "", after_mm))
     return tuple(GapStep(what=what, effect=effect, heldout_mm=error_mm) for what, effect, error_mm in errors)

@@ -34,7 +34,7 @@ _EXCESS_CHANGE = 0.02
 """Relative change of the excess variance below which its estimate has converged: weights then change by 1 %."""
 _SAME_COLUMNS = 1e-3
 """Steps of a fit [m at arm's length] up to which the effects' columns are kept: they change by about as
-much, relatively, an effect of 0.3 mm by 0.3 um."""
+much, relatively, an effect of 0.3 mm by 0.3 µm."""
 _DRAW_SEED = 0xD4A7
 """Beside the profile's seed: the draws of parameters are then independent of all other draws."""
 

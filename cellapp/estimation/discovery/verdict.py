@@ -56,10 +56,10 @@ def _left(
     floor_mm: float, after_mm: float, scatter: Scatter | None, structure: RemainingStructure, *, closed: bool
 ) -> str:
     """What is left, in words."""
-    held_out = f"{after_mm * 1e3:.0f} um rms held out"
+    held_out = f"{after_mm * 1e3:.0f} µm rms held out"
     if scatter is None:
         return f"{structure.sentence}; {held_out}, and the readings state no uncertainty"
-    gap = f"{held_out} against a noise floor of {floor_mm * 1e3:.0f} um"
+    gap = f"{held_out} against a noise floor of {floor_mm * 1e3:.0f} µm"
     if closed:
         return gap
     if has_structure(structure):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cellapp.ground.counting import counted
 from cellapp.ground.outputs import Writes
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.options import ProfilePath
@@ -88,7 +89,7 @@ def seal(
         str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple or mixed.")
     ] = "one",
     noise: Annotated[
-        str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 urad a joint).")
+        str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 µrad a joint).")
     ] = "gaussian",
     laws: Annotated[
         str, typer.Option("--laws", metavar="LAWS", help="same: shaped as the library's; other: by other shapes.")
@@ -120,7 +121,8 @@ def seal(
     )  # fmt: skip
     result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=work.listener, cancel=work.cancel)
     said = (
-        f"{result.runs} runs in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge' only",
+        f"{counted(result.runs, 'run')} in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge'"
+        " only",
         f"SHA-256 of the truth, also in {out / SEAL_FILE}: {result.sha256}",
     )
     return Stated(result, sentences=said)

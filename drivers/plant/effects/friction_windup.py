@@ -29,7 +29,7 @@ class FrictionWindup(Effect):
         return torque
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        wound = self.friction_torque(situation, posture.gravity_torques) / self.stiffness
+        wound = self.friction_torque(situation, posture.torques) / self.stiffness
         step = np.abs(situation.last_step)
         return Deflection(joints=-situation.approach * np.where(step == 0.0, wound, np.minimum(wound, step)))
 

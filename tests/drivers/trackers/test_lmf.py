@@ -360,7 +360,7 @@ def test_a_shaking_target(tracker: Callable[..., LmfTracker], scene: Scene) -> N
     shaken = driver.measure(LEFT, 1.0)
     assert np.trace(shaken.covariance_M) == pytest.approx((80e-6) ** 2)
     scene.precision_m = 150e-6
-    with pytest.raises(Unstable, match="precision 150 um"):
+    with pytest.raises(Unstable, match="precision 150 µm"):
         driver.measure(LEFT, 1.0)
 
 

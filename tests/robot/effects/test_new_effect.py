@@ -106,7 +106,7 @@ def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discov
         size_um=31.4,
         formula="",
         gain_over_curve=None,
-        sentence=f"{sentence}; 31 um rms at the SMR",
+        sentence=f"{sentence}; 31 µm rms at the SMR",
     )
     second = Place(joints=(2,), acts_on=("joint 2",))
     wrong = accepted_effect(term, second, accepted.evidence, 0.9, description=described)

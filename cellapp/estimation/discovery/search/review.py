@@ -16,6 +16,7 @@ from cellapp.estimation.discovery.search.comparison import floor_reached
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, Review, SearchProblem, SearchState
 from cellapp.estimation.discovery.terms import UNKNOWN, without_term
+from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS, DriverVariable
 from cellapp.robot.effects.periodic import LINES
 
@@ -29,7 +30,7 @@ def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
     dropped = list(state.dropped)
     while True:
         problem.cancel.check()
-        problem.say(f"review of {len(state.fit.terms)} effects")
+        problem.say(f"review of {counted(len(state.fit.terms), 'effect')}")
         out = _weakest(problem, state)
         if out is None:
             out = _rest_of_a_law(state)

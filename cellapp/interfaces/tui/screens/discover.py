@@ -14,8 +14,10 @@ from cellapp.commands.discover import request
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.proposal_view import proposal_lines
 from cellapp.commands.discover.tables import discovery_tables
-from cellapp.commands.discover.view import explanation_text, verdict_sentence
+from cellapp.commands.discover.view import explanation_text
+from cellapp.commands.discover.words import verdict_sentence
 from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Choice
@@ -102,7 +104,7 @@ The handbook explains each effect: key **h**.
         if folder is None or left == 0:
             self.say("No stop is left to measure: m proposes further ones.", "warning")
             return
-        text = f"{left} stops are left to measure in {folder}; {arms_words(self.workspace)}."
+        text = f"{counted(left, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
 
         def begin(answer: str | None) -> None:
             if answer == "begin":

@@ -1,55 +1,55 @@
-"""The page's section on the plan: where its stops are, what they tell, time, factors."""
+"""A plan as a section: where its stops are, what they tell, time, factors."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.duration import planned_time
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.records import PlannedTime
 from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops
 from cellapp.cell.run import RunFile
+from cellapp.commands.plan.charts import coverage_charts, design_charts
+from cellapp.commands.plan.charts_map import cell_map_chart
 from cellapp.commands.plan.design_view import design_sentences, gaps_table, indices_table, quality_table
+from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.plan.run import planned_stops
+from cellapp.commands.view.charts import Chart
+from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Table
-from cellapp.interfaces.page.captioned import CaptionedFigure
-from cellapp.interfaces.page.chart_figure import chart_figure
-
-if TYPE_CHECKING:
-    from cellapp.cell.planning.design_records import PlanDesignResult
-    from cellapp.cell.planning.planned_stops import PlannedStops
-    from cellapp.cell.planning.records import PlannedTime
-    from cellapp.commands.plan.result import PlannedStop
-    from cellapp.commands.view.charts import Chart
-    from cellapp.ground.profile import Profile
+from cellapp.ground.profile import Profile
 
 
-@dataclass(frozen=True)
-class PlanSection:
-    """What the page shows of a plan; sentences and tables only of one that was designed."""
-
-    figures: tuple[CaptionedFigure, ...]
-    tables: tuple[Table, ...] = ()
-    sentences: tuple[str, ...] = ()
-
-
-def plan_section(run: RunFile) -> PlanSection | None:
+def plan_section(run: RunFile) -> Section | None:
     """The section of a run with a plan; None for imported readings."""
     stops, design = planned_stops(run).stops, read_plan_design(run)
     if not stops:
         return None
+    sentences = [] if design is None else design_sentences(design)
     charts = plan_charts(run.profile, stops, read_planned_stops(run), design)
-    figures = tuple(chart_figure(f"plan{number}", chart) for number, chart in enumerate(charts, start=1))
-    sentences = () if design is None else tuple(design_sentences(design))
-    return PlanSection(figures, design_tables_of(design), sentences)
+    about = (
+        "Where the planned stops are, in the cell frame and as the tracker sees them, with obstacles and the directions"
+        " that these hide, and how much of each joint's range they use."
+    )
+    if design is not None:
+        about += (
+            " The stops were chosen to tell most about geometry and effects. Expected errors follow from the tracker's"
+            " noise, with geometry and all these effects unknown; beside them are those of random plans of the same"
+            " size. `cellapp docs planning` explains them."
+        )
+    return section_of(
+        "",
+        [*sentences[1:], *charts, *design_tables_of(design)],
+        message=sentences[0] if sentences else "Where the planned stops are, and what limits them.",
+        about=about,
+    )
 
 
 def plan_charts(
     profile: Profile, stops: Sequence[PlannedStop], ways: PlannedStops, design: PlanDesignResult | None
 ) -> Iterator[Chart]:
     """The cell from above and from the tracker, joint ranges, and what is known of the design."""
-    from cellapp.commands.calibrate.charts_map import cell_map_chart
-
     yield cell_map_chart(profile, stops)
     yield cell_map_chart(profile, stops, "tracker")
     yield from design_charts_of(profile, stops, ways, design)
@@ -59,8 +59,6 @@ def design_charts_of(
     profile: Profile, stops: Sequence[PlannedStop], ways: PlannedStops, design: PlanDesignResult | None
 ) -> tuple[Chart, ...]:
     """What is known of the design, the expected time, joint ranges."""
-    from cellapp.commands.plan.charts import coverage_charts, design_charts
-
     asked = ways.take([row for row in range(len(ways)) if row not in profile.plan.reserves(len(ways))])
     return (*design_charts(design, _time(profile, asked)), *coverage_charts(profile, stops))
 

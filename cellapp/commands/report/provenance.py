@@ -6,36 +6,37 @@ import platform
 
 import numpy as np
 
-import cellapp
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.in_order import order_sentences
 from cellapp.commands.basis import readings_digest, sha256_of
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.stages import CALIBRATION_FILE
+from cellapp.commands.view.parts import Facts
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Provenance
+from cellapp.ground.version import __version__
 
-HASH_TITLE = "SHA-256"
-"""The template sets lines whose title begins so in a fixed-width font."""
+_HASH = "SHA-256"
 
 
-def provenance_lines(data: ReportData) -> list[tuple[str, str]]:
-    """Pairs of a title and a text."""
+def provenance_facts(data: ReportData) -> Facts:
+    """Programs, seeds, settings, counts of readings, hashes."""
     origin = data.calibrate.provenance
     plant = data.profile.plant
-    return [
+    lines = [
         ("Profile", data.profile.name),
-        (f"{HASH_TITLE} of the profile", sha256_of(profile_to_json(data.profile))),
+        (f"{_HASH} of the profile", sha256_of(profile_to_json(data.profile))),
         ("Seed of splits and draws", str(origin.seed)),
         *([] if plant is None else [("Seed of the simulated cell", str(plant.seed))]),
         ("Calibrated by", _programs(origin)),
         ("Calibrated at", origin.written),
-        ("Page made by", f"cellapp {cellapp.__version__}, Python {platform.python_version()}, numpy {np.__version__}"),
+        ("Page made by", f"cellapp {__version__}, Python {platform.python_version()}, numpy {np.__version__}"),
         *_reading_lines(data),
         ("Settings", _settings(data.profile)),
-        *((f"{HASH_TITLE} of the readings of arm {name}", readings_digest(arm)) for name, arm in data.readings.items()),
-        (f"{HASH_TITLE} of {CALIBRATION_FILE}", sha256_of(data.model_in_force + "\n")),
+        *((f"{_HASH} of the readings of arm {name}", readings_digest(arm)) for name, arm in data.readings.items()),
+        (f"{_HASH} of {CALIBRATION_FILE}", sha256_of(data.model_in_force + "\n")),
     ]
+    return Facts(tuple(lines))
 
 
 def _reading_lines(data: ReportData) -> list[tuple[str, str]]:

@@ -1,21 +1,18 @@
-"""The cell in space as data: arms, bases, tracker, obstacles, measured stops, errors before and after. No drawing."""
+"""The cell in space, and along two axes, as the run left it: its scene and its maps."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.commands.calibrate.charts_vectors import scale_length_mm
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.plan.charts_obstacles import placed_obstacles
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.camera import evenly_spread, levelling_rotation
-from cellapp.commands.view.charts import mm
-from cellapp.commands.view.words import STAGE_WORDS
+from cellapp.commands.view.charts import Axis, Chart, Series, series
+from cellapp.commands.view.scene import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Arm
 from cellapp.robot.kinematics.chain import frame_poses, smr_positions
@@ -28,63 +25,8 @@ _MOST_VECTORS = 150
 """Error vectors drawn of each arm: more overlap."""
 _LONG = 0.12
 """Drawn length of the larger errors, as a share of the measured positions' range."""
-
-
-@dataclass(frozen=True, eq=False)
-class Capsules:
-    """The bodies of one arm: axes from ``start`` to ``end`` (m, 3) [m] with ``radius`` (m,) [m]."""
-
-    start: Array
-    end: Array
-    radius: Array
-
-
-@dataclass(frozen=True, eq=False)
-class ErrorVectors:
-    """Measured minus computed positions ``steps`` (n, 3) [m] of one stage at held-out ``points`` (n, 3) [m]."""
-
-    stage: str
-    points: Array
-    steps: Array
-    stops: NDArray[np.int64]
-
-    @property
-    def mean_mm(self) -> float:
-        """Mean length [mm]."""
-        return float(np.linalg.norm(self.steps, axis=1).mean()) * 1e3 if len(self.steps) else 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class SceneArm:
-    """One arm: its bodies and its chain (k, 3) from base to SMR at one measured stop, measured ``points`` (n, 3) [m] at
-    ``stops`` (n,), and its errors before and after."""
-
-    name: str
-    base: Array
-    chain: Array
-    bodies: Capsules
-    points: Array
-    stops: NDArray[np.int64]
-    errors: tuple[ErrorVectors, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class CellScene:
-    """The cell in the tracker frame, rotated so that z points up; the tracker is at the origin.
-
-    ``obstacles`` are points (n, 3) [m] whose convex hulls are the obstacles, by name. ``enlarged`` is the factor by
-    which errors are drawn longer than they are.
-    """
-
-    arms: tuple[SceneArm, ...]
-    obstacles: Mapping[str, Array]
-    enlarged: float
-
-    @cached_property
-    def points(self) -> Array:
-        """Everything that a picture has to show: points (n, 3) [m] of arms, stops and tracker."""
-        parts = [part for arm in self.arms for part in (arm.points, arm.chain, arm.bodies.start, arm.bodies.end)]
-        return np.vstack([np.zeros((1, 3)), *parts])
+_OTHER_STYLE = 4
+"""Style of what belongs to no arm."""
 
 
 def cell_scene(data: ReportData) -> CellScene:
@@ -95,18 +37,37 @@ def cell_scene(data: ReportData) -> CellScene:
     return CellScene(arms, _obstacles(data, level), _enlargement(arms))
 
 
-def scene_message(scene: CellScene) -> str:
-    """How far the arms are from the tracker, and how much shorter the errors became."""
-    sentences = []
+def cell_maps(scene: CellScene) -> list[Chart]:
+    """The cell from above and from the side, in the tracker frame with its z axis up."""
+    # the side view shows the line from the tracker to the arms at full length
+    across = int(np.argmax(np.abs(np.mean([arm.base for arm in scene.arms], axis=0))[:2]))
+    return [
+        plane_chart(scene, "The cell from above", 0, 1),
+        plane_chart(scene, "The cell from the side", across, 2),
+    ]
+
+
+def plane_chart(scene: CellScene, title: str, across: int, up: int) -> Chart:
+    """Measured positions, bases and tracker along one axis: ``across`` to the right, ``up`` upwards, as 0, 1, 2."""
+    drawn: list[Series] = []
+    for style, arm in enumerate(scene.arms):
+        hints = [f"stop {stop}" for stop in arm.stops.tolist()]
+        x, y = arm.points[:, across], arm.points[:, up]
+        drawn.append(series(f"arm {arm.name}", x, y, "points", style=style, hints=hints))
+    bases = np.array([arm.base for arm in scene.arms])
+    names = [arm.name for arm in scene.arms]
+    drawn.append(series("bases", bases[:, across], bases[:, up], "points", style=_OTHER_STYLE, mark="B", hints=names))
+    drawn.append(series("tracker", [0.0], [0.0], "points", style=_OTHER_STYLE, mark="T"))
+    axes = (Axis("xyz"[across], "m"), Axis("xyz"[up], "m"))
+    return Chart(title, *axes, tuple(drawn), _plane_message(scene, across, up), equal=True)
+
+
+def _plane_message(scene: CellScene, across: int, up: int) -> str:
+    words = []
     for arm in scene.arms:
-        words = f"Arm {arm.name} stands {float(np.linalg.norm(arm.base)):.1f} m from the tracker"
-        if arm.errors:
-            before, after = arm.errors[0], arm.errors[-1]
-            words += f"; its mean error at held-out stops is {mm(before.mean_mm)} ({STAGE_WORDS[before.stage]})"
-            if after is not before:
-                words += f" before and {mm(after.mean_mm)} ({STAGE_WORDS[after.stage]}) after"
-        sentences.append(f"{words}.")
-    return " ".join(sentences)
+        width, height = np.ptp(arm.points[:, (across, up)], axis=0)
+        words.append(f"{width:.1f} m along {'xyz'[across]} and {height:.1f} m along {'xyz'[up]} (arm {arm.name})")
+    return f"Measured positions span {'; '.join(words)}."
 
 
 def _scene_arm(data: ReportData, name: str, stop: int, level: Array) -> SceneArm:
