@@ -14,6 +14,7 @@ from cellapp.commands.trials.league.draws import DRAWS, DrawTask, LeagueDraw
 from cellapp.commands.trials.league.series import SERIES, Entrant, Group, Rows, draw_rows, parse_entrants, series_texts
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
 
@@ -207,9 +208,7 @@ def _curve_tasks(seeds: int) -> list[DrawTask]:
 
 
 def _lines(draws: Sequence[LeagueDraw]) -> tuple[LeagueLine, ...]:
-    by_size: dict[tuple[str, Rows], list[LeagueDraw]] = {}
-    for draw in draws:
-        by_size.setdefault((draw.series, draw.rows), []).append(draw)
+    by_size = grouped(((draw.series, draw.rows), draw) for draw in draws)
     return tuple(_line(some, group) for some in by_size.values() for group in some[0].scores)
 
 
