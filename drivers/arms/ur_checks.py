@@ -21,8 +21,8 @@ from drivers.arms.protocol import (
     WrongRobot,
     stale,
 )
-from drivers.arms.ur_motion import SLIDER_DOWN
 from drivers.arms.ur_probe import UrProbe
+from drivers.arms.ur_rtde_reader import SLIDER_DOWN
 from drivers.arms.ur_safety import safety_error, safety_remedy
 from drivers.findings import Status
 
