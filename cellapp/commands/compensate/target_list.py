@@ -13,6 +13,7 @@ from cellapp.commands.compensate.words import Measured, arms_words, shown_tolera
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.stages import change_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE
 
 R = TypeVar("R", bound=TargetRecord)
@@ -234,10 +235,7 @@ def _short_state(state: TargetState) -> str:
 
 
 def _by_name(stored: Sequence[R]) -> dict[str, list[R]]:
-    found: dict[str, list[R]] = {}
-    for entry in stored:
-        found.setdefault(entry.name, []).append(entry)
-    return found
+    return grouped((entry.name, entry) for entry in stored)
 
 
 def _about(target: Target, stored: Mapping[str, Sequence[R]]) -> tuple[R, ...]:

@@ -12,6 +12,7 @@ from cellapp.commands.runs.result import ArmFigures, CellKind, RunsResult, RunSu
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 from cellapp.ground.times import day_of, minute_of
 
 CELL_WORDS: dict[CellKind, str] = {
@@ -141,10 +142,7 @@ def session_words(run: RunSummary) -> str:
 def stages_words(run: RunSummary) -> str:
     """Which results hold, and which are out of date and why."""
     held = [stage.name for stage in run.stages if not stage.out_of_date]
-    reasons: dict[str, list[str]] = {}
-    for stage in run.stages:
-        if stage.out_of_date:
-            reasons.setdefault(stage.out_of_date, []).append(stage.name)
+    reasons = grouped((stage.out_of_date, stage.name) for stage in run.stages if stage.out_of_date)
     parts = [f"results: {', '.join(held)}"] if held else []
     parts += [f"out of date: {', '.join(names)} ({reason})" for reason, names in reasons.items()]
     return "; ".join(parts) or "no results"
