@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult, Group, Share, share
-from cellapp.commands.trials.skeleton import Field, table_of
-from cellapp.commands.view.table import Interval, Table
+from cellapp.commands.view.table import Field, Interval, Table, table_of
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 

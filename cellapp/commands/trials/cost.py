@@ -7,8 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.commands.trials.skeleton import table_of
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.table import Table, table_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result

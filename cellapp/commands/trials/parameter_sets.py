@@ -14,8 +14,8 @@ import numpy as np
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, of_all_arms, planned_cell
-from cellapp.commands.trials.skeleton import IN_PLACE, Work, table_of
-from cellapp.commands.view.table import Table
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
+from cellapp.commands.view.table import Table, table_of
 from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, full_set, paper_set
