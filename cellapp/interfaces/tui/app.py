@@ -50,7 +50,7 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.slow_passes import SlowPasses
 from cellapp.interfaces.tui.terminal_driver import driver_that_stops
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
-from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine, StepTab
+from cellapp.interfaces.tui.widgets.header import StepTab
 from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
 
 _REQUESTS = ("stop", "pause", "resume", "abort")
@@ -285,6 +285,9 @@ class CellApp(Host):
     @on(ResumeOffered)
     def offer_to_resume(self, event: ResumeOffered) -> None:
         """Ask whether to go on with an interrupted run, unless something else was begun meanwhile."""
+        run = event.run
+        self.waits = f"{run.run} {'is in use' if run.in_use else f'waits with {run.stops_left} stops left'}"
+        self.draw_all()
         if not self.jobs.running and self.workspace.folder is None and isinstance(self.screen, DayScreen):
             offer_to_resume(self, event.run)
 
@@ -448,15 +451,11 @@ class CellApp(Host):
         """Draw the present screen whole."""
         with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or they go away
             screen = self.day_screen
-            self._draw_header(screen)
             self._draw_message()
             screen.show_workspace(self.workspace)
+            screen.draw_state()
             screen.show_job(self.record)
         self.refresh_bindings()
-
-    def _draw_header(self, screen: DayScreen) -> None:
-        screen.query_one(DayHeader).show(self.workspace, self.record)
-        screen.query_one(StepLine).show(self.workspace, screen.STEP)
 
     def _draw_message(self) -> None:
         with contextlib.suppress(NoMatches, StopIteration):
@@ -475,7 +474,7 @@ class CellApp(Host):
         self._drawn = self.record.changes
         with contextlib.suppress(NoMatches, StopIteration):
             screen = self.day_screen
-            screen.query_one(DayHeader).show(self.workspace, self.record)
+            screen.draw_state()
             screen.show_job(self.record)
         if self.record.state != state:
             self._say_state()

@@ -13,10 +13,11 @@ from textual.widgets import Static
 
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
 from cellapp.interfaces.tui.widgets.key_line import KeyLine
 from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
-from cellapp.interfaces.tui.workspace import NO_RUN, NOT_CALIBRATED, Step, Workspace
+from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.report.result import RunResults
@@ -42,6 +43,10 @@ class DayScreen(Screen[None]):
     HELP: ClassVar[str] = ""
     """Markdown for the key ``?``: what the screen shows and what one does here."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._state: RunState | None = None
+
     @property
     def cell_app(self) -> Host:
         """The application with its workspace and its job."""
@@ -51,6 +56,11 @@ class DayScreen(Screen[None]):
     def workspace(self) -> Workspace:
         """What is open."""
         return self.cell_app.workspace
+
+    @property
+    def state(self) -> RunState:
+        """The one state of the run."""
+        return self.cell_app.state
 
     def compose(self) -> ComposeResult:
         yield DayHeader()
@@ -69,6 +79,18 @@ class DayScreen(Screen[None]):
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the profile and the run that are open."""
 
+    def draw_state(self) -> None:
+        """Draw what every screen says about the state, then what this one does, where it has changed."""
+        state = self.state
+        self.query_one(DayHeader).show(state, self.workspace.kind, self.cell_app.record)
+        if state != self._state:
+            self._state = state
+            self.query_one(StepLine).show(state.marks, self.STEP)
+            self.show_state(state)
+
+    def show_state(self, state: RunState) -> None:
+        """Draw the sentences of this screen about the state."""
+
     def show_job(self, record: JobRecord) -> None:
         """Draw the present or the last job."""
 
@@ -82,8 +104,9 @@ class DayScreen(Screen[None]):
 
     def open_folder(self) -> Path | None:
         """Folder of the run that is open; without one, a sentence says what to do."""
-        if self.workspace.folder is None:
-            self.say(NO_RUN, "warning")
+        if no_run := self.state.no_run:
+            self.say(no_run, "warning")
+            return None
         return self.workspace.folder
 
     def calibrated_run(self) -> tuple[Path, RunResults, CalibrateResult] | None:
@@ -92,7 +115,7 @@ class DayScreen(Screen[None]):
         if folder is None:
             return None
         if results is None or results.calibrate is None:
-            self.say(NOT_CALIBRATED, "warning")
+            self.say(self.state.not_calibrated, "warning")
             return None
         return folder, results, results.calibrate
 
