@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cellapp.cell.run import RunFile
-    from cellapp.commands.view.table import Table
+    from cellapp.commands.view.parts import Part
     from cellapp.ground.control import JobControl
     from cellapp.ground.outputs import Outputs
     from cellapp.ground.progress import Listener
@@ -130,11 +130,12 @@ class Request(BaseModel):
 
 @dataclass(frozen=True)
 class View:
-    """A result for people: tables and sentences in the order in which they are read. Interfaces draw it.
+    """A result for people: sentences, tables and charts in the order in which they are read. Interfaces draw it.
 
     Attributes
     ----------
-    parts : sequence of Table or str
+    parts : sequence of Part
+        Plain text leaves the charts out.
     failed : sequence of str
         What did not hold.
     checks : str
@@ -145,7 +146,7 @@ class View:
         Whether the parts are the result's JSON, which is not shown where it is written to a file.
     """
 
-    parts: Sequence[Table | str] = ()
+    parts: Sequence[Part] = ()
     failed: Sequence[str] = ()
     checks: str = ""
     refused: str = ""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from cellapp.cell.driving.records import CollectionResult, CollectResult
 from cellapp.cell.run.records import MissingReading
+from cellapp.commands.collect.charts import drift_chart
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.times import second_of
@@ -17,6 +18,11 @@ _MOST_LISTED = 10
 def view(result: CollectResult, request: Request | None = None) -> View:
     """What is stored, what is missing, and what was noticed."""
     return View((*collect_lines(result), *other_notes(result, result.notes)), result.complaints())
+
+
+def stored_view(state: CollectionResult) -> View:
+    """How a run was collected so far, and how far its references moved."""
+    return View((*collection_tables(state), drift_chart(state.references, state.drift_limit_mm)))
 
 
 def collect_lines(result: CollectResult) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellapp.cell.targets.records import VerifyResult
+from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.compensate.tables import measured_targets
 from cellapp.commands.compensate.words import PART_WORDS, Measured, bounds_and_errors, promise_words
 from cellapp.commands.view.charts import (
@@ -91,6 +91,15 @@ def rounds_chart(verify: VerifyResult) -> Chart:
     )
     message = f"Mean error at {len(corrected)} targets: {mm(mean[0])} by the model alone, {mm(mean[-1])} in the end."
     return Chart(title, x, y, drawn, message, by_stage=True)
+
+
+def parts_charts(result: CompensateResult) -> list[Chart]:
+    """What the uncertainty at the targets of each arm is made of; without arms whose commands state none."""
+    by_arm: dict[str, list[UncertaintyParts]] = {}
+    for command in result.targets:
+        if command.parts is not None:
+            by_arm.setdefault(command.arm, []).append(command.parts)
+    return [parts_chart(f"Arm {name}: uncertainty at its targets by sources", parts) for name, parts in by_arm.items()]
 
 
 def parts_chart(title: str, parts: Sequence[UncertaintyParts]) -> Chart:

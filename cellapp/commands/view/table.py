@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, TypeVar
+from typing import Literal, TypeVar
 
 R = TypeVar("R")
 
@@ -99,10 +99,6 @@ class Table:
             tuple((text, exact_cell(cell, text)) for cell, text in zip(row, texts, strict=True))
             for row, texts in zip(self.rows, self.text_rows(), strict=True)
         )
-
-
-Parts: TypeAlias = Sequence[Table | str]
-"""What a result says, in the order of reading: tables, and lines between them."""
 
 
 def most_urgent(rows: Sequence[R], urgency: Callable[[R], float], most: int = MOST_ROWS) -> list[R]:

@@ -17,7 +17,7 @@ from cellapp.commands.discover.tables import (
     parameter_table,
     structure_table,
 )
-from cellapp.commands.discover.view import (
+from cellapp.commands.discover.words import (
     contradiction_sentences,
     description_sentences,
     misfit_sentences,

@@ -54,9 +54,7 @@ def _iso9283(data: ReportData) -> ResultSection | None:
     result = data.results.iso9283
     if result is None:
         return None
-    tolerance_m = data.profile.tolerances.pose_accuracy
-    charts = iso9283_charts(result, None if tolerance_m is None else tolerance_m * 1e3)
-    return result_section("iso", iso9283_sentences(result), charts, iso9283_tables(result))
+    return result_section("iso", iso9283_sentences(result), iso9283_charts(result), iso9283_tables(result))
 
 
 def _check(data: ReportData) -> ResultSection | None:

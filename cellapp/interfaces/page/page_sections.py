@@ -11,7 +11,7 @@ import numpy as np
 
 from cellapp.cell.driving.records import CollectionResult
 from cellapp.cell.targets.path_records import PathResult
-from cellapp.commands.discover.view import verdict_sentence
+from cellapp.commands.discover.words import verdict_sentence
 from cellapp.commands.locate.view import location_sentences
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData

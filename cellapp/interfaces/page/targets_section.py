@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cellapp.cell.targets.records import CompensateResult
-from cellapp.commands.compensate.charts import parts_chart, target_charts
+from cellapp.commands.compensate.charts import parts_charts, target_charts
 from cellapp.commands.compensate.tables import (
     measured_tables,
     predicted_tables,
@@ -57,10 +57,7 @@ def targets_section(data: ReportData) -> TargetsSection | None:
 def _charts(data: ReportData, compensate: CompensateResult | None) -> Iterator[Chart]:
     floors = {name: arm.tracker_mm for name, arm in data.calibrate.arms.items()}
     yield from target_charts(data.verify, floors)
-    commands = () if compensate is None else compensate.targets
-    for name in floors:
-        parts = [command.parts for command in commands if command.arm == name and command.parts is not None]
-        yield parts_chart(f"Arm {name}: uncertainty at its targets by sources", parts)
+    yield from () if compensate is None else parts_charts(compensate)
 
 
 def _tables(data: ReportData, compensate: CompensateResult | None) -> Iterator[Table]:

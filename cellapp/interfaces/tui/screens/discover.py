@@ -14,7 +14,8 @@ from cellapp.commands.discover import request
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.proposal_view import proposal_lines
 from cellapp.commands.discover.tables import discovery_tables
-from cellapp.commands.discover.view import explanation_text, verdict_sentence
+from cellapp.commands.discover.view import explanation_text
+from cellapp.commands.discover.words import verdict_sentence
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.tui.keys import SHOWN, bind
