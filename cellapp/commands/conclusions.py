@@ -111,7 +111,7 @@ def _verification(result: VerifyResult, *, measures: bool) -> Conclusion:
         return Conclusion("done", "driven, not measured")
     if failed := result.complaints():
         return Conclusion("does not conform", "; ".join(failed))
-    verdicts = {one.verdict for one in (*result.targets, *result.pairs)}
+    verdicts = {one.verdict for one in result.targets} | {one.verdict for one in result.pairs}
     if "cannot say" in verdicts:
         return Conclusion("cannot say", "the uncertainty does not decide every target")
     return Conclusion("conforms", "verified within tolerance") if "in" in verdicts else Conclusion("done", "verified")

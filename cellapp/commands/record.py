@@ -144,6 +144,8 @@ class View:
         Why nothing was done, where only the work showed that; empty where something was.
     is_json : bool
         Whether the parts are the result's JSON, which is not shown where it is written to a file.
+    held : str
+        What one line says where nothing failed: "the calibration holds"; empty where "done" says it all.
     """
 
     parts: Sequence[Part] = ()
@@ -151,6 +153,7 @@ class View:
     checks: str = ""
     refused: str = ""
     is_json: bool = False
+    held: str = ""
 
 
 def _no_run_page(run: RunFile) -> Path:

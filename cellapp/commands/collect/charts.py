@@ -14,9 +14,7 @@ NO_REFERENCES = "No reference was measured yet."
 _STOP = Axis("stop")
 
 
-def live_residual_chart(
-    reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS
-) -> Chart:
+def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:
     """Residual of each stop from the model that was refitted with it, by arm.
 
     ``arms`` fixes the order of the arms, and with it their colours and marks, before all have reported;
@@ -36,9 +34,7 @@ def live_residual_chart(
     return Chart("Residual of each stop", _STOP, Axis("residual", "mm"), drawn, message)
 
 
-def standard_error_chart(
-    reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS
-) -> Chart:
+def standard_error_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:
     """Standard error of a predicted SMR position over the stops, by arm; ``arms`` and ``nothing`` as above."""
     by_arm = _by_arm(reports, arms)
     message = nothing

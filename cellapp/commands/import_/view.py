@@ -8,4 +8,7 @@ from cellapp.commands.record import Request, View
 
 def view(result: ImportResult, request: Request | None = None) -> View:
     """How many readings each arm has, and what was noticed."""
-    return View((*(f"arm {name}: {count} readings" for name, count in result.readings.items()), *result.notes))
+    return View(
+        (*(f"arm {name}: {count} readings" for name, count in result.readings.items()), *result.notes),
+        held="; ".join(result.notes),
+    )

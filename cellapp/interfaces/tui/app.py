@@ -35,6 +35,7 @@ from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.endings import UNEXPECTED, ending_of, left_behind
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
+from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind, key_table, with_keys
 from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
 from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, StopGiven, WorkspaceLoaded
 from cellapp.interfaces.tui.offers import (
@@ -97,17 +98,17 @@ class CellApp(Host):
         Binding("escape", "stop", "STOP", priority=True),
         Binding("ctrl+c", "stop", show=False, priority=True),
         Binding("ctrl+c", "say_how_to_quit", show=False),
-        Binding("f5", "whole_day", "Day", tooltip="plan, collect, calibrate, discover, push and verify; asks first"),
-        Binding("p", "pause", "Pause"),
-        Binding("c", "resume", "Resume"),
-        Binding("x", "abort", "Abort"),
+        bind("pause", "pause", "Pause"),
+        bind("resume", "resume", "Resume"),
+        bind("abort", "abort", "Abort"),
         Binding("ctrl+x", "abort", show=False, priority=True),
         *(Binding(entry.key, f"show('{entry.step}')", entry.title, show=False) for entry in SCREENS),
-        Binding("n", "next_step", "Next", tooltip="show the step that comes next"),
-        Binding("question_mark", "explain", "Help", key_display="?", tooltip="explain this screen"),
-        Binding("h,f1", "handbook", "Handbook", show=False),
-        Binding("ctrl+o", "jump", "Jump", show=False),
-        Binding("q", "quit", "Quit"),
+        bind("day", "whole_day", "Day", "plan, collect, calibrate, discover, push and verify; asks first"),
+        bind("next", "next_step", "Next", "show the step that comes next; there, begin it"),
+        bind("help", "explain", "Help", "explain this screen"),
+        bind("handbook", "handbook", "Handbook", KEYS["handbook"].meaning, show=False),
+        bind("jump", "jump", "Jump", KEYS["jump"].meaning, show=False),
+        bind("quit", "quit", "Quit"),
         Binding("ctrl+q", "quit", show=False, priority=True),
     ]
 
@@ -147,7 +148,7 @@ class CellApp(Host):
         self.set_interval(LOOK_EVERY_S, self.others.look)
         self.set_timer(_PRELOAD_AFTER_S, self._preload)
         self.leaving.watch()
-        self.say("Choose a profile on this screen; n goes to the next step, ? explains.")
+        self.say(f"Choose a profile on this screen; {SHOWN['next']} goes to the next step, {SHOWN['help']} explains.")
 
     def _welcome(self) -> None:
         """Ask what to begin with where there is no profile."""
@@ -179,11 +180,13 @@ class CellApp(Host):
             self.jobs.wait(self._patience_s)
 
     async def action_quit(self) -> None:
-        """Quit; with a job in progress, ask first, stop it and wait for its end."""
-        if not self.jobs.running:
+        """Quit; with a job in progress or something that is not saved, ask first; stop the job and wait for its end."""
+        unsaved = [words for screen in self._screens.values() if (words := screen.unsaved)]
+        if self.jobs.running or unsaved:
+            if not self._leaving and isinstance(self.screen, DayScreen | Handbook | Reading):
+                offer_to_quit(self, self._leave, unsaved)
+        else:
             self.exit(return_code=self.code)
-        elif not self._leaving:
-            offer_to_quit(self, self._leave)
 
     @on(LeaveAsked)
     def leave_at_once(self) -> None:
@@ -235,13 +238,20 @@ class CellApp(Host):
         self.action_show(event.step)
 
     def action_next_step(self) -> None:
-        """Show the screen of the step that comes next."""
-        self.action_show(self.workspace.next_step)
+        """Show the screen of the step that comes next; where it is shown, begin what comes next."""
+        step, screen = self.workspace.next_step, self.day_screen
+        if step != screen.STEP:
+            self.action_show(step)
+        elif self.jobs.running:
+            self.say(f"{self.state.job.words if self.state.job else ''}; the next step follows when it has ended.")
+        else:
+            screen.begin_next("" if self.workspace.overview is None else self.workspace.overview.next_verb)
 
     def action_explain(self) -> None:
-        """Explain the present screen."""
+        """Explain the present screen, with all keys that it has."""
         screen = self.day_screen
-        self.push_screen(Reading(screen.HELP or f"# {screen.STEP.capitalize()}"))
+        keys = f"{key_table(screen.BINDINGS)}\n\n## Keys of every screen\n\n{key_table(self.BINDINGS)}"
+        self.push_screen(Reading(f"{screen.HELP.format_map(SHOWN)}\n## Keys of this screen\n\n{keys}\n"))
 
     def action_handbook(self) -> None:
         """Open the handbook."""
@@ -442,6 +452,7 @@ class CellApp(Host):
 
     def say(self, text: str, severity: Severity = "information") -> None:
         """Show a sentence in the message line of every screen and keep it in the log."""
+        text = with_keys(text)
         self.message, self._severity = text, severity
         self.record.note(text, "info" if severity == "information" else severity)
         self._draw_message()

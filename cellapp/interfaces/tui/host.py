@@ -68,7 +68,7 @@ class Host(App[None]):
             return False
         self.asked_by = None
         self.workspace = cell or self.workspace
-        self.record.begin(job.name)
+        self.record.begin(job.name, part="" if job.verb is None else job.verb.name)
         self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
         self.jobs.start(job)
         self.draw_all()

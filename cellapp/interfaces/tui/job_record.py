@@ -119,6 +119,8 @@ class JobRecord:
         What was started, in a word or two; empty before the first job.
     attached : bool
         Whether another process runs it.
+    part : str
+        What its events call what it does, where people call it by ``name``: a push that measures is a verification.
     state : JobState or None
         None while no job runs.
     reason : str
@@ -150,6 +152,7 @@ class JobRecord:
     state: JobState | None = None
     reason: str = ""
     attached: bool = False
+    part: str = ""
     progress: dict[str, Progress] = field(default_factory=dict)
     arms: dict[str, ArmRecord] = field(default_factory=dict)
     tracker: TrackerRecord = field(default_factory=TrackerRecord)
@@ -177,9 +180,9 @@ class JobRecord:
         count = min(self.log_written - written, len(self.log))
         return list(islice(reversed(self.log), count))[::-1]
 
-    def begin(self, name: str, *, attached: bool = False) -> None:
-        """Forget the job before, but not its log."""
-        self.attached = attached
+    def begin(self, name: str, *, attached: bool = False, part: str = "") -> None:
+        """Forget the job before, but not its log. Events of ``part`` are told under the job's own name."""
+        self.attached, self.part = attached, part
         self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
         for kept in (self.progress, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()
@@ -215,6 +218,8 @@ class JobRecord:
 
     def add(self, event: Progress) -> None:
         """Take in one event."""
+        if event.job == self.part:
+            event = replace(event, job=self.name)
         before = self.progress.pop(event.job, None)  # the newest part is the last one
         if before is not None and event.detail is not None and not event.note:
             self.progress[event.job] = replace(event, note=before.note)  # the note of a step stands until the next

@@ -7,11 +7,12 @@ of the command line is written here as the keys that do it.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from textual.binding import Binding
+from textual.binding import Binding, BindingType
 
+from cellapp.commands.registry import VERBS
 from cellapp.interfaces.tui.workspace import STEPS, Step
 
 
@@ -96,13 +97,26 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "runs": ("runs", "again"),
 }
 """Verb -> the screen and the meaning of the key that does it; the palette does the others."""
-_COMMAND = re.compile(r"""(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'|\bcellapp ([a-z][\w-]*)(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*))*""")
+_COMMAND = re.compile(
+    r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
+    r"|\bcellapp ([a-z][\w-]*)(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*))*"
+)
 
 
 def bind(meaning: str, action: str, label: str, tooltip: str = "", *, show: bool = True) -> Binding:
     """A binding of a meaning to an action of a screen or of the application."""
     key = KEYS[meaning]
     return Binding(key.keys, action, label, show=show, tooltip=tooltip, key_display=key.shown)
+
+
+def key_table(bindings: Sequence[BindingType]) -> str:
+    """The keys of a screen or of the application, as a Markdown table: each with what it does there."""
+    rows = ["| key | what it does |", "| --- | --- |"]
+    for one in bindings:
+        if isinstance(one, Binding) and one.description:
+            more = one.tooltip or next((key.meaning for key in KEYS.values() if key.keys == one.key), "")
+            rows.append(f"| {one.key_display or one.key.title()} | {one.description}{f': {more}' if more else ''} |")
+    return "\n".join(rows)
 
 
 def way_to(verb: str) -> str:
@@ -115,4 +129,10 @@ def way_to(verb: str) -> str:
 
 def with_keys(text: str) -> str:
     """A sentence in which each command of the command line is written as the keys that do it."""
-    return _COMMAND.sub(lambda found: way_to(found[1] or found[2]), text)
+    verbs = {verb.name for verb in VERBS}
+
+    def keys(found: re.Match[str]) -> str:
+        verb = found[1] or found[2]
+        return way_to(verb) if verb in verbs else found[0]
+
+    return _COMMAND.sub(keys, text)

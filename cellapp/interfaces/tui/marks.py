@@ -42,7 +42,9 @@ def marks_of(workspace: Workspace, measured: int, planned: int, left: int, runni
     if workspace.profile is not None:
         marks["cell"] = Mark("done", "a profile is open")
     if workspace.overview is not None:
-        marks["plan"] = Mark("done", f"{planned} stops are planned") if planned else Mark("done", "readings are imported")
+        marks["plan"] = (
+            Mark("done", f"{planned} stops are planned") if planned else Mark("done", "readings are imported")
+        )
     if measured:
         marks["collect"] = _collected(workspace, measured, planned, left)
     marks.update(_concluded(workspace))

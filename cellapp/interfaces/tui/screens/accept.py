@@ -22,10 +22,10 @@ from cellapp.commands.report.result import RunResults
 from cellapp.commands.sign_key.request import VERB as SIGN_KEY
 from cellapp.commands.sign_key.result import SignKeyResult
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, Result, StageName
-from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui import work_acceptance
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens import accept_jobs
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
@@ -39,7 +39,9 @@ if TYPE_CHECKING:
 
 _NOT_JUDGED = "Nothing is judged yet."
 _NOT_CHECKED = f"The calibration was not checked yet. {SHOWN['check']} measures a few stops: does it still hold?"
-_NOT_TESTED = f"Nothing was tested yet. {SHOWN['measure']} measures by ISO 9283: pose accuracy, repeatability, and more."
+_NOT_TESTED = (
+    f"Nothing was tested yet. {SHOWN['measure']} measures by ISO 9283: pose accuracy, repeatability, and more."
+)
 _NO_CERTIFICATE = (
     f"No certificate was written yet. {SHOWN['export']} writes and signs it; {SHOWN['import']} checks the file of one."
 )

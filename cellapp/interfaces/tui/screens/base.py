@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
 
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import Vertical
 from textual.events import Resize
 from textual.screen import Screen
@@ -13,6 +14,7 @@ from textual.widgets import Static
 
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.keys import KEYS, WAYS
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
 from cellapp.interfaces.tui.widgets.key_line import KeyLine
@@ -88,6 +90,11 @@ class DayScreen(Screen[None]):
             self.query_one(StepLine).show(state.marks, self.STEP)
             self.show_state(state)
 
+    @property
+    def unsaved(self) -> str:
+        """What would be lost with this screen, in words; empty if nothing."""
+        return ""
+
     def show_state(self, state: RunState) -> None:
         """Draw the sentences of this screen about the state."""
 
@@ -101,6 +108,14 @@ class DayScreen(Screen[None]):
         """Start a job; a sentence says why where that is not possible."""
         if self.cell_app.start_job(job):
             self.cell_app.asked_by = self
+
+    def begin_next(self, verb: str) -> None:
+        """Begin what comes next, a verb of this step; empty: the step's own work."""
+        _, meaning = WAYS.get(verb, (self.STEP, "go"))
+        for binding in type(self).BINDINGS:
+            if isinstance(binding, Binding) and binding.key == KEYS[meaning].keys:
+                self.call_next(self.run_action, binding.action)
+                return
 
     def open_folder(self) -> Path | None:
         """Folder of the run that is open; without one, a sentence says what to do."""

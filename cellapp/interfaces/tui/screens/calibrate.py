@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -29,10 +30,10 @@ from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
-from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Reading
-from cellapp.interfaces.tui.offers import WRITE
+from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.offers import WRITE, offer_again
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -109,8 +110,11 @@ tables; chapter *exports*.
 
     def action_begin(self) -> None:
         """Calibrate the run that is open."""
-        if folder := self.open_folder():
-            self.start(work.job_of(request.VERB, folder=folder))
+        folder, results = self.open_folder(), self.workspace.results
+        if folder is not None:
+            found = None if results is None else results.calibrate
+            job = work.job_of(request.VERB, folder=folder)
+            offer_again(self, "Calibrate again?", found, CALIBRATE, partial(self.start, job))
 
     def action_begin_with_prior(self) -> None:
         """Ask for an earlier run, and calibrate the run that is open with it as prior."""

@@ -18,9 +18,9 @@ from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPan
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.errors import CellappError
-from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_findings import (
     DevicesTable,
@@ -119,9 +119,13 @@ class CellScreen(DayScreen):
                     with TabPane("Profile", id="tab-profile"):
                         yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
                     with TabPane("Devices", id="tab-devices"):
-                        yield _tipped(DevicesTable(id="devices"), f"What each device said last; {SHOWN['again']} asks again")
+                        yield _tipped(
+                            DevicesTable(id="devices"), f"What each device said last; {SHOWN['again']} asks again"
+                        )
                     with TabPane("Doctor", id="tab-doctor"):
-                        yield _tipped(FindingsTable(id="findings"), f"Checks, failed ones first; {SHOWN['go']} asks again")
+                        yield _tipped(
+                            FindingsTable(id="findings"), f"Checks, failed ones first; {SHOWN['go']} asks again"
+                        )
                     with TabPane("Map", id="tab-map"):
                         yield CellMap("above", id="cell-map")
                 yield Static("", id="cell-detail", markup=False)
@@ -137,7 +141,11 @@ class CellScreen(DayScreen):
         if self._found:
             profiles.highlighted = 0
         else:
-            self.say(f"No profile is in {self.cell_app.profiles}: {SHOWN['open']} opens one by its path, {SHOWN['add']} writes one.", "warning")
+            self.say(
+                f"No profile is in {self.cell_app.profiles}: {SHOWN['open']} opens one by its path,"
+                f" {SHOWN['add']} writes one.",
+                "warning",
+            )
         profiles.focus()
         self.set_interval(_REFRESH_S, self._tick)
 
@@ -328,7 +336,10 @@ class CellScreen(DayScreen):
         from cellapp.commands.doctor.profile_view import doctor_verdict
 
         if self.workspace.profile is None:
-            return self.workspace.problem or f"No profile is open: choose one in the list, or press {SHOWN['open']}.", "failed"
+            return (
+                self.workspace.problem or f"No profile is open: choose one in the list, or press {SHOWN['open']}.",
+                "failed",
+            )
         if self._doctor is None:
             return f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves.", "old"
         words, age = doctor_verdict(self._doctor), datetime.now() - self._doctor_at

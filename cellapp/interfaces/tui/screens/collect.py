@@ -24,12 +24,12 @@ from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.show.overview import run_log
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.errors import CellappError
-from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind
 from cellapp.interfaces.tui import work as jobs
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
 from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
+from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind
 from cellapp.interfaces.tui.offers import BEGIN, arms_words
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState, holds_for_drift

@@ -50,7 +50,8 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
         state = {"pause": "pausing", "stop": "stopped", "abort": "aborted"}[request]  # type: ignore[assignment]
     look, possible = _DOING[state]
     if holds_for_drift(record):
-        possible = f"Look for a moved tracker, nest or SMR. {SHOWN['drift']} accepts the drift and resumes, as c does; x ends it."
+        possible = f"Look for a moved tracker, nest or SMR. {SHOWN['drift']} accepts the drift and resumes, as c does;"
+        possible += " x ends it."
     shows_reason = record.reason and state == record.state != "running"
     return Headline(state.upper(), f"{record.reason.rstrip('.')}. {possible}" if shows_reason else possible, look)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import ClassVar
 
 from textual.app import ComposeResult
@@ -18,10 +19,10 @@ from cellapp.commands.discover.view import explanation_text
 from cellapp.commands.discover.words import verdict_sentence
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.results import DISCOVER
-from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.offers import BEGIN, arms_words
+from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -92,7 +93,8 @@ The handbook explains each effect.
     def action_begin(self) -> None:
         """Search the run that is open."""
         if folder := self.open_folder():
-            self.start(work.job_of(request.VERB, folder=folder))
+            job = work.job_of(request.VERB, folder=folder)
+            offer_again(self, "Search again?", self._result, DISCOVER, partial(self.start, job))
 
     def action_propose(self) -> None:
         """Search, then plan further stops."""

@@ -15,9 +15,9 @@ from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.commands.plan.request import VERB as PLAN
-from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
+from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.plan_edits import NO_PLAN, PlanEdits
 from cellapp.interfaces.tui.widgets.cell_map import CellMap
@@ -385,8 +385,9 @@ def _state_words(state: RunState, workspace: Workspace) -> str:
         return NO_PLAN
     reserves = (0 if workspace.stops is None else len(workspace.stops.stops)) - state.planned
     more = f" and {reserves} in reserve" if reserves else ""
+    now = state.measured if state.collecting else 0
     arms = [
-        f"arm {name}: {arm.planned} stops{more}, {max(arm.measured, state.measured if state.collecting else 0)} measured"
+        f"arm {name}: {arm.planned} stops{more}, {max(arm.measured, now)} measured"
         for name, arm in workspace.overview.arms.items()
     ]
     edited = f" The profile was edited since; {SHOWN['go']} plans with the present one." if workspace.edited else ""

@@ -32,10 +32,10 @@ from cellapp.commands.view.charts import enumerated
 from cellapp.estimation.monitoring.fleet.records import FleetResult
 from cellapp.ground.errors import CellappError
 from cellapp.ground.results import Result
-from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.browser import open_page
 from cellapp.interfaces.tui.endings import REPORT_FILE
+from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.offers import offer_replay, offer_to_resume
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.text_table import TextTable
@@ -212,7 +212,7 @@ class RunsScreen(DayScreen):
             lines = [f"none of {len(self._found.runs)} runs passes the filter; {SHOWN['search']} changes it"]
         else:
             lines = runs_sentences(self._found)
-        self.query_one("#about", Static).update("\n".join(lines))
+        self.query_one("#about", Static).update(with_keys("\n".join(lines)))
 
     @on(DataTable.RowHighlighted)
     def show_run(self) -> None:

@@ -37,11 +37,11 @@ from cellapp.commands.report.result import RunResults
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
-from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
 from cellapp.interfaces.tui.dialogs.target_form import TargetForm
+from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens import targets_jobs
@@ -145,7 +145,9 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
             with TabPane("List", id="list"):
                 yield Static("", id="about-list", markup=False)
                 grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
-                grid.tooltip = "Enter edits, {add} adds, {remove} removes, {undo} undoes, {save} saves".format_map(SHOWN)
+                grid.tooltip = "Enter edits, {add} adds, {remove} removes, {undo} undoes, {save} saves".format_map(
+                    SHOWN
+                )
                 yield grid
                 yield Static("", id="about-target", classes="muted", markup=False)
             with TabPane("Target", id="target"):
@@ -155,6 +157,11 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
                 yield ChartPlot(id="second-plot")
             with TabPane("Tables", id="target-tables-pane"):
                 yield TablesView(id="target-tables")
+
+    @property
+    def unsaved(self) -> str:
+        """The edits of the list."""
+        return f"{len(self._edits.targets)} targets with edits" if self._edits.edited else ""
 
     @property
     def _grid(self) -> TargetGrid:

@@ -80,7 +80,11 @@ class TargetEdits:
         count = f"{len(self.targets)} target{'' if len(self.targets) == 1 else 's'}"
         name = "no file yet" if self.path is None else str(self.path)
         state = f" · NOT SAVED ({SHOWN['save']} saves)" if self.edited else ""
-        gone = f" · the file is gone, {SHOWN['save']} writes it again" if self.path is not None and not self.path.is_file() else ""
+        gone = (
+            f" · the file is gone, {SHOWN['save']} writes it again"
+            if self.path is not None and not self.path.is_file()
+            else ""
+        )
         return f"{name} · {count}{state}{gone}" + ("" if self.targets else f" · {EMPTY}")
 
 

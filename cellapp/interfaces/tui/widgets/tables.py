@@ -14,8 +14,8 @@ from textual.widgets import Static
 
 from cellapp.commands.view.table import Table, markdown
 from cellapp.interfaces.render.terminal import rich_table
-from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 
 
