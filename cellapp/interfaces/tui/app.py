@@ -25,19 +25,19 @@ from textual.screen import Screen
 from textual.widgets import Static
 
 from cellapp.cell.driving.requests.attaching import Detached
+from cellapp.interfaces.tui import night
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.attached import LOOK_EVERY_S, JobsOfOthers
 from cellapp.interfaces.tui.dialogs.handbook import Handbook
 from cellapp.interfaces.tui.dialogs.jump import Jump
-from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
 from cellapp.interfaces.tui.dialogs.palette import Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.endings import UNEXPECTED, ending_of, left_behind
-from cellapp.interfaces.tui.host import Host
-from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
+from cellapp.interfaces.tui.job_keys import JobKeys
+from cellapp.interfaces.tui.jobs import JobEnded
 from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind, key_table, with_keys
 from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
-from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, StopGiven, WorkspaceLoaded
+from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
 from cellapp.interfaces.tui.offers import (
     offer_at_rest,
     offer_paths,
@@ -54,12 +54,16 @@ from cellapp.interfaces.tui.themes import HIGH_CONTRAST
 from cellapp.interfaces.tui.widgets.header import StepTab
 from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
 
-_REQUESTS = ("stop", "pause", "resume", "abort")
+_REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
-_ALWAYS = ("stop", "abort")
+_ALWAYS = ("stop", "stop_job", "abort")
 """Actions that an open dialog does not hide."""
 _DRAWING_S = 0.1
 """Time between two drawings of a running job: people read no faster, and keys are answered between them."""
+_WAITING = ("paused", "suspended", "stopped", "aborted")
+"""States in which a job waits for a person or for the cell."""
+_TICK_S = 1.0
+"""Time between two looks at what goes on without an event: the time that is left, the title of the terminal."""
 _PRELOAD_AFTER_S = 0.3
 """The first screen is drawn before."""
 _LATER = (
@@ -76,7 +80,7 @@ _MOST_TAKEN = 300
 """Events that are taken in at a time: each takes some microseconds."""
 
 
-class CellApp(Host):
+class CellApp(JobKeys):
     """The application.
 
     Parameters
@@ -96,7 +100,7 @@ class CellApp(Host):
     COMMAND_PALETTE_BINDING = "ctrl+p"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "stop", "STOP", priority=True),
-        Binding("ctrl+c", "stop", show=False, priority=True),
+        Binding("ctrl+c", "stop_job", show=False, priority=True),
         Binding("ctrl+c", "say_how_to_quit", show=False),
         bind("pause", "pause", "Pause"),
         bind("resume", "resume", "Resume"),
@@ -128,6 +132,7 @@ class CellApp(Host):
         self._patience_s = patience_s
         self._leaving = False
         self._ended: str | None = None
+        self._titled = ""
 
     def close_terminal(self) -> None:
         """Leave because the terminal is gone; from any thread."""
@@ -146,6 +151,7 @@ class CellApp(Host):
         self.call_after_refresh(self._welcome)
         self.set_interval(_DRAWING_S, self._draw_events)
         self.set_interval(LOOK_EVERY_S, self.others.look)
+        self.set_interval(_TICK_S, self._tick)
         self.set_timer(_PRELOAD_AFTER_S, self._preload)
         self.leaving.watch()
         self.say(f"Choose a profile on this screen; {SHOWN['next']} goes to the next step, {SHOWN['help']} explains.")
@@ -265,6 +271,8 @@ class CellApp(Host):
         """Disable actions that are not possible now; over a dialog only stop and abort remain."""
         if action in _REQUESTS and not self.jobs.possible(action):
             return False
+        if action == "stop" and self.escape_closes:
+            return False
         if action in _OWN and action not in _ALWAYS and not isinstance(self.screen, DayScreen):
             return False
         return None if action == "whole_day" and self.jobs.running else True
@@ -352,77 +360,6 @@ class CellApp(Host):
         """Ask, then plan, collect, calibrate, discover, push and verify in a new run."""
         offer_whole_day(self)
 
-    def action_stop(self) -> None:
-        """Brake all arms now."""
-        if not self.jobs.possible("stop"):
-            return
-        control = self.jobs.control
-        arms = control.has_brakes
-        control.stop()  # before anything is drawn
-        self._say_stop(arms)
-
-    @on(StopGiven)
-    def show_stop(self, event: StopGiven) -> None:
-        """Say that a press has stopped."""
-        self.presses.said()
-        if self.jobs.running:
-            self._say_stop(event.arms)
-
-    def _say_stop(self, arms: bool) -> None:
-        self._refuse_motion()
-        if self.jobs.control.cancelled:
-            self.say("Stopping: the arms brake, the job ends." if arms else "Stopping at the next step.", "warning")
-        else:
-            self.say("STOP: all arms brake. c: resume when the cell is clear; x: abort.", "error")
-
-    def action_say_how_to_quit(self) -> None:
-        """Ctrl-C, where nothing runs and no text is selected: it does not quit. Say what does."""
-        self.say("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
-
-    def action_pause(self) -> None:
-        """Let the job rest after the present stop; the second time, resume. It does not resume a stopped job."""
-        control = self.jobs.control
-        if control.request == "pause":
-            self.action_resume()
-        elif control.request == "stop":
-            self.say("Stopped, not paused. c: resume when the cell is clear; x: abort.", "warning")
-        elif self.jobs.possible("pause"):
-            control.pause()
-            rests = "the arms rest after the present stop" if control.has_brakes else "the job waits where it can"
-            self.say(f"Pausing: {rests}. p or c: resume; Escape: stop.", "warning")
-
-    def action_resume(self) -> None:
-        """Let a paused or stopped job continue."""
-        if not self.jobs.possible("resume"):
-            return
-        if self.presses.just_given:
-            self.say("Stopped; resume was asked for in the same moment. c: resume when the cell is clear.", "warning")
-            return
-        self.jobs.control.resume()
-        self.say("Resuming.")
-
-    def action_abort(self) -> None:
-        """Brake all arms now and end the job."""
-        if self.jobs.possible("abort"):
-            arms = self.jobs.control.has_brakes
-            self.jobs.control.abort()
-            self._refuse_motion()
-            self.say("Aborting: all arms brake, the job ends." if arms else "Aborting at the next step.", "error")
-
-    @on(MotionAsked)
-    def ask_before_motion(self, message: MotionAsked) -> None:
-        """Show the first motion and ask for the profile's name."""
-        if self.jobs.control.request not in ("none", "pause"):
-            return  # a person stopped the job before the question was shown, which answered it
-        profile = self.workspace.profile
-        name = "move" if profile is None else profile.name
-        self.push_screen(MotionQuestion(message.words, name), lambda allowed: message.answer(bool(allowed)))
-
-    def _refuse_motion(self) -> None:
-        """Close the question before the first motion: a stop is an answer."""
-        if isinstance(self.screen, MotionQuestion):
-            self.screen.dismiss(False)
-
     @on(JobEnded)
     def show_end(self, message: JobEnded) -> None:
         """State in words how the job ended, and read the run again."""
@@ -434,6 +371,7 @@ class CellApp(Host):
         self.code = ending.code
         self._ended = ending.text if ending.code == 0 else ""
         self.say(ending.text, ending.severity)
+        self._tell_event("done" if ending.code == 0 else "ended", ending.text)
         if self._leaving:  # the shell keeps what the screen can no longer show
             self.exit(return_code=self.code, message=Text(ending.text))
             return
@@ -490,11 +428,35 @@ class CellApp(Host):
         if self.record.state != state:
             self._say_state()
 
+    def _tick(self) -> None:
+        """The time that is left goes down, and the terminal's title says how far the job is."""
+        with contextlib.suppress(NoMatches, StopIteration):
+            if self.jobs.running:
+                self.day_screen.draw_state()
+        title = night.title_words(self.state, self.record)
+        if title != self._titled:
+            self._titled = title
+            self.tell(night.title_sequence(title))
+
+    def tell(self, sequence: str) -> None:
+        """Write a sequence to the terminal, past the screens."""
+        if self._driver is not None and not self.is_headless and night.is_told():
+            self._driver.write(sequence)
+
+    def _tell_event(self, word: str, text: str) -> None:
+        """Ring, and notify the desktop: somebody who does not look is told."""
+        self.tell(night.notice_sequence(f"cellapp {word}", text))
+
     def _say_state(self) -> None:
         """A new state of the job in the message line; what a replay plays back is no state of these arms."""
         state, reason = self.record.state, self.record.reason
         if state is not None and reason:
-            self.message = f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}: {reason}"
+            since = "" if state == "running" else f" {night.since_words(self.record)}"
+            self.message = (
+                f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}{since or f': {reason}'}"
+            )
             self._severity = "information" if state == "running" else "warning"
             self._draw_message()
         self.refresh_bindings()
+        if state in _WAITING and not self.record.is_replay:
+            self._tell_event(str(state), f"{self.record.name} {night.since_words(self.record)}")

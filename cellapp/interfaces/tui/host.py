@@ -74,6 +74,11 @@ class Host(App[None]):
         self.draw_all()
         return True
 
+    @property
+    def escape_closes(self) -> bool:
+        """Whether Escape closes a dialog or leaves a field; else it stops a job."""
+        return False
+
     def live(self) -> CellLive | None:
         """What is known now of the cell that the present job has open; None without one."""
         return self.jobs.control.live() if self.jobs.running else None

@@ -109,6 +109,12 @@ class JobRunner:
         return self.job is not None
 
     @property
+    def moves(self) -> bool:
+        """Whether the present job may move arms, here or in another process."""
+        job = self.job
+        return job is not None and (job.moves or job.process is not None or self.control.has_brakes)
+
+    @property
     def attached(self) -> bool:
         """Whether the present job is one of another process: leaving it does not stop it."""
         return self.job is not None and self.job.process is not None

@@ -24,11 +24,9 @@ from cellapp.commands.sign_key.result import SignKeyResult
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, Result, StageName
 from cellapp.interfaces.tui import work_acceptance
 from cellapp.interfaces.tui.dialogs.question import Reading
-from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens import accept_jobs
-from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
 from cellapp.interfaces.tui.widgets.tabs import show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
@@ -100,7 +98,6 @@ The check and the tests ask first, and real arms ask again with the first path. 
     AcceptScreen TablesView { overflow-x: auto; }
     AcceptScreen .table DataTable { width: auto; }
     AcceptScreen #certificate-tables .table { min-width: 110; }
-    AcceptScreen #evidence { height: auto; max-height: 3; padding-left: 1; }
     """
 
     def __init__(self) -> None:
@@ -120,8 +117,6 @@ The check and the tests ask first, and real arms ask again with the first path. 
                 yield TablesView(id="iso9283-tables")
             with TabPane("Certificate", id="certificate-pane"):
                 yield WrappedTables(id="certificate-tables")
-        yield ProgressBars()
-        yield Static("", id="evidence", classes="muted", markup=False)
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
@@ -182,13 +177,6 @@ The check and the tests ask first, and real arms ask again with the first path. 
             self.query_one(f"#{place}-tables", TablesView).say_empty(busy or needs or empty)
         if state.folder is None:
             self._draw_verdict(None, state.no_run)
-
-    def show_job(self, record: JobRecord) -> None:
-        """Draw how far the job is, and what it has found so far."""
-        runs = record.state is not None
-        self.query_one(ProgressBars).parts = parts_of(record) if runs else ()
-        found = record.latest.note if runs and record.latest is not None else ""
-        self.query_one("#evidence", Static).update(found)
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw what the run holds, and judge it in a thread."""

@@ -17,6 +17,7 @@ from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import KEYS, WAYS
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
+from cellapp.interfaces.tui.widgets.job_panel import JobPanel
 from cellapp.interfaces.tui.widgets.key_line import KeyLine
 from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
 from cellapp.interfaces.tui.workspace import Step, Workspace
@@ -42,6 +43,8 @@ class DayScreen(Screen[None]):
 
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (100, "-medium"), (160, "-wide")]  # noqa: RUF012 - as Textual declares it
     STEP: ClassVar[Step]
+    SHOWS_JOB: ClassVar[bool] = True
+    """Whether the panel of the live job stands above its body; a screen that shows the job whole has none."""
     HELP: ClassVar[str] = ""
     """Markdown for the key ``?``: what the screen shows and what one does here."""
 
@@ -68,6 +71,8 @@ class DayScreen(Screen[None]):
         yield DayHeader()
         yield StepLine()
         yield LiveStrip()
+        if self.SHOWS_JOB:
+            yield JobPanel()
         yield Static(_TOO_SMALL, classes="too-small", markup=False)
         with Vertical(classes="body"):
             yield from self.body()
@@ -84,7 +89,10 @@ class DayScreen(Screen[None]):
     def draw_state(self) -> None:
         """Draw what every screen says about the state, then what this one does, where it has changed."""
         state = self.state
-        self.query_one(DayHeader).show(state, self.workspace.kind, self.cell_app.record)
+        record = self.cell_app.record
+        self.query_one(DayHeader).show(state, self.workspace.kind, record)
+        for panel in self.query(JobPanel):
+            panel.show(record)
         if state != self._state:
             self._state = state
             self.query_one(StepLine).show(state.marks, self.STEP)
@@ -116,6 +124,10 @@ class DayScreen(Screen[None]):
             if isinstance(binding, Binding) and binding.key == KEYS[meaning].keys:
                 self.call_next(self.run_action, binding.action)
                 return
+
+    def leave_field(self) -> None:
+        """Leave a field in which a text is typed: what is pressed next is a key."""
+        self.set_focus(None)
 
     def open_folder(self) -> Path | None:
         """Folder of the run that is open; without one, a sentence says what to do."""

@@ -63,6 +63,7 @@ class CollectScreen(DayScreen):
     """Drive and measure; watch it; resume it."""
 
     STEP: ClassVar[Step] = "collect"
+    SHOWS_JOB: ClassVar[bool] = False
     HELP: ClassVar[str] = """\
 # Collect
 
@@ -222,6 +223,10 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         """Search in the log."""
         self.action_view("log")
         self.query_one(LogPane).ask("search")
+
+    def leave_field(self) -> None:
+        """Close the field of the log."""
+        self.query_one(LogPane).leave()
 
     def action_filter(self) -> None:
         """Show only lines of the log with a text."""

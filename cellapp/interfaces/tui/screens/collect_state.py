@@ -9,6 +9,7 @@ from cellapp.ground.control import Request
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN
+from cellapp.interfaces.tui.night import since_words
 from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 
 Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
@@ -52,8 +53,8 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
     if holds_for_drift(record):
         possible = f"Look for a moved tracker, nest or SMR. {SHOWN['drift']} accepts the drift and resumes, as c does;"
         possible += " x ends it."
-    shows_reason = record.reason and state == record.state != "running"
-    return Headline(state.upper(), f"{record.reason.rstrip('.')}. {possible}" if shows_reason else possible, look)
+    waits = record.reason and state == record.state != "running"
+    return Headline(state.upper(), f"{since_words(record)}. {possible}" if waits else possible, look)
 
 
 def _of_replay(record: JobRecord, state: JobState, request: Request) -> Headline:

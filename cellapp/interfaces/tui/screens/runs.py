@@ -230,6 +230,10 @@ class RunsScreen(DayScreen):
         """Filter while a person types."""
         self._draw()
 
+    def leave_field(self) -> None:
+        """Go back to the list; what is typed stays."""
+        self._table.focus()
+
     @on(Input.Submitted, "#filter")
     def leave_filter(self) -> None:
         """Go back to the list."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 
 from textual.app import ComposeResult
@@ -15,6 +16,7 @@ from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.marks import SIGNS, Mark
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens import SCREENS
+from cellapp.interfaces.tui.widgets.progress_bars import present_part
 from cellapp.interfaces.tui.widgets.stop import StopButton
 from cellapp.interfaces.tui.workspace import Step
 
@@ -114,6 +116,8 @@ def job_words(record: JobRecord) -> str:
     if latest is None:
         return f"{record.name} ..."
     state = "" if record.state == "running" else f" {record.state.upper()}"
-    eta = eta_words(latest.eta_s) if latest.eta_s else ""
+    present = present_part(record)
+    left_s = None if present is None else present.left_s(time.monotonic())
+    eta = eta_words(left_s) if left_s and left_s > 0.0 else ""
     part = f"{record.name}: {latest.job}" if len(record.progress) > 1 or record.name == "run" else record.name
     return f"{part}{state} {latest.done}/{latest.total}" + (f", {eta}" if eta else "")
