@@ -15,6 +15,7 @@ import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
@@ -322,8 +323,13 @@ class Verb:
 
     def run(self, request: Request, work: Work) -> Result:
         """Do it."""
-        result: Result = self._part("run").run(request, work)
-        return result
+        do: Callable[[Work], Result] = partial(self._part("run").run, request)
+        if not (self.moves_arms or self.stored):
+            return do(work)
+        from cellapp.commands.notifying import run_notified  # late: it needs these records
+
+        name = request.job_name() or self.name
+        return run_notified(name, request, work, do, lambda result: self.view(result, request).failed)
 
     def view(self, result: Result, request: Request | None = None) -> View:
         """How a result is shown; ``request`` is what was asked for, None for a result that is stored."""
