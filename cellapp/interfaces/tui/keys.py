@@ -81,6 +81,7 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "collect": ("collect", "go"),
     "calibrate": ("calibrate", "go"),
     "discover": ("discover", "go"),
+    "discover --propose": ("discover", "add"),
     "compensate": ("targets", "go"),
     "push": ("targets", "measure"),
     "locate": ("targets", "locate"),
@@ -99,7 +100,7 @@ WAYS: Mapping[str, tuple[Step, str]] = {
 """Verb -> the screen and the meaning of the key that does it; the palette does the others."""
 _COMMAND = re.compile(
     r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
-    r"|\bcellapp ([a-z][\w-]*)(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*))*"
+    r"|\bcellapp ([a-z][\w-]*)(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
 )
 
 
@@ -133,6 +134,8 @@ def with_keys(text: str) -> str:
 
     def keys(found: re.Match[str]) -> str:
         verb = found[1] or found[2]
-        return way_to(verb) if verb in verbs else found[0]
+        if verb not in verbs:
+            return found[0]
+        return way_to("discover --propose" if verb == "discover" and "--propose" in found[0] else verb)
 
     return _COMMAND.sub(keys, text)

@@ -29,6 +29,7 @@ from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens import accept_jobs
 from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
 from cellapp.interfaces.tui.widgets.tabs import show_next_tab
+from cellapp.interfaces.tui.widgets.verdict_bars import VerdictBars
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
@@ -110,6 +111,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
         yield Static("", id="outdated", markup=False)
         with TabbedContent(id="accept"):
             with TabPane("Verdict", id="verdict-pane"):
+                yield VerdictBars(id="verdict-bars")
                 yield WrappedTables(_NOT_JUDGED, id="verdict-tables")
             with TabPane("Check", id="check-pane"):
                 yield TablesView(id="check-tables")
@@ -214,6 +216,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
         from cellapp.commands.report.verdict_view import verdict_sentences, verdict_tables
 
         tables = self.query_one("#verdict-tables", TablesView)
+        self.query_one(VerdictBars).judgements = () if verdict is None else verdict.judgements
         if verdict is None:
             self._draw_decision("", why_not)
             tables.show([])
