@@ -32,7 +32,7 @@ from tests.interfaces.tui.pilot import PROFILES, HeldJob, ended, opened, shown_t
 RUN = Path("logs/day")
 SIZE = (120, 40)
 NO_RUN = ("No run is open", "NO RUN", "no run is open")
-NOTHING = ("Nothing was collected yet", "No readings yet", "collect first", "READY, ")
+NOTHING = ("Nothing was collected yet", "No readings yet", "ollect first", "Collect and calibrate first", "READY, ")
 UNCALIBRATED = ("Not calibrated yet",)
 RUNS = ("RUNNING", "PAUSED", "STOPPED", " Escape STOP", " esc STOP", " x Abort", "'collect' runs", "is PAUSED")
 COMPLETE = ("COMPLETE", "INTERRUPTED")
@@ -99,12 +99,12 @@ async def texts_of(pilot: Pilot[None], app: CellApp) -> dict[str, str]:
         texts[entry.step] = words(app)
         for tab in app.screen.query(TabPane).results():
             app.screen.query_one(TabbedContent).active = tab.id or ""
-            await settle(pilot)
+            await pilot.pause()
             texts[f"{entry.step}, {tab.id}"] = words(app)
         if isinstance(app.screen, CollectScreen):
             for _ in range(4):
                 await pilot.press("t")
-                await settle(pilot)
+                await pilot.pause()
                 texts[entry.step] += words(app)
     return texts
 
@@ -145,7 +145,7 @@ async def test_no_sentence_contradicts_the_state(
             [*wrong, *{place.partition(":")[0]: texts[place.partition(":")[0]] for place in wrong}.values()]
         )
         missing = [phrase for phrase in case.says if not any(phrase in text for text in texts.values())]
-        assert not missing, "\n".join([*missing, *texts.values()])
+        assert not missing
         if case.job is not None:
             held.go_on.set()
             await ended(pilot, app)

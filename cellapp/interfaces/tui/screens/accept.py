@@ -45,6 +45,7 @@ _NO_CERTIFICATE = (
     f"No certificate was written yet. {SHOWN['export']} writes and signs it; {SHOWN['import']} checks the file of one."
 )
 _READING = "reading the run ..."
+_NOMINAL = "Tests by ISO 9283 with nominal commands need no calibration."
 _UNREADABLE = "The run cannot be judged; the message line says what is wrong with it."
 
 
@@ -177,8 +178,10 @@ The check and the tests ask first, and real arms ask again with the first path. 
             needs = state.no_run if place == "certificate" else state.not_calibrated if place == "check" else ""
             busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
             self.query_one(f"#{place}-tables", TablesView).say_empty(busy or needs or empty)
-        if state.folder is None:
+        if state.no_run:
             self._draw_verdict(None, state.no_run)
+        elif state.not_calibrated:
+            self._draw_decision("", f"{state.not_calibrated} {_NOMINAL}")
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw what the run holds, and judge it in a thread."""
@@ -221,7 +224,9 @@ The check and the tests ask first, and real arms ask again with the first path. 
             self._draw_decision("", why_not)
             tables.show([])
             return
-        self._draw_decision(verdict.state or "", f"{verdict.title}. {verdict.sentence}")
+        needs = self.state.not_calibrated
+        words = f"{needs} {_NOMINAL}" if needs else f"{verdict.title}. {verdict.sentence}"
+        self._draw_decision(verdict.state or "", words)
         tables.show(verdict_tables(verdict), after=verdict_sentences(verdict))
 
     def _draw_decision(self, state: str, sentence: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -31,6 +31,7 @@ from cellapp.interfaces.tui.widgets.cell_findings import (
     devices_of,
 )
 from cellapp.interfaces.tui.widgets.cell_map import CellMap
+from cellapp.interfaces.tui.widgets.tables import WrappedTables
 from cellapp.interfaces.tui.widgets.tabs import explain_tabs, show_next_tab
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace
@@ -38,11 +39,15 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
     from cellapp.commands.plan.result import StopsResult
+    from cellapp.commands.runs.result import RunsResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
 _REFRESH_S = 5.0
 """Time between two questions to the devices: slow enough for any controller, fast enough to see a stop released."""
+_TODAY_AFTER_S = 0.6
+"""The first screen is drawn before."""
+_NO_RUNS = "No run is there yet: the day begins with a profile and a plan (key 2)."
 _OLD = timedelta(minutes=10)
 """Age from which the doctor's findings are shown as old: in that time somebody may have pressed a stop."""
 
@@ -54,6 +59,7 @@ Which cell is calibrated, what the profile says of it, what its devices say, and
 - Choose a profile in the list (Enter while a run is open), or open one by its path.
 - The doctor asks every device and makes every check; nothing moves. The line above the tables is its verdict; failed
   checks come first, and the sentence below the table is that of the selected row, in full.
+- *Today* is what waits: open runs, and for each arm how old its calibration and its check are, and what is due.
 - *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs.
 - *Profile* is the profile in words, *Map* shows where bases and tracker stand.
 """
@@ -65,6 +71,14 @@ class DevicesProbed(Message):
     def __init__(self, profile: Profile, result: DoctorResult) -> None:
         super().__init__()
         self.profile, self.result = profile, result
+
+
+class TodayRead(Message):
+    """The folder of runs was read, for what waits today."""
+
+    def __init__(self, found: RunsResult) -> None:
+        super().__init__()
+        self.found = found
 
 
 class CellScreen(DayScreen):
@@ -107,7 +121,7 @@ class CellScreen(DayScreen):
         self._doctor_at = datetime.now()
         self._written_ns = 0
         self._states: dict[str, DeviceState] = {}
-        self._probing = False
+        self._probing = self._today = False
         self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
 
     def body(self) -> ComposeResult:
@@ -116,6 +130,8 @@ class CellScreen(DayScreen):
             with Vertical(id="cell-middle"):
                 yield Static("", id="cell-verdict", markup=False)
                 with TabbedContent(id="cell-tabs", initial="tab-profile"):
+                    with TabPane("Today", id="tab-today"):
+                        yield WrappedTables(_NO_RUNS, id="today")
                     with TabPane("Profile", id="tab-profile"):
                         yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
                     with TabPane("Devices", id="tab-devices"):
@@ -148,6 +164,7 @@ class CellScreen(DayScreen):
             )
         profiles.focus()
         self.set_interval(_REFRESH_S, self._tick)
+        self.set_timer(_TODAY_AFTER_S, self._read_today)
 
     # -- profiles ------------------------------------------------------------------------------------------------------
 
@@ -205,6 +222,30 @@ class CellScreen(DayScreen):
         from cellapp.interfaces.tui.dialogs.first_run import take_own_readings
 
         take_own_readings(self.cell_app)
+
+    @work(thread=True, exclusive=True, group="today")
+    def _read_today(self) -> None:
+        from cellapp.commands.runs.history import list_runs
+
+        logs = self.cell_app.logs
+        try:
+            if logs.is_dir():
+                self.post_message(TodayRead(list_runs(logs)))
+        except CellappError:
+            return  # the screen Runs says why
+
+    @on(TodayRead)
+    def show_today(self, event: TodayRead) -> None:
+        """Draw what waits; at the start it is what is shown, unless something else was chosen meanwhile."""
+        from cellapp.commands.runs.today import today_sentences, today_tables
+
+        now, tabs = datetime.now(UTC), self.query_one("#cell-tabs", TabbedContent)
+        self.query_one("#today", WrappedTables).show(
+            today_tables(event.found, now), after=today_sentences(event.found, now)
+        )
+        if event.found.runs and not self._today and tabs.active == "tab-profile" and self.workspace.folder is None:
+            tabs.active = "tab-today"
+        self._today = True
 
     def action_map(self) -> None:
         """Show the map."""
@@ -302,6 +343,8 @@ class CellScreen(DayScreen):
             self._show_profile(workspace.profile)
         drawn = (workspace.profile, workspace.stops)
         if drawn != self._drawn:
+            if self._today:
+                self._read_today()
             self._drawn = drawn
             for plot in self.query(CellMap):
                 plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)

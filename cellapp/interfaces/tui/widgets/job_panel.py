@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 from textual.app import ComposeResult
 from textual.containers import Vertical
 from textual.content import Content
 from textual.widgets import Static
 
+from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import LEVELS, JobRecord
 from cellapp.interfaces.tui.widgets.arm_panel import activity_words
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
@@ -35,10 +38,14 @@ class JobPanel(Vertical):
         yield Static("", classes="arms", markup=False)
         yield Static("", classes="newest", markup=False)
 
+    def on_mount(self) -> None:
+        """Draw a job that runs already."""
+        self.show(cast(Host, self.app).record)
+
     def show(self, record: JobRecord) -> None:
         """Draw the job as far as it is known now."""
         self.set_class(record.state is not None, "shown")
-        if record.state is None:
+        if record.state is None or not self.children:  # its own widgets come a moment after it
             return
         height = self.app.size.height
         bars = self.query_one(ProgressBars)
