@@ -44,8 +44,11 @@ def view(result: CertificateResult, request: CertificateRequest | None = None) -
     """What is certified, where it was written, and with ``strict`` what does not confirm conformity."""
     written = [] if request is None else [f"written: {request.out or request.folder}"]
     strict = request is not None and request.strict
+    doubts = "; it does not confirm conformity" if result.complaints() else ""
     return View(
-        (*certificate_tables(result), *certificate_sentences(result), *written), result.complaints() if strict else ()
+        (*certificate_tables(result), *certificate_sentences(result), *written),
+        result.complaints() if strict else (),
+        held=f"certificate {result.number} was written{doubts}",
     )
 
 

@@ -164,7 +164,13 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         interrupted=last is not None and last not in _DONE and left > 0,
         in_use=known.in_use,
         size_bytes=known.size_bytes,
+        tracker_due=_due(run.profile),
     )
+
+
+def _due(profile: Profile) -> str:
+    due = profile.traceability.tracker.due
+    return "" if due is None else due.isoformat()
 
 
 def _last_session(sessions: list[Session]) -> LastSession | None:

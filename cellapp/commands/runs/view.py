@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 from rich import filesize
 
 from cellapp.commands.record import Request, View
+from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import ArmFigures, CellKind, RunsResult, RunSummary
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.discovery.records import BeforeAfter
@@ -25,7 +27,12 @@ _MM = ".3f"
 
 
 def view(result: RunsResult, request: Request | None = None) -> View:
-    """Every run below the folder."""
+    """Every run below the folder; or what waits today."""
+    if isinstance(request, RunsRequest) and request.today:
+        from cellapp.commands.runs.today import today_sentences, today_tables  # late: it uses the words of this module
+
+        now = datetime.now(UTC)
+        return View((*today_tables(result, now), *today_sentences(result, now)))
     return View((*runs_tables(result), *runs_sentences(result)))
 
 
