@@ -1,4 +1,4 @@
-"""The verdict of a check with its evidence, in the records of ``results/check.py``."""
+"""The verdict of a check with its evidence, in the records of its result."""
 
 from __future__ import annotations
 
