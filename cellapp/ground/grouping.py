@@ -1,4 +1,4 @@
-"""Values by their keys."""
+"""Values by a key that several of them share."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ V = TypeVar("V")
 
 
 def grouped(pairs: Iterable[tuple[K, V]]) -> dict[K, list[V]]:
-    """The values of each key; keys in the order of their first pair, values in that of theirs."""
+    """Key -> its values, both in the order in which they come first."""
     found: dict[K, list[V]] = {}
     for key, value in pairs:
         found.setdefault(key, []).append(value)

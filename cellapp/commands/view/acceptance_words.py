@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import get_args
 
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
-from cellapp.ground.profile.acceptance import DecisionRule
+from cellapp.ground.results import DecisionRule
 
 CHARACTERISTIC_WORDS: Mapping[Characteristic, str] = {
     "position": "Position error",
@@ -45,7 +46,7 @@ VERDICT_TITLES: Mapping[Conformity, str] = {
     "does not conform": "The cell does not conform to its tolerances",
     "cannot say": "Cannot say: conformity is not decided",
 }
-_STATES: tuple[Conformity, ...] = ("conforms", "does not conform", "cannot say")
+_STATES: tuple[Conformity, ...] = get_args(Conformity)
 
 
 @dataclass(frozen=True)

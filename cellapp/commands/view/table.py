@@ -102,10 +102,6 @@ class Table:
         )
 
 
-Parts: TypeAlias = Sequence[Table | str]
-"""What a result says, in the order of reading: tables, and lines between them."""
-
-
 Source: TypeAlias = str | Callable[[Any], Cell]
 """Where a cell comes from: the attribute of a row, or what is made of the row."""
 Field: TypeAlias = tuple[str, Source] | tuple[str, Source, str] | tuple[str, Source, str, str]

@@ -29,6 +29,9 @@ _WITHIN_95 = (0.90, 0.98)
 """Share of measured coordinates that stated 95 % intervals must hold."""
 
 
+BarKind = Literal["held-out error [mm]", "worst draw to mean", "within 95 %"]
+
+
 class LeagueLine(Record):
     """A series at one size: means over its draws on one group of held-out rows.
 
@@ -75,7 +78,7 @@ class LeagueBar(Record):
 
     series: str
     rows: Rows
-    what: Literal["held-out error [mm]", "worst draw to mean", "within 95 %"]
+    what: BarKind
     least: float | None
     most: float
     reached: float
@@ -249,7 +252,7 @@ def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
 
 def _bar(
     line: LeagueLine,
-    what: Literal["held-out error [mm]", "worst draw to mean", "within 95 %"],
+    what: BarKind,
     least: float | None,
     most: float,
     reached: float,
