@@ -31,8 +31,7 @@ def stored_view(state: CollectionResult) -> View:
 def collection_section(state: CollectionResult) -> Section:
     """How a run was collected, with sessions, missing readings and drift in one sentence."""
     count, missing = len(state.sessions), len(state.missing)
-    words = [f"{count} session{'s' if count != 1 else ''}"]
-    words.append(f"{missing} planned readings missing" if missing else "no planned reading missing")
+    words = [counted(count, "session"), f"{counted(missing, 'planned reading')} missing"]
     drifts = [reference.drift_mm for reference in state.references]
     if drifts:
         words.append(f"references moved by at most {mm(max(drifts))}, limit {mm(state.drift_limit_mm)}")

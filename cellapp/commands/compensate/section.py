@@ -18,6 +18,7 @@ from cellapp.commands.compensate.words import compensate_summary, verify_message
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Table
 
+_SOURCES = "What the uncertainty of each target is made of"
 _ABOUT = (
     "A measured target was approached twice: with the joint positions from the nominal model, and with those from the"
     " calibrated model. Bounds are those that the error keeps with 95 % probability; `cellapp docs targets` explains"
@@ -39,6 +40,7 @@ def targets_section(
             *(line for line in (*measured, *predicted) if line != message),
             *(chart for chart in charts if not chart.is_empty),
             *_tables(compensate, verify),
+            *([] if compensate is None else [Section(_SOURCES, uncertainty_tables(compensate), folded=True)]),
         ],
         message=message,
         about=_ABOUT,
@@ -52,6 +54,5 @@ def _tables(compensate: CompensateResult | None, verify: VerifyResult | None) ->
     if compensate is not None:
         if verify is None:
             yield from predicted_tables(compensate)
-        yield from uncertainty_tables(compensate)
         yield from unknown_tables(compensate)
         yield from refusal_tables(compensate)

@@ -52,6 +52,7 @@ from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.ground.counting import counted
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, StageName
 from cellapp.ground.times import day_of
 from cellapp.robot.kinematics.chain import parameter_names
@@ -60,7 +61,7 @@ _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Names of the lengths of a chain: a1, d1 and so on."""
 _MOST_EVENTS = 100
 """Newest events of the run's log in the report; the run file has all of them."""
-_MOST_CURVES = 4
+_MOST_CURVES = 3
 """Joints of an arm that have a chart of what all effects turn them by, the most turned ones first."""
 SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "judgements": ("Errors against their tolerances", (CALIBRATE,)),
@@ -184,9 +185,8 @@ def _terms(calibrate: CalibrateResult) -> Iterator[str]:
     )
     if calibrate.pair:
         yield (
-            "Cooperative error: error of the computed distance between the two arms' SMRs at one stop."
-            ' "Network in the tracker frame" is the paper\'s counter-example: what was learned there is added in the'
-            " base frame."
+            "Cooperative error: error of the computed distance between the two arms' SMRs at one stop. \"Network in the"
+            " tracker frame\" is the paper's counter-example: what was learned there is added in the base frame."
         )
 
 
@@ -401,9 +401,8 @@ def _parameters_message(data: ReportData) -> str:
 
 def _notes(data: ReportData) -> Section | None:
     notes, missing = warnings(data), missing_results(data)
-    counts = [f"{len(notes)} warning{'s' if len(notes) != 1 else ''} or note{'s' if len(notes) != 1 else ''}"]
-    counts = counts if notes else []
-    counts += [f"{len(missing)} result{'s' if len(missing) != 1 else ''} not in this report"] if missing else []
+    counts = [f"{counted(len(notes), 'warning')} or note{'s' if len(notes) != 1 else ''}"] if notes else []
+    counts += [f"{counted(len(missing), 'result')} not in this report"] if missing else []
     about = "DIR is the folder of this run, TARGETS a list of targets."
     parts = [
         *([Section("Warnings and notes", notes)] if notes else []),

@@ -42,6 +42,7 @@ def page_text(run: RunFile, written: datetime) -> str:
         profile=data.profile,
         written=written.isoformat(timespec="seconds"),
         data_mark=data_mark(run),
+        simulated=" (simulated cell)" if data.profile.is_simulated else "",
         header_facts=header_facts(data),
         alarm_title="Out of date" if outdated else "Do not use",
         outdated=bool(outdated),

@@ -111,7 +111,7 @@ def stroke(figure: Locator) -> str:
 
 def test_logarithmic_axes_are_labelled_by_whole_numbers_that_ascend(opened: Open) -> None:
     """Not 2, 1, 5, 2, the first digits alone."""
-    figure = alive(opened(), "errors1")
+    figure = alive(opened(), "accuracy-1")
     labels = figure.locator(".live .ytick text")
     labels.first.wait_for()
     values = [float(words) for words in labels.all_text_contents() if words]

@@ -118,9 +118,9 @@ def test_is_well_formed(whole: RunFile, whole_page: Page) -> None:
     (found_section,) = (one for one in report_sections(whole, read_report_data(whole)) if one.key == "discovery")
     curves = sum(len(one.parts) for one in sections_in(found_section) if one.title == "What effects turn joints by")
     assert curves
-    # errors, histogram, run, four of vectors, targets, their uncertainty, steps, effects and joints of each arm; stated
-    # bounds; two of the pair; three of the cell
-    drawn = 26 + curves + len(pictures) + certainties + len(charts_of(plan))
+    # errors, histogram, run, three of vectors, targets, their uncertainty, steps, effects and joints of each arm;
+    # stated bounds; two of the pair; three of the cell
+    drawn = 24 + curves + len(pictures) + certainties + len(charts_of(plan))
     assert drawn_figures(whole_page) == drawn
     assert drawn <= 60
 
@@ -220,6 +220,12 @@ def test_mentions_every_step(whole: RunFile, whole_page: Page) -> None:
     assert "Out of date" not in text
 
 
+def test_a_simulated_cell_is_called_so_in_the_first_line(whole_page: Page, whole_text: str, single_text: str) -> None:
+    assert whole_page.words.split("Calibration report: ")[2].startswith(f"{' '.join(NAME.split())} (simulated cell)")
+    assert 'content: "simulated cell"' in whole_text
+    assert "simulated cell" not in single_text, "its readings are given; nothing is simulated"
+
+
 def test_hostile_names_are_only_text(whole_page: Page) -> None:
     for name in (LEFT, RIGHT, NAME, TARGET, UNREACHABLE, EVENT):
         assert name in whole_page.text
@@ -260,7 +266,7 @@ def test_errors_stand_beside_their_intervals_and_the_tracker(whole: RunFile, who
     summary = calibrate.pair["effects"].cooperative_mm
     assert summary.mean_ci95 is not None
     low, high = summary.mean_ci95
-    shown = {row[0]: dict(zip(tables[-1].headings, row)) for row in tables[-1].text_rows()}["effects"]
+    shown = {row[0]: dict(zip(tables[-1].headings, row)) for row in tables[-1].text_rows()}["geometry and effects"]
     assert shown["95 % of mean"] == f"{low:.4f} to {high:.4f}"
     assert shown["p95"] == f"{summary.p95:.4f}"
     left, right = (arm.tracker_mm for arm in calibrate.arms.values())
@@ -312,7 +318,7 @@ def test_says_what_is_missing_and_how_to_get_it(single_text: str) -> None:
     page = Page(single_text)
     text = page.text
     assert page.faults == []
-    assert drawn_figures(page) == 10  # errors, histogram, run, four of vectors; three of the cell
+    assert drawn_figures(page) == 9  # errors, histogram, run, three of vectors; three of the cell
     assert "cellapp discover DIR" in text
     assert "the profile has no devices" in text
     assert "cellapp push DIR TARGETS --verify" in text
