@@ -50,6 +50,7 @@ class JobPanel(Vertical):
         height = self.app.size.height
         bars = self.query_one(ProgressBars)
         bars.compact, bars.parts = height < _HUGE, parts_of(record)
+        bars.styles.height = bars.lines  # said outright: its container does not ask again
         arms = [f"{name} {activity_words(arm)}" for name, arm in record.arms.items() if arm.activity != "unknown"]
         line = self.query_one(".arms", Static)
         line.display = bool(arms)
