@@ -24,6 +24,7 @@ from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import ErrorSummary
 
 NOT_GIVEN = "not given"
@@ -179,9 +180,7 @@ def iso_sentence(tests: CertifiedTests) -> str:
 
 def budget_table(result: CertificateResult) -> Table:
     """Standard uncertainties of a position error by arm [mm], combined and expanded by the GUM."""
-    by_arm: dict[str, list[UncertaintyContribution]] = {}
-    for one in result.contributions:
-        by_arm.setdefault(one.where, []).append(one)
+    by_arm = grouped((one.where, one) for one in result.contributions)
     sources = dict.fromkeys(one.source for one in result.contributions)
     rows: list[tuple[Cell, ...]] = [_budget_row(source, by_arm) for source in sources]
     combined = {arm: combined_mm(lines) for arm, lines in by_arm.items()}

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series, styles
+from cellapp.ground.grouping import grouped
 from cellapp.ground.progress import ReferenceReport, StopReport
 
 NO_READINGS = "No stop was reported."
@@ -70,10 +71,7 @@ def _arm_series(
 
 def drift_by_reference(references: Iterable[ReferenceDrift]) -> dict[str, list[tuple[int, float]]]:
     """Stops done and drift [mm] of each reference, in the order of measurement."""
-    drift_mm: dict[str, list[tuple[int, float]]] = {}
-    for row in references:
-        drift_mm.setdefault(row.name, []).append((row.stops_done, row.drift_mm))
-    return drift_mm
+    return grouped((row.name, (row.stops_done, row.drift_mm)) for row in references)
 
 
 def drift_chart(references: Iterable[ReferenceDrift], limit_mm: float) -> Chart:
@@ -83,10 +81,11 @@ def drift_chart(references: Iterable[ReferenceDrift], limit_mm: float) -> Chart:
 
 def live_drift_chart(reports: Sequence[ReferenceReport]) -> Chart:
     """The same from the events of a running collection, which count reference measurements from 1."""
-    drift_mm: dict[str, list[tuple[int, float]]] = {}
-    for number, report in enumerate(reports, start=1):
-        for name, drift in report.drift_mm.items():
-            drift_mm.setdefault(name, []).append((number, drift))
+    drift_mm = grouped(
+        (name, (number, drift))
+        for number, report in enumerate(reports, start=1)
+        for name, drift in report.drift_mm.items()
+    )
     limit_mm = reports[-1].limit_mm if reports else None
     return _drift_chart(drift_mm, limit_mm, Axis("reference measurement"))
 

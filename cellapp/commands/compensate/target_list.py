@@ -14,6 +14,7 @@ from cellapp.commands.run_results import StageResults
 from cellapp.commands.stages import change_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.uncertainty.decision import target_verdict
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile.acceptance import DecisionRule
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE
 
@@ -246,10 +247,7 @@ def _short_state(state: TargetState) -> str:
 
 
 def _by_name(stored: Sequence[R]) -> dict[str, list[R]]:
-    found: dict[str, list[R]] = {}
-    for entry in stored:
-        found.setdefault(entry.name, []).append(entry)
-    return found
+    return grouped((entry.name, entry) for entry in stored)
 
 
 def _with_tolerance(target: Target, stored: TargetRecord) -> Target:

@@ -87,7 +87,7 @@ def _accepted_lines(accepted: Sequence[AcceptedEffect], width: int) -> list[str]
         lines.append(_cut(f"  {found.effect:23} {place:16} {numbers}", width))
         cycles = cycle_words(found)
         if cycles:
-            lines += _hanging("    cycles per turn  ", cycles, width)
+            lines += _hanging("    cycles/revolution  ", cycles, width)
         if found.description is not None:
             lines += _hanging("    ", found.description.sentence, width)
         misfit = misfit_words(found)

@@ -56,11 +56,11 @@ def also_possible(arm: ArmDiscoveryResult) -> str:
 
 
 def cycle_words(found: AcceptedEffect) -> str:
-    """Dominant cycles per turn of a free curve, joint by joint; empty for any other law."""
+    """Dominant cycles per revolution of a free curve, joint by joint; empty for any other law."""
     if found.law.name != "curve":
         return ""
     return ", ".join(
-        f"joint {joint}: {_band(band)} ({band.rms_urad:.0f} urad rms)" for joint, band in (found.cycles or {}).items()
+        f"joint {joint}: {_band(band)} ({band.rms_urad:.0f} µrad rms)" for joint, band in (found.cycles or {}).items()
     )
 
 

@@ -6,9 +6,11 @@ import os
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import get_args
 
 from pydantic import ValidationError
 
+from cellapp.cell.driving.records import End
 from cellapp.cell.run.collection_rows import Session
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import FILE_NAME
@@ -26,7 +28,7 @@ DEFAULT_FOLDER = Path("logs")
 
 LEVELS = 3
 """Folders between a listed folder and a run; trials and campaigns make two."""
-_DONE: tuple[LastSession, ...] = ("complete", "accurate enough")
+_DONE: tuple[LastSession, ...] = get_args(End)
 
 
 def list_runs(folder: Path | None = None) -> RunsResult:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from cellapp.ground.control import Request
+from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN
@@ -84,13 +85,13 @@ def _of_stops(state: RunState) -> tuple[str, str, Look]:
     if not left and not measured:
         return "NO PLAN", f"This run has no stops to measure: keys 2, {go} plan a run.", "idle"
     if not left:
-        return f"COMPLETE, {measured} stops", f"{on}.", "done"
+        return f"COMPLETE, {counted(measured, 'stop')}", f"{on}.", "done"
     if not measured:
-        return f"READY, {left} stops", f"{go} begins. Nothing moves before it is confirmed.", "idle"
+        return f"READY, {counted(left, 'stop')}", f"{go} begins. Nothing moves before it is confirmed.", "idle"
     if state.outcome == "accurate enough":
-        sentence = f"{on}; {go} measures the {left} stops that are left."
-        return f"ACCURATE ENOUGH, {measured} of {measured + left} stops", sentence, "idle"
+        sentence = f"{on}; {go} measures the {counted(left, 'stop')} that are left."
+        return f"ACCURATE ENOUGH, {measured} of {counted(measured + left, 'stop')}", sentence, "idle"
     if state.outcome == "complete":
         return f"{left} MORE STOPS", f"{measured} are measured; {go} measures those that were planned since.", "idle"
-    sentence = f"{go} measures the {left} stops that are left."
-    return f"INTERRUPTED, {measured} of {measured + left} stops", sentence, "idle"
+    sentence = f"{go} measures the {counted(left, 'stop')} that are left."
+    return f"INTERRUPTED, {measured} of {counted(measured + left, 'stop')}", sentence, "idle"

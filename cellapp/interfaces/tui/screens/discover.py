@@ -18,6 +18,7 @@ from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.discover.view import explanation_text
 from cellapp.commands.discover.words import verdict_sentence
 from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Choice
@@ -109,7 +110,7 @@ The handbook explains each effect.
         if left == 0:
             self.say(f"No stop is left to measure: {SHOWN['add']} proposes further ones.", "warning")
             return
-        text = f"{left} stops are left to measure in {folder}; {arms_words(self.workspace)}."
+        text = f"{counted(left, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
 
         def begin(answer: str | None) -> None:
             if answer == "begin":

@@ -15,6 +15,7 @@ from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.commands.plan.request import VERB as PLAN
+from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.keys import SHOWN, bind
@@ -161,7 +162,10 @@ class PlanScreen(PlanEdits):
             self.say("A job is running; plan when it has ended.", "warning")
             return
         reserve = f" and {profile.plan.reserve} in reserve" if profile.plan.reserve else ""
-        text = f"{profile.plan.stops} stops{reserve} of the cell '{profile.name}', read from {path}. Nothing moves."
+        text = (
+            f"{counted(profile.plan.stops, 'stop')}{reserve} of the cell '{profile.name}', read from {path}."
+            " Nothing moves."
+        )
 
         def begin(folder: Path | None) -> None:
             if folder is not None:
@@ -283,7 +287,7 @@ class PlanScreen(PlanEdits):
     @work(thread=True, exclusive=True, group="charts")
     def _make_charts(self, workspace: Workspace) -> None:
         """Draw the design: the mathematics that this needs takes half a second to load."""
-        from cellapp.interfaces.page.plan_section import design_charts_of, design_tables_of
+        from cellapp.commands.plan.section import design_charts_of, design_tables_of
 
         profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
         if profile is not None and ways is not None and stops is not None and stops.stops:
@@ -387,7 +391,7 @@ def _state_words(state: RunState, workspace: Workspace) -> str:
     more = f" and {reserves} in reserve" if reserves else ""
     now = state.measured if state.collecting else 0
     arms = [
-        f"arm {name}: {arm.planned} stops{more}, {max(arm.measured, now)} measured"
+        f"arm {name}: {counted(arm.planned, 'stop')}{more}, {max(arm.measured, now)} measured"
         for name, arm in workspace.overview.arms.items()
     ]
     edited = f" The profile was edited since; {SHOWN['go']} plans with the present one." if workspace.edited else ""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from cellapp.cell.targets.targets import Target, list_problems
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.run_state import RunState
@@ -77,7 +78,7 @@ class TargetEdits:
         """File, number of targets, and whether they are saved."""
         if self.path is None and not self.targets:
             return EMPTY
-        count = f"{len(self.targets)} target{'' if len(self.targets) == 1 else 's'}"
+        count = counted(len(self.targets), "target")
         name = "no file yet" if self.path is None else str(self.path)
         state = f" · NOT SAVED ({SHOWN['save']} saves)" if self.edited else ""
         gone = (
