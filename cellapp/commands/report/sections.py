@@ -401,7 +401,7 @@ def _parameters_message(data: ReportData) -> str:
 
 def _notes(data: ReportData) -> Section | None:
     notes, missing = warnings(data), missing_results(data)
-    counts = [f"{counted(len(notes), 'warning')} or note{'s' if len(notes) != 1 else ''}"] if notes else []
+    counts = [counted(len(notes), "warning or note", "warnings or notes")] if notes else []
     counts += [f"{counted(len(missing), 'result')} not in this report"] if missing else []
     about = "DIR is the folder of this run, TARGETS a list of targets."
     parts = [
@@ -418,7 +418,8 @@ def _provenance(data: ReportData) -> Section:
     return Section(
         "",
         [provenance_facts(data), *([Section("Log of the run", [log])] if log.rows else [])],
-        f"Calibrated by {origin.program} on {day_of(origin.written)} from {count} readings; hashes identify the data.",
+        f"Calibrated by {origin.program} on {day_of(origin.written)} from {counted(count, 'reading')}; hashes"
+        " identify the data.",
     )
 
 
