@@ -14,6 +14,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
@@ -134,6 +135,8 @@ class View:
         Why nothing was done, where only the work showed that; empty where something was.
     is_json : bool
         Whether the parts are the result's JSON, which is not shown where it is written to a file.
+    held : str
+        What one line says where nothing failed: "the calibration holds"; empty where "done" says it all.
     """
 
     parts: Sequence[Part] = ()
@@ -141,6 +144,7 @@ class View:
     checks: str = ""
     refused: str = ""
     is_json: bool = False
+    held: str = ""
 
 
 def _no_run_page(run: RunFile) -> Path:
@@ -309,8 +313,13 @@ class Verb:
 
     def run(self, request: Request, work: Work) -> Result:
         """Do it."""
-        result: Result = self._part("run").run(request, work)
-        return result
+        do: Callable[[Work], Result] = partial(self._part("run").run, request)
+        if not (self.moves_arms or self.stored):
+            return do(work)
+        from cellapp.commands.notifying import run_notified  # late: it needs these records
+
+        name = request.job_name() or self.name
+        return run_notified(name, request, work, do, lambda result: self.view(result, request).failed)
 
     def view(self, result: Result, request: Request | None = None) -> View:
         """How a result is shown; ``request`` is what was asked for, None for a result that is stored."""

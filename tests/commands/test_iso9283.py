@@ -126,10 +126,17 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
         ({"speed": float("nan")}, "--speed"),
         ({"also_speeds": (50.0, 0.0)}, "expected shares above 0 % and up to 100 %, got 0 %"),
         ({"also_speeds": (float("nan"),)}, "expected shares above 0 %"),
+        ({"also_loads": (-1.0,)}, "expected loads from 0 to 500 kg, got -1 kg"),
+        ({"also_loads": (float("nan"),)}, "expected loads from 0 to 500 kg"),
+        ({"also_loads": (1e9,)}, "expected loads from 0 to 500 kg, got 1e.09 kg"),
+        ({"also_loads": (2.0,), "tests": ("distance",)}, "other loads are for the pose test; ask for pose too"),
+        ({"also_loads": ("heavy",)}, "--also-load"),
+        ({"forces": (0.0,)}, "expected forces above 0 N and up to 1000 N, got 0 N"),
+        ({"forces": (float("inf"),)}, "expected forces above 0 N and up to 1000 N"),
+        ({"forces": ()}, "at least one force is needed"),
         ({"drift_minutes": 0.0}, "--drift-minutes"),
         ({"tests": ["cooperative"]}, "needs two arms"),
     ],
-    ids=["commands", "arm", "cycles", "speed", "speed nan", "also speed", "also speed nan", "drift", "one arm"],
 )
 def test_bad_options_are_refused_before_anything_moves(
     options: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -30,7 +30,7 @@ def view(result: CheckResult, request: CheckRequest | None = None) -> View:
     """What was measured, the verdict, the evidence, and why the calibration does not hold."""
     strict = request is not None and request.strict
     parts: tuple[Part, ...] = (*check_tables(result), *check_sentences(result), *check_charts(result))
-    return View(parts, result.complaints(strict=strict))
+    return View(parts, result.complaints(strict=strict), held="the calibration holds")
 
 
 def check_tables(result: CheckResult) -> list[Table]:

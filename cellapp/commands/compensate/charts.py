@@ -22,6 +22,7 @@ from cellapp.commands.view.charts import (
 )
 from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 
 _BEFORE, _AFTER = STAGE_STYLES["nominal"], STAGE_STYLES["effects"]
 _CORRECTED, _OUT = STAGE_STYLES["network"], 5
@@ -99,10 +100,7 @@ def rounds_chart(verify: VerifyResult) -> Chart:
 
 def parts_charts(result: CompensateResult) -> list[Chart]:
     """What the uncertainty at the targets of each arm is made of; without arms whose commands state none."""
-    by_arm: dict[str, list[UncertaintyParts]] = {}
-    for command in result.targets:
-        if command.parts is not None:
-            by_arm.setdefault(command.arm, []).append(command.parts)
+    by_arm = grouped((command.arm, command.parts) for command in result.targets if command.parts is not None)
     return [parts_chart(f"Arm {name}: uncertainty at its targets by sources", parts) for name, parts in by_arm.items()]
 
 

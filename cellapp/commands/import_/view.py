@@ -10,5 +10,6 @@ from cellapp.ground.counting import counted
 def view(result: ImportResult, request: Request | None = None) -> View:
     """How many readings each arm has, and what was noticed."""
     return View(
-        (*(f"arm {name}: {counted(count, 'reading')}" for name, count in result.readings.items()), *result.notes)
+        (*(f"arm {name}: {counted(count, 'reading')}" for name, count in result.readings.items()), *result.notes),
+        held="; ".join(result.notes),
     )

@@ -8,6 +8,9 @@ from cellapp.commands.compensate.tables import all_measured_tables, verification
 from cellapp.commands.compensate.words import push_lines, verify_lines
 from cellapp.commands.push.request import PushRequest
 from cellapp.commands.record import Request, View
+from cellapp.commands.view.parts import Part
+
+_HELD = "the verification held"
 
 
 def view(result: VerifyResult, request: Request | None = None) -> View:
@@ -17,6 +20,7 @@ def view(result: VerifyResult, request: Request | None = None) -> View:
     """
     if request is None:
         charts = target_charts(result, dict.fromkeys(result.arms))
-        return View((*all_measured_tables(result), *verify_lines(result), *charts), result.complaints())
+        return View((*all_measured_tables(result), *verify_lines(result), *charts), result.complaints(), held=_HELD)
     verified = isinstance(request, PushRequest) and request.verify
-    return View((*verification_tables(result), *push_lines(result)), result.complaints() if verified else ())
+    parts: tuple[Part, ...] = (*verification_tables(result), *push_lines(result))
+    return View(parts, result.complaints(), held=_HELD) if verified else View(parts)

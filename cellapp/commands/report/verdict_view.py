@@ -14,6 +14,7 @@ from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,7 @@ def verdict_tables(verdict: RunVerdict) -> list[Table]:
 
 def verdict_sentences(verdict: RunVerdict) -> list[str]:
     """What the judgements rest on, and what comes next."""
-    sources: dict[str, list[str]] = {}
-    for one in verdict.judgements:
-        sources.setdefault(one.source, []).append(f"{_name(one)} of {one.where}")
+    sources = grouped((one.source, f"{_name(one)} of {one.where}") for one in verdict.judgements)
     return [
         *dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements),
         *(f"{', '.join(judged)}: {source}" for source, judged in sources.items()),

@@ -30,4 +30,7 @@ def view(result: WholeRunResult, request: Request | None = None) -> View:
     parts.append(f"run: {result.run}   report: {Path(result.run) / 'report.html'}")
     steps = (("collect", result.collect), ("verification", result.verify))
     failed = [(name, step.complaints()) for name, step in steps if step is not None and step.complaints()]
-    return View(parts, failed[0][1], failed[0][0]) if failed else View(parts)
+    if failed:
+        return View(parts, failed[0][1], failed[0][0])
+    unverified = "nothing was verified, the profile names no targets"
+    return View(parts, held=unverified if result.verify is None else "the verification held")
