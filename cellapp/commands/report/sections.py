@@ -45,10 +45,9 @@ from cellapp.commands.plan.section import plan_section
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
-from cellapp.commands.report.judged import judgement_table
 from cellapp.commands.report.provenance import provenance_facts
 from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
-from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence
+from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.estimation.calibration.records import CalibrateResult
