@@ -190,7 +190,7 @@ class CellApp(JobKeys):
         """Quit; with a job in progress or something that is not saved, ask first; stop the job and wait for its end."""
         unsaved = [words for screen in self._screens.values() if (words := screen.unsaved)]
         if self.jobs.running or unsaved:
-            if not self._leaving and isinstance(self.screen, DayScreen | Handbook | Reading):
+            if not self._leaving:
                 offer_to_quit(self, self._leave, unsaved)
         else:
             self.exit(return_code=self.code)
