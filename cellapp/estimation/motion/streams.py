@@ -1,6 +1,6 @@
 """Recordings of motion: samples of the joints and points of the tracker, each with the stamps of its own device.
 
-Stamps are kept as the device gave them: irregular, repeated, with gaps and with steps of the clock. ``clocks`` reads them.
+Stamps are kept as the device gave them: irregular, repeated, with gaps and with steps of the clock.
 """
 
 from __future__ import annotations
