@@ -144,9 +144,7 @@ def _masked_correlation(
         return np.asarray(irfft(rfft(x, size) * np.conj(rfft(y, size)), size))
 
     n = np.maximum(correlate(ma, mb), 0.0)
-    enough = n >= max(
-        _LEAST_OVERLAP * min(ma.sum(), mb.sum()), min(_LEAST_OVERLAP_S / step, 0.9 * min(ma.sum(), mb.sum()))
-    )
+    enough = n >= max(_LEAST_OVERLAP * min(ma.sum(), mb.sum()), _LEAST_OVERLAP_S / step)
     n = np.maximum(n, 1.0)
     sa, sb = correlate(a, mb), correlate(ma, b)
     va, vb = correlate(a * a, mb) - sa**2 / n, correlate(ma, b * b) - sb**2 / n
