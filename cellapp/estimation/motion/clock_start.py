@@ -41,7 +41,7 @@ _APART_S = 0.3
 """Peaks closer together are one."""
 _TRIED_POINTS = 300
 _FEWEST_POINTS = 10
-_REFINED = 2
+_REFINED = 3
 """Times that a delay is refined by what its fit leaves along the motion."""
 _TOOL_SPAN_M = 0.1
 """Speeds are averaged over points at this distance about the flange where the tool is unknown."""
@@ -189,5 +189,5 @@ def _tried(
         moved = smr_positions(arm, path.at(time_s[some] - offset + _GRID_S)[0]) - computed
         usual = misses <= 3.0 * found.rms_m
         share = float(np.vdot(moved[usual], left[usual]) / max(float(np.vdot(moved[usual], moved[usual])), 1e-300))
-        offset -= _GRID_S * float(np.clip(share, -1.0, 1.0))
+        offset -= _GRID_S * float(np.clip(share, -3.0, 3.0))
     return found

@@ -37,6 +37,7 @@ from cellapp.estimation.motion.observe import (
     stop_sums,
     track_sums,
 )
+from cellapp.estimation.motion.terms import JointTerm, Law, Masses
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
@@ -52,8 +53,6 @@ _LAST_M = 5e-5
 """The same with all points: what is left after it is about its square over the arm's length."""
 GROSS = 6.0
 """Norm, in standard deviations of a coordinate, beyond which a point is a gross error: never by chance."""
-_PLAY_SD = 1e-4
-"""Prior standard deviation of half play [rad]: gears are specified in arc minutes of lost motion."""
 _RATE_SD = 3e-4
 """Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; one that is off by more shows in any recording."""
 _TRACKER_M = 1e-5
@@ -75,6 +74,18 @@ class Problem:
     mean: Array = field(repr=False)
     precision: Array = field(repr=False)
     spreads: tuple[PriorSpread, ...]
+    masses: Masses | None = None
+
+    def with_terms(self, added: tuple[JointTerm, ...]) -> Problem:
+        """The same problem with further terms."""
+        layout, at = replace(self.layout, terms=self.layout.terms + added), self.layout.arm
+        precisions = [1.0 / term.prior_sd**2 for term in added]
+        return replace(
+            self,
+            layout=layout,
+            mean=np.insert(self.mean, at, np.zeros(len(added))),
+            precision=np.insert(self.precision, at, precisions),
+        )
 
     @property
     def translation(self) -> int:
@@ -83,7 +94,7 @@ class Problem:
 
     def model(self, values: Array) -> Model:
         """The arm and its clocks at ``values``."""
-        return Model(self.start, self.layout, values)
+        return Model(self.start, self.layout, values, self.masses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,22 +136,24 @@ def problem_of(
     tool_unknown: bool,
     parameter_set: SetName,
     prior_sigma: Mapping[str, float],
+    masses: Masses | None = None,
 ) -> Problem:
     """The problem with its start: the nominal chain at the base that all points together suggest."""
     q, p = _subset(tracks, stops)
     start = start_from_nominal(nominal, q, p, tool_unknown=tool_unknown)
     parameters, priors = estimated_parameters(parameter_set, start, prior_sigma)
-    layout = Layout(parameters, tuple(len(track.offsets_s) for track in tracks))
+    terms = tuple(JointTerm(Law.PLAY, joint) for joint in range(nominal.joints))
+    layout = Layout(parameters, terms, tuple(len(track.offsets_s) for track in tracks))
     mean, precision = np.zeros(layout.size), np.zeros(layout.size)
     mean[: layout.geometric] = start.vector()[list(parameters.columns)]
     precision[: layout.geometric] = 1.0 / prior_sds(parameters, priors) ** 2
-    precision[layout.geometric : layout.arm] = 1.0 / _PLAY_SD**2
+    precision[layout.geometric : layout.arm] = [1.0 / term.prior_sd**2 for term in terms]
     for number, track in enumerate(tracks):
         mean[layout.offsets(number)] = track.offsets_s
         precision[layout.rate(number)] = 1.0 / _RATE_SD**2
-    return Problem(
-        start, layout, tuple(tracks), stops, mean, precision, prior_spreads(parameters, set(priors) - set(prior_sigma))
-    )
+    spreads = prior_spreads(parameters, set(priors) - set(prior_sigma))
+    masses = None if masses is None else replace(masses, geometry=start)
+    return Problem(start, layout, tuple(tracks), stops, mean, precision, spreads, masses)
 
 
 def _subset(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]:
@@ -158,9 +171,9 @@ def _thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
     return rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
 
 
-def solve(problem: Problem, stop_rows: NDArray[np.intp]) -> Solution:
-    """Fit a subset with robust weights, then all points but gross errors."""
-    values, steps = _first_fit(problem, stop_rows)
+def solve(problem: Problem, stop_rows: NDArray[np.intp], start: Array | None = None) -> Solution:
+    """Fit a subset with robust weights, then all points but gross errors; from ``start`` without the subset."""
+    values, steps = _first_fit(problem, stop_rows) if start is None else (start, [])
     precision, converged = problem.precision, False
     for _ in range(_STEPS):
         model = problem.model(values)

@@ -97,12 +97,12 @@ def _result(problem: Problem, solution: Solution) -> MotionFit:
     found = {
         track.name: _recording_fit(problem, solution, model, number) for number, track in enumerate(problem.tracks)
     }
-    arm = slice(layout.geometric, layout.arm)
+    arm = slice(layout.geometric, layout.geometric + layout.parameters.joints)
     identification, half_widths = _identification(problem, solution, model)
     has_stops = problem.stops is not None and len(solution.sources[-1].rows)
     return MotionFit(
         identification=identification,
-        half_play=model.half_play.copy(),
+        half_play=model.of_terms[: layout.parameters.joints].copy(),
         half_play_standard_error=np.sqrt(np.diag(noise.covariance)[arm]),
         recordings=found,
         half_widths=half_widths,

@@ -1,8 +1,8 @@
 """Residuals and normal equations of recordings, chunk by chunk: memory does not grow with the number of points.
 
 A point stamped t was measured at controller time ``u = t - o - r (t - t_m)``, offset o of its segment, rate r of its
-recording. The model is ``P(q(u) - h d(u); g)``: geometry g, half play h and direction d of each joint. Its columns are
-those of the geometry; ``-d_j dP/dq_j`` for h_j; ``-J qd`` for o and ``-(t - t_m) J qd`` for r.
+recording. The model is ``P(q(u) + sum_k b_k o_k(u); g)``: geometry g, and offsets o of joints (``terms``). Its columns
+are those of the geometry; ``o_k dP/dq_j`` for b_k; ``-J qd`` for o and ``-(t - t_m) J qd`` for r.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.motion.noise import Bands, bands_of
+from cellapp.estimation.motion.terms import JointState, JointTerm, Law, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array
@@ -38,9 +39,10 @@ class Stops:
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each parameter stands: geometry, half play of N joints, then the offsets and the rate of each recording."""
+    """Where each parameter stands: geometry, terms of joints, then the offsets and the rate of each recording."""
 
     parameters: ParameterSet
+    terms: tuple[JointTerm, ...]
     segments: tuple[int, ...]
 
     @property
@@ -50,8 +52,8 @@ class Layout:
 
     @property
     def arm(self) -> int:
-        """Number of parameters of the arm: geometry and half play."""
-        return self.geometric + self.parameters.joints
+        """Number of parameters of the arm: geometry and terms."""
+        return self.geometric + len(self.terms)
 
     @property
     def size(self) -> int:
@@ -88,6 +90,7 @@ class Model:
     start: Geometry
     layout: Layout
     values: Array = field(repr=False)
+    masses: Masses | None = None
 
     @property
     def geometry(self) -> Geometry:
@@ -97,9 +100,14 @@ class Model:
         return self.start.with_vector(vector)
 
     @property
-    def half_play(self) -> Array:
-        """Half play (N,) [rad]."""
+    def of_terms(self) -> Array:
+        """Values of the terms."""
         return self.values[self.layout.geometric : self.layout.arm]
+
+    @property
+    def needs_torques(self) -> bool:
+        """Whether a term depends on torques."""
+        return any(term.law in (Law.WINDUP, Law.COMPLIANCE) for term in self.layout.terms)
 
     def clock(self, number: int) -> tuple[Array, float]:
         """Offsets [s] of the segments of one recording, and its rate."""
@@ -113,7 +121,8 @@ def residuals(model: Model, track: Track, number: int, rows: NDArray[np.intp]) -
     for first in range(0, len(rows), _CHUNK):
         part = rows[first : first + _CHUNK]
         u = track.controller_times(part, offsets, rate)
-        q = track.path.at(u)[0] - track.path.direction_at(u) * model.half_play
+        state = state_in_motion(track.path, u, model.masses, torques=model.needs_torques)
+        q = state.q + state.offsets(model.layout.terms, model.of_terms)
         left[first : first + _CHUNK] = track.p_M[part] - smr_positions(geometry, q)
     return left
 
@@ -129,10 +138,10 @@ def track_sums(model: Model, track: Track, number: int, rows: NDArray[np.intp], 
     for first in range(0, len(rows), step):
         part, weight = rows[first : first + step], root[first : first + step]
         u = track.controller_times(part, offsets, rate)
-        q, qd = track.path.at(u)
+        state = state_in_motion(track.path, u, model.masses, torques=model.needs_torques)
         X = np.empty((3, k, len(part)))
-        P, by_joint = _arm_columns(model, geometry, q, track.path.direction_at(u), X[:, :arm], work)
-        moved = np.einsum("ajn,nj->an", by_joint, qd)
+        P, by_joint = _arm_columns(model, geometry, state, X[:, :arm], work)
+        moved = np.einsum("ajn,nj->an", by_joint, state.qd)
         segment = track.segment[part]
         for place in range(len(offsets)):
             np.multiply(moved, -(segment == place).astype(np.float64), out=X[:, arm + place])
@@ -152,8 +161,7 @@ def track_sums(model: Model, track: Track, number: int, rows: NDArray[np.intp], 
 def stop_sums(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> Sums:
     """Sums over some of the stops, each weighted by the square of ``root`` (n,) [1/m]."""
     X = np.empty((3, model.layout.arm, len(rows)))
-    direction = np.zeros((len(rows), stops.q.shape[1])) if stops.approach is None else stops.approach[rows]
-    P, _ = _arm_columns(model, model.geometry, stops.q[rows], direction, X, Workspace())
+    P, _ = _arm_columns(model, model.geometry, _at_stops(model, stops, rows), X, Workspace())
     X *= root
     left = (stops.p_M[rows].T - P) * root
     flat = X.swapaxes(0, 1).reshape(model.layout.arm, -1)
@@ -163,16 +171,23 @@ def stop_sums(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -
 
 def stop_residuals(model: Model, stops: Stops) -> Array:
     """Measured less computed points (n, 3) [m] of all stops."""
-    q = stops.q if stops.approach is None else stops.q - stops.approach * model.half_play
+    state = _at_stops(model, stops, np.arange(len(stops.q)))
+    q = state.q + state.offsets(model.layout.terms, model.of_terms)
     return np.asarray(stops.p_M - smr_positions(model.geometry, q))
 
 
+def _at_stops(model: Model, stops: Stops, rows: NDArray[np.intp]) -> JointState:
+    q = stops.q[rows]
+    direction = np.zeros_like(q) if stops.approach is None else stops.approach[rows]
+    return state_at_rest(q, direction, model.masses if model.needs_torques else None)
+
+
 def _arm_columns(
-    model: Model, geometry: Geometry, q: Array, direction: Array, out: Array, work: Workspace
+    model: Model, geometry: Geometry, state: JointState, out: Array, work: Workspace
 ) -> tuple[Array, Array]:
     """Computed points (3, n) and their derivatives by the joints (3, N, n); ``out`` takes those by the parameters."""
     size, joints = model.layout.geometric, model.layout.parameters.joints
-    angles = JointAngles.of(q - direction * model.half_play)
+    angles = JointAngles.of(state.q + state.offsets(model.layout.terms, model.of_terms))
     thetas = tuple(6 + 5 * joint for joint in range(joints))
     wanted = model.layout.parameters.columns
     added = tuple(theta for theta in thetas if theta not in wanted)
@@ -180,7 +195,8 @@ def _arm_columns(
     out[:, :size] = J[:, len(added) :]
     place = {column: i for i, column in enumerate(added + wanted)}
     by_joint = J[:, [place[theta] for theta in thetas]]
-    np.multiply(by_joint, -direction.T, out=out[:, size:])
+    for number, term in enumerate(model.layout.terms):
+        np.multiply(by_joint[:, term.joint], term.offset(state), out=out[:, size + number])
     return P, by_joint
 
 
