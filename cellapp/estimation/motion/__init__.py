@@ -1,5 +1,6 @@
 """Calibration in motion: recordings of joints and of points, each with a clock of its own. Arrays in, arrays out."""
 
+from cellapp.estimation.motion.effects import MotionDiscovery, MotionEffect, effects_in_motion
 from cellapp.estimation.motion.identify import identify_from_motion
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.records import ClockFit, ClockSegment, MotionFit, RecordingFit
@@ -11,10 +12,13 @@ __all__ = [
     "ClockSegment",
     "ClockStep",
     "JointStream",
+    "MotionDiscovery",
+    "MotionEffect",
     "MotionFit",
     "PointStream",
     "Recording",
     "RecordingFit",
     "Stops",
+    "effects_in_motion",
     "identify_from_motion",
 ]

@@ -75,6 +75,7 @@ class Problem:
     precision: Array = field(repr=False)
     spreads: tuple[PriorSpread, ...]
     masses: Masses | None = None
+    whitening: tuple[Array, ...] | None = None
 
     def with_terms(self, added: tuple[JointTerm, ...]) -> Problem:
         """The same problem with further terms."""
@@ -85,6 +86,13 @@ class Problem:
             layout=layout,
             mean=np.insert(self.mean, at, np.zeros(len(added))),
             precision=np.insert(self.precision, at, precisions),
+        )
+
+    def without_terms(self) -> Problem:
+        """The same problem with geometry and clocks alone."""
+        kept = np.delete(np.arange(self.layout.size), np.arange(self.layout.geometric, self.layout.arm))
+        return replace(
+            self, layout=replace(self.layout, terms=()), mean=self.mean[kept], precision=self.precision[kept]
         )
 
     @property
@@ -261,7 +269,8 @@ def _sums(problem: Problem, model: Model, sources: Sequence[Source], robust: Seq
     for number, source in enumerate(sources):
         root = source.root(None if robust is None else robust[number])
         if number < len(problem.tracks):
-            found.append(track_sums(model, problem.tracks[number], number, source.rows, root))
+            whitening = None if problem.whitening is None or robust is not None else problem.whitening[number]
+            found.append(track_sums(model, problem.tracks[number], number, source.rows, root, whitening))
         elif problem.stops is not None:
             found.append(stop_sums(model, problem.stops, source.rows, root))
     return found

@@ -16,9 +16,11 @@ from cellapp.estimation.motion.fit import GROSS, Problem, Solution, problem_of, 
 from cellapp.estimation.motion.observe import Model, Stops, residuals, stop_residuals
 from cellapp.estimation.motion.records import ClockFit, ClockSegment, MotionFit, RecordingFit
 from cellapp.estimation.motion.streams import Recording
+from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array
 
 _LEAST_POINTS = 50
@@ -60,6 +62,39 @@ def identify_from_motion(
     InputError
         If a recording is at rest, its clocks do not overlap, its points are not of this arm, or too few are left.
     """
+    problem, stop_rows = motion_problem(
+        nominal,
+        recordings,
+        tool_unknown=tool_unknown,
+        stops=stops,
+        held_out_stops=held_out_stops,
+        parameter_set=parameter_set,
+        prior_sigma=prior_sigma,
+        seed=seed,
+    )
+    return motion_fit(problem, solve(problem, stop_rows))
+
+
+def motion_problem(
+    nominal: Geometry,
+    recordings: Sequence[Recording],
+    *,
+    tool_unknown: bool,
+    stops: Stops | None,
+    held_out_stops: NDArray[np.bool_] | None,
+    parameter_set: SetName,
+    prior_sigma: Mapping[str, float] | None,
+    seed: int,
+    loads: tuple[Bodies, Array] | None = None,
+) -> tuple[Problem, NDArray[np.intp]]:
+    """The problem of ``identify_from_motion``, and the rows of the stops that it may use; ``loads`` are masses and the
+    direction against gravity in the tracker frame.
+
+    Raises
+    ------
+    InputError
+        As ``identify_from_motion``.
+    """
     if not recordings:
         raise InputError("no recordings of motion")
     tracks = [_track(recording, nominal, tool_unknown, seed + number) for number, recording in enumerate(recordings)]
@@ -73,8 +108,9 @@ def identify_from_motion(
         tool_unknown=tool_unknown,
         parameter_set=parameter_set,
         prior_sigma=prior_sigma or {},
+        masses=None if loads is None else Masses(nominal, *loads),
     )
-    return _result(problem, solve(problem, stop_rows))
+    return problem, stop_rows
 
 
 def _track(recording: Recording, nominal: Geometry, tool_unknown: bool, seed: int) -> Track:
@@ -92,18 +128,23 @@ def _track(recording: Recording, nominal: Geometry, tool_unknown: bool, seed: in
     return track
 
 
-def _result(problem: Problem, solution: Solution) -> MotionFit:
+def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
+    """The result of a solution."""
     model, noise, layout = problem.model(solution.values), solution.noise, problem.layout
     found = {
         track.name: _recording_fit(problem, solution, model, number) for number, track in enumerate(problem.tracks)
     }
-    arm = slice(layout.geometric, layout.geometric + layout.parameters.joints)
+    play, play_error = np.zeros(layout.parameters.joints), np.full(layout.parameters.joints, np.nan)
+    for number, term in enumerate(layout.terms, start=layout.geometric):
+        if term.law is Law.PLAY:
+            play[term.joint] = solution.values[number]
+            play_error[term.joint] = math.sqrt(noise.covariance[number, number])
     identification, half_widths = _identification(problem, solution, model)
     has_stops = problem.stops is not None and len(solution.sources[-1].rows)
     return MotionFit(
         identification=identification,
-        half_play=model.of_terms[: layout.parameters.joints].copy(),
-        half_play_standard_error=np.sqrt(np.diag(noise.covariance)[arm]),
+        half_play=play,
+        half_play_standard_error=play_error,
         recordings=found,
         half_widths=half_widths,
         effective=sum(one.effective for one in found.values()),
@@ -112,14 +153,30 @@ def _result(problem: Problem, solution: Solution) -> MotionFit:
     )
 
 
+def held_out_rms_mm(problem: Problem, solution: Solution) -> float:
+    """Rms distance of all held-out points without gross errors from the model [mm]."""
+    model, squares, count = problem.model(solution.values), 0.0, 0
+    for number, track in enumerate(problem.tracks):
+        misses, good = _held_out(model, track, number, solution.sources[number].sigma_m)
+        squares += float(np.sum(misses[good] ** 2))
+        count += int(np.count_nonzero(good))
+    return 1e3 * math.sqrt(squares / count) if count else math.nan
+
+
+def _held_out(model: Model, track: Track, number: int, sigma_m: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Distances of held-out points from the model [m], and which are no gross errors."""
+    misses = np.linalg.norm(residuals(model, track, number, np.flatnonzero(track.held_out)), axis=1)
+    usual = float(np.median(misses)) / MEDIAN_NORM if len(misses) else 0.0
+    return misses, misses < GROSS * max(sigma_m, usual)
+
+
 def _recording_fit(problem: Problem, solution: Solution, model: Model, number: int) -> RecordingFit:
     track, source = problem.tracks[number], solution.sources[number]
     offsets, rate = model.clock(number)
     rows = np.flatnonzero(track.held_out)
     vector = problem.start.vector()
     bare = problem.model(_with_arm(problem, solution.values, vector))
-    misses = np.linalg.norm(residuals(model, track, number, rows), axis=1)
-    good = misses < GROSS * max(source.sigma_m, float(np.median(misses)) / MEDIAN_NORM) if len(rows) else misses < 0
+    misses, good = _held_out(model, track, number, source.sigma_m)
     nominal = np.linalg.norm(residuals(bare, track, number, rows), axis=1)
     return RecordingFit(
         clock=_clock_fit(problem, solution, number),
@@ -149,30 +206,36 @@ def _with_arm(problem: Problem, values: Array, vector: Array) -> Array:
 
 
 def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
+    """The clocks of one recording; the mean lag of the joints, which nothing tells from an offset, is part of that."""
     track, layout = problem.tracks[number], problem.layout
-    error, width = np.sqrt(np.diag(solution.noise.covariance)), solution.noise.half_width()
-    places, rate = list(range(*layout.offsets(number).indices(layout.size))), layout.rate(number)
+    width, rate = solution.noise.half_width(), layout.rate(number)
+    lags = [place for place, term in enumerate(layout.terms, start=layout.geometric) if term.law is Law.LAG]
 
-    def interval(place: int, unit: float = 1.0) -> tuple[float, float]:
-        half = float(width[place] * error[place])
-        return (float(solution.values[place]) - half) * unit, (float(solution.values[place]) + half) * unit
+    def stated(place: int, unit: float) -> tuple[float, float, tuple[float, float]]:
+        """Value, standard error and interval."""
+        share = np.zeros(layout.size)
+        share[place] = unit
+        if place != rate:
+            share[lags] = unit / max(len(lags), 1)
+        value, error = float(share @ solution.values), math.sqrt(float(share @ solution.noise.covariance @ share))
+        half = float(width[place]) * error
+        return value, error, (value - half, value + half)
 
     segments = []
-    for segment, place in enumerate(places):
+    for segment in range(layout.segments[number]):
         times = track.time_s[track.segment == segment]
         segments.append(
-            ClockSegment(
-                float(solution.values[place]), float(error[place]), interval(place), float(times[0]), float(times[-1])
-            )
+            ClockSegment(*stated(layout.offsets(number).start + segment, 1.0), float(times[0]), float(times[-1]))
         )
+    rate_ppm, rate_error, rate_interval = stated(rate, 1e6)
     first = segments[0]
     return ClockFit(
         offset_s=first.offset_s,
         offset_standard_error_s=first.offset_standard_error_s,
         offset_interval_s=first.offset_interval_s,
-        rate_ppm=float(solution.values[rate]) * 1e6,
-        rate_standard_error_ppm=float(error[rate]) * 1e6,
-        rate_interval_ppm=interval(rate, 1e6),
+        rate_ppm=rate_ppm,
+        rate_standard_error_ppm=rate_error,
+        rate_interval_ppm=rate_interval,
         middle_s=track.middle_s,
         segments=tuple(segments),
         steps_of_joints=track.path.stamps.steps,

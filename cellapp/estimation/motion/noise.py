@@ -20,8 +20,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
-from scipy.linalg import solve_triangular
+from scipy.fft import dct, irfft, next_fast_len, rfft
+from scipy.linalg import solve_toeplitz, solve_triangular
 from scipy.stats import t as student
 
 from cellapp.robot.kinematics.transforms import Array
@@ -30,6 +30,9 @@ _PER_OCTAVE = 2
 """Bands of frequency per octave."""
 _LEAST_FREEDOM = 24.0
 """Degrees of freedom that the fit must leave a band; bands with fewer are joined to the next."""
+_MEMORY_S = 0.2
+"""Time over which a whitening filter remembers, and the most samples of it."""
+_MOST_ORDER = 40
 _LEAST_SHARE = 0.3
 """A solution for a band's variance below this share of the plain one is chance: the plain one is then taken."""
 
@@ -156,6 +159,17 @@ def noise_model(
         np.clip(variance**2 / np.maximum(own, 1e-300), 1.0, 1e6),
         tuple(_level(number, bands, s) for number in range(len(sources))),
     )
+
+
+def whitening_filter(r: Array, period_s: float) -> Array:
+    """Coefficients (p + 1,), the first 1, that turn residuals ``r`` (n, 3) in order of time into white noise: those of
+    an autoregressive model by the Yule-Walker equations."""
+    order = int(np.clip(_MEMORY_S / period_s, 2, _MOST_ORDER))
+    size = next_fast_len(len(r) + order, real=True)
+    power = np.abs(rfft(r, size, axis=0)) ** 2
+    covariance = irfft(power.sum(axis=1), size)[: order + 1]
+    covariance[0] *= 1.0 + 1e-9
+    return np.concatenate([[1.0], -solve_toeplitz(covariance[:-1], covariance[1:])])
 
 
 def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: Array) -> list[_Band]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.motion.noise import Bands, bands_of
@@ -127,14 +128,21 @@ def residuals(model: Model, track: Track, number: int, rows: NDArray[np.intp]) -
     return left
 
 
-def track_sums(model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array) -> Sums:
-    """Sums over ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m]."""
+def track_sums(
+    model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, whitening: Array | None = None
+) -> Sums:
+    """Sums over ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m].
+
+    ``whitening`` is a filter along time that columns and residuals pass (``whitening``).
+    """
     columns, arm = model.layout.columns_of(number), model.layout.arm
     k, geometry, (offsets, rate), work = len(columns), model.geometry, model.clock(number), Workspace()
     A, b = np.zeros((k, k)), np.zeros(k)
     each = _block_length(track, len(rows))
     step = max(1, _CHUNK // each) * each
     X_blocks, r_blocks = [], []
+    past = 0 if whitening is None else len(whitening) - 1
+    memory_X, memory_r = np.zeros((3, k, past)), np.zeros((3, past))
     for first in range(0, len(rows), step):
         part, weight = rows[first : first + step], root[first : first + step]
         u = track.controller_times(part, offsets, rate)
@@ -148,6 +156,9 @@ def track_sums(model: Model, track: Track, number: int, rows: NDArray[np.intp], 
         np.multiply(moved, track.middle_s - track.time_s[part], out=X[:, -1])
         X *= weight
         left = (track.p_M[part].T - P) * weight
+        if whitening is not None:
+            X, memory_X = lfilter(whitening, [1.0], X, zi=memory_X)
+            left, memory_r = lfilter(whitening, [1.0], left, zi=memory_r)
         flat = X.swapaxes(0, 1).reshape(k, -1)
         A += flat @ flat.T
         b += flat @ left.ravel()

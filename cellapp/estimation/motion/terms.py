@@ -38,7 +38,7 @@ class Law(Enum):
 
 
 _UNIT = {Law.PLAY: "rad", Law.WINDUP: "rad/Nm", Law.LINE: "rad", Law.LAG: "s", Law.COMPLIANCE: "rad/Nm"}
-_SD = {Law.PLAY: 1e-4, Law.WINDUP: 1e-5, Law.LINE: 3e-4, Law.LAG: 1e-3, Law.COMPLIANCE: 2e-5}
+_SD = {Law.PLAY: 1e-4, Law.WINDUP: 1e-5, Law.LINE: 3e-4, Law.LAG: 5e-3, Law.COMPLIANCE: 2e-5}
 """Prior standard deviations, several times what arms of this kind have (handbook, chapter "effects")."""
 
 
@@ -58,7 +58,7 @@ class JointTerm:
         return {
             Law.PLAY: f"half_play{number}",
             Law.WINDUP: f"windup{number}",
-            Law.LINE: f"{'sin' if self.sine else 'cos'}{self.cycles}_{number}",
+            Law.LINE: f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}",
             Law.LAG: f"lag{number}",
             Law.COMPLIANCE: f"compliance{number}",
         }[self.law]
