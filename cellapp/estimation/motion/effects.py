@@ -380,7 +380,7 @@ def line_powers(problem: Problem, solution: Solution) -> tuple[Array, Array]:
     return raw / np.maximum(floor, 1e-300), (high - low) / (2.0 * math.pi)
 
 
-def _powers(angle: Array) -> Array:
+def _powers(angle: Array) -> NDArray[np.complex128]:
     """``exp(i c angle)`` for counts c from 0 to the largest, (counts + 1, n), by doubling."""
     powers = np.empty((_MOST_CYCLES + 1, len(angle)), dtype=np.complex128)
     powers[0], powers[1] = 1.0, np.cos(angle) + 1j * np.sin(angle)
