@@ -9,7 +9,7 @@ from pydantic import Field
 
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.records import PlannedTime
-from cellapp.cell.run.records import ArmOrder, MissingReading, ReferenceDrift
+from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, ReferenceDrift
 from cellapp.ground.results import Record, Result
 
 
@@ -130,5 +130,6 @@ class ImportResult(Result):
     version: Literal[1] = 1
     run: str
     readings: Mapping[str, int]
+    recordings: tuple[RecordingState, ...] = ()
     in_order: Mapping[str, ArmOrder] = Field(default_factory=dict)
     notes: tuple[str, ...]

@@ -10,7 +10,7 @@ from pydantic import Field, create_model, model_validator
 from cellapp.commands.fields import RunFolder, Strict
 from cellapp.commands.record import Asked, Request, Verb
 
-OWN_PARTS = ("overview", "plan", "collection", "log", "profile", "history")
+OWN_PARTS = ("overview", "plan", "collection", "recordings", "log", "profile", "history")
 """What a run holds beside the results of verbs."""
 
 
