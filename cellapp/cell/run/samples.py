@@ -43,3 +43,9 @@ def known_readings(run: RunFile, arm: str) -> Readings:
         p_M=np.array(kept["p_M"]),
         split=tuple(kept["split"]),
     )
+
+
+def all_known_readings(run: RunFile) -> dict[str, Readings]:
+    """``known_readings`` of every arm that has some."""
+    found = {arm: known_readings(run, arm) for arm in run.profile.arms}
+    return {arm: its for arm, its in found.items() if len(its)}

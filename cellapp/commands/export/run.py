@@ -16,6 +16,7 @@ from cellapp.cell.exports.words import form_line, lost_sentences
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.recordings_export import write_recordings_csv
+from cellapp.cell.run.samples import known_readings
 from cellapp.cell.run.stream_columns import Kind
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run_commands import export_commands
@@ -165,7 +166,7 @@ def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
 
 
 def _workspaces(run: RunFile, model: CellModel) -> dict[str, Workspace]:
-    readings = {name: run.readings(name) for name in model.arms}
+    readings = {name: known_readings(run, name) for name in model.arms}
     conditions = conditions_of_arms(model.arms, readings)
     return {name: workspace(own.q, conditions[name], run.profile.seed) for name, own in readings.items()}
 

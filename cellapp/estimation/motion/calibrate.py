@@ -63,7 +63,6 @@ def calibrate_with_motion(
         listener(Progress("calibrate", number, len(moved) + 1, f"arm {name}: recordings of motion"))
         cancel.check()
         fit, known[name] = calibrate_arm_with_motion(profile, name, readings[name], its)
-        notes += [f"arm '{name}': {sentence}" for sentence in fit.undetermined]
         if not len(readings[name]):
             samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
     found = calibrate_readings(profile, readings, listener, cancel, known=known)
