@@ -50,3 +50,10 @@ def write_recording(
         write_columns(folder / f"{name}_joints.csv", joints),
         write_columns(folder / f"{name}_points.csv", points),
     )
+
+
+def add_arm(path: Path, arm: str) -> Path:
+    """Add the column ``arm`` to a file."""
+    head, *rows = path.read_text("utf-8").splitlines()
+    path.write_text("\n".join([f"{head},arm", *(f"{row},{arm}" for row in rows)]) + "\n", "utf-8")
+    return path

@@ -23,7 +23,7 @@ from cellapp.commands.view.table import Table
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import smr_positions
-from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, true_arm, write_recording
+from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
 
 
@@ -65,8 +65,8 @@ def test_one_arm_is_calibrated_from_a_recording_alone(tmp_path: Path) -> None:
 def test_recordings_and_stops_of_two_arms(tmp_path: Path) -> None:
     profile = without_devices("left", "right")
     files = files_of(tmp_path, profile, "left", "right")
-    joints = [_with_arm(path, name) for path, name in zip(files[0], profile.arms, strict=True)]
-    points = [_with_arm(path, name) for path, name in zip(files[1], profile.arms, strict=True)]
+    joints = [add_arm(path, name) for path, name in zip(files[0], profile.arms, strict=True)]
+    points = [add_arm(path, name) for path, name in zip(files[1], profile.arms, strict=True)]
     import_new_run(profile, None, tmp_path / "run", recordings=(joints, points))
     with RunFile.open(tmp_path / "run", write=True) as run:
         alone = calibrate_run(run)
@@ -90,12 +90,6 @@ def test_recordings_and_stops_of_two_arms(tmp_path: Path) -> None:
     assert in_motion.validate_["geometry"].position_mm.rms < 0.1
     titles = [part.title for part in CALIBRATE.view(both).parts if isinstance(part, Table)]
     assert any(title.startswith("In motion") for title in titles)
-
-
-def _with_arm(path: Path, arm: str) -> Path:
-    head, *rows = path.read_text("utf-8").splitlines()
-    path.write_text("\n".join([f"{head},arm", *(f"{row},{arm}" for row in rows)]) + "\n", "utf-8")
-    return path
 
 
 def test_a_step_of_a_clock_is_named(tmp_path: Path) -> None:
@@ -127,8 +121,8 @@ def test_what_cannot_be_calibrated_is_said(tmp_path: Path) -> None:
         import_new_run(profile, None, tmp_path / "one", recordings=([files[0][0]], [files[1][0]]), arm="left")
     assert not (tmp_path / "one").exists()
     mixed = ([files[0][0], files[0][1]], [files[1][1], files[1][0]])
-    joints = [_with_arm(path, name) for path, name in zip(mixed[0], profile.arms, strict=True)]
-    points = [_with_arm(path, name) for path, name in zip(mixed[1], profile.arms, strict=True)]
+    joints = [add_arm(path, name) for path, name in zip(mixed[0], profile.arms, strict=True)]
+    points = [add_arm(path, name) for path, name in zip(mixed[1], profile.arms, strict=True)]
     import_new_run(profile, None, tmp_path / "run", recordings=(joints, points))
     with RunFile.open(tmp_path / "run", write=True) as run:
         with pytest.raises(InputError, match="recording"):
