@@ -264,7 +264,7 @@ def test_wrong_splits(profile: Profile, folder: Path) -> None:
         run.add_stop(0, {"left": reading(0)})
         with pytest.raises(ValueError, match="'test' is not a split"):
             run.assign_splits("left", ["test"])
-        with pytest.raises(ValueError, match="2 splits for the 1 readings"):
+        with pytest.raises(ValueError, match="2 splits for the 1 reading"):
             run.assign_splits("left", ["train", "train"])
         assert run.readings("left").split is None
 
