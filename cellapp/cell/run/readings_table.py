@@ -96,7 +96,7 @@ def update_splits(connection: sqlite3.Connection, arm: str, names: Sequence[str 
         "SELECT configuration FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
     ).fetchall()
     if len(stops) != len(names):
-        raise ValueError(f"{len(names)} splits for the {counted(len(stops), "reading")} of arm {arm}")
+        raise ValueError(f"{len(names)} splits for the {counted(len(stops), 'reading')} of arm {arm}")
     connection.executemany(
         "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
         ((name, arm, stop) for name, (stop,) in zip(names, stops, strict=True)),
