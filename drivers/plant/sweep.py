@@ -1,9 +1,9 @@
-"""A sweep of one arm on record: joints that lag behind their commands, gears with memory, two clocks, a tracker's stream.
+"""A sweep of one arm on record: joints that lag behind their commands, gears with memory, two clocks.
 
-The controller's joints follow the commands as in ``servo``: each a critically damped second-order system. Its encoders sit
-before the gears. Behind the gears every effect of the plant acts along the path: one with hysteresis sees a motion from
-each reversal of a joint to the next. Controller and tracker stamp their samples with clocks of their own; the controller
-loses samples when its client is slow, the tracker loses the beam now and then.
+The controller's joints follow the commands as in ``servo``: each a critically damped second-order system. Its encoders
+sit before the gears. Behind the gears every effect of the plant acts along the path: one with hysteresis sees a motion
+from each reversal of a joint to the next. Controller and tracker stamp their samples with clocks of their own; the
+controller loses samples when its client is slow, the tracker loses the beam now and then.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from drivers.plant.climate import joint_rise
 from drivers.plant.config import Array
@@ -80,7 +79,7 @@ class SweepRecord:
     p_M: Array
 
 
-def record_sweep(plant: Plant, name: str, commanded: Array, cycle_s: float, recorder: Recorder) -> SweepRecord:
+def record_sweep(plant: Plant, recorder: Recorder, name: str, commanded: Array, cycle_s: float) -> SweepRecord:
     """Let an arm at rest follow ``commanded`` (n, N) [rad], a position each ``cycle_s`` [s], and record it.
 
     The plant's time passes; the other arms rest. Raises ``ValueError`` if an arm moves, or the arm is not where the
@@ -123,7 +122,8 @@ def _joint_motion(start: Array, commanded: Array, cycle_s: float) -> tuple[Array
     keep = float(np.exp(-servo_rate(LOOKAHEAD_S, GAIN) * _STEP_S))
     q = goal - start  # at rest before it begins: two equal lags one after the other are critically damped
     for _ in range(2):
-        q = lfilter([1.0 - keep], [1.0, -keep], q, axis=0)
+        for row in range(1, len(q)):
+            q[row] = keep * q[row - 1] + (1.0 - keep) * q[row]
     return time_s, np.asarray(q + start)
 
 
@@ -221,3 +221,11 @@ def _end(plant: Plant, arm: TrueArm, time_s: Array, q: Array) -> None:
     plant.advance(float(time_s[-1]))
     arm.rise = warmer
     arm.rest_since_s = plant.clock_s - _REST_S
+
+
+def recorder_of(plant: Plant) -> Recorder:
+    """The devices of a simulated cell: clocks that differ by its seed."""
+    rng = np.random.default_rng([plant.config.seed, 4])
+    return Recorder(
+        offset_s=float(rng.uniform(-500.0, 500.0)), rate_ppm=float(rng.normal(0.0, 20.0)), seed=plant.config.seed
+    )

@@ -13,10 +13,18 @@ from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, R
 from cellapp.ground.results import Record, Result
 
 
+class SweepCount(Record):
+    """Planned sweeps of one arm: number, and how long they last together."""
+
+    n: int
+    seconds: float
+
+
 class PlanResult(Result):
     """``plan``: number of planned stops of each arm, and of further ones in reserve.
 
-    ``design`` is what is known of designed stops, ``time`` how long collecting them takes.
+    ``design`` is what is known of designed stops, ``time`` how long collecting them takes; ``sweeps`` are
+    those of each arm.
     """
 
     schema_: Literal["cellapp-plan"] = "cellapp-plan"
@@ -26,8 +34,9 @@ class PlanResult(Result):
     reserves: int = 0
     design: PlanDesignResult | None = None
     time: PlannedTime | None = None
+    sweeps: Mapping[str, SweepCount] | None = None
     notes: tuple[str, ...] = ()
-    omitted_when_none = frozenset({"design", "time"})
+    omitted_when_none = frozenset({"design", "time", "sweeps"})
 
 
 class CollectResult(Result):

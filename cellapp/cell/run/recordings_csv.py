@@ -105,7 +105,7 @@ def _read_pair(profile: Profile, joints: Path, points: Path, arm: str | None, nu
             raise InputError(
                 f"{tables[kind].path}: recording '{name}' of arm {its_arm} has no {other} in {tables[other].path}"
             )
-    return [_checked(profile, key, its, groups["points"][key]) for key, its in groups["joints"].items()]
+    return [checked_recording(profile, key, its, groups["points"][key]) for key, its in groups["joints"].items()]
 
 
 def _sole(tables: Mapping[Kind, StreamTable], column: str, otherwise: str | None) -> str | None:
@@ -175,8 +175,11 @@ def _by_recording(table: StreamTable, arm: str, name: str) -> dict[Key, StreamTa
     return found
 
 
-def _checked(profile: Profile, key: Key, joints: StreamTable, points: StreamTable) -> RecordedStreams:
-    """One recording whose values are plausible, without the points at which the beam was lost."""
+def checked_recording(profile: Profile, key: Key, joints: StreamTable, points: StreamTable) -> RecordedStreams:
+    """One recording whose values are plausible, without the points at which the beam was lost.
+
+    Raises ``InputError`` with what is not.
+    """
     limits = joint_limits(profile)[key[0]]
     quantities = stems("joints", len(limits))
     _check_joints(joints, key[0], quantities, len(limits))
