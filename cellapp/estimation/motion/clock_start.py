@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from cellapp.estimation.calibration.identification import TooFewReadings, start_from_nominal
 from cellapp.estimation.motion.joint_path import JointPath
@@ -33,14 +33,16 @@ _STILL_M_S = 1e-3
 """A recording whose rms speed is below is one at rest."""
 _PEAKS = 4
 """Delays that are tried with the nominal arm."""
-_MOST_PEAKS = 50
-_NEAR_BEST = 0.05
+_NEAR_BEST = 0.2
 """Correlation below that of the best delay up to which another is tried."""
-_ALIKE = 1.5
+_ALIKE = 3.0
 """Ratio of median distances up to which two delays fit alike."""
 _APART_S = 0.3
 """Peaks closer together are one."""
-_TRIED_POINTS = 600
+_TRIED_POINTS = 300
+_FEWEST_POINTS = 10
+_REFINED = 2
+"""Times that a delay is refined by what its fit leaves along the motion."""
 _TOOL_SPAN_M = 0.1
 """Speeds are averaged over points at this distance about the flange where the tool is unknown."""
 
@@ -142,9 +144,7 @@ def _masked_correlation(
         return np.asarray(irfft(rfft(x, size) * np.conj(rfft(y, size)), size))
 
     n = np.maximum(correlate(ma, mb), 0.0)
-    enough = n >= max(
-        _LEAST_OVERLAP * min(ma.sum(), mb.sum()), min(_LEAST_OVERLAP_S / step, 0.9 * min(ma.sum(), mb.sum()))
-    )
+    enough = n >= max(_LEAST_OVERLAP * min(ma.sum(), mb.sum()), _LEAST_OVERLAP_S / step)
     n = np.maximum(n, 1.0)
     sa, sb = correlate(a, mb), correlate(ma, b)
     va, vb = correlate(a * a, mb) - sa**2 / n, correlate(ma, b * b) - sb**2 / n
@@ -158,39 +158,36 @@ def _masked_correlation(
 
 
 def _peaks(correlation: Array, overlap: Array, step: float) -> list[int]:
-    """Places of the highest peaks: of those nearly as high as the best, the ones with the longest overlaps first."""
-    left = np.where(np.isfinite(correlation), correlation, -np.inf)
-    best, apart, found = float(left.max()), max(1, round(_APART_S / step)), []
-    while len(found) < _MOST_PEAKS:
-        place = int(np.argmax(left))
-        if not left[place] >= best - _NEAR_BEST:
-            break
-        found.append(place)
-        left[np.arange(place - apart, place + apart + 1) % len(left)] = -np.inf
-    return sorted(found, key=lambda place: -overlap[place])[:_PEAKS]
+    """Places of the peaks nearly as high as the best with the longest overlaps, and of the best, by overlap."""
+    heights = np.where(np.isfinite(correlation), correlation, -np.inf)
+    highest = maximum_filter1d(heights, 2 * max(1, round(_APART_S / step)) + 1, mode="wrap")
+    found = np.flatnonzero((heights == highest) & (heights >= heights.max() - _NEAR_BEST))
+    longest = found[np.argsort(-overlap[found], kind="stable")][:_PEAKS].tolist()
+    best = int(np.argmax(heights))
+    return longest if best in longest else [*longest, best]
 
 
 def _tried(
     nominal: Geometry, path: JointPath, time_s: Array, p_M: Array, offset: float, correlation: float, tool_unknown: bool
 ) -> ClockStart | None:
-    """The nominal arm at its base for one delay; None where too few points overlap."""
-    known = np.flatnonzero(path.known(time_s - offset))
-    if len(known) < 10:
-        return None
-    some = known[np.linspace(0, len(known) - 1, min(_TRIED_POINTS, len(known))).astype(np.intp)]
-    q, _ = path.at(time_s[some] - offset)
-    try:
-        arm = start_from_nominal(nominal, q, p_M[some], tool_unknown=tool_unknown)
-    except TooFewReadings:
-        return None
-    # delays are known to a step of the grid: what is left along the motion tells the rest
-    left = p_M[some] - smr_positions(arm, q)
-    moved = smr_positions(arm, path.at(time_s[some] - offset + _GRID_S)[0]) - smr_positions(arm, q)
-    usual = np.linalg.norm(left, axis=1) <= 3.0 * np.median(np.linalg.norm(left, axis=1))
-    later = _GRID_S * float(
-        np.vdot(moved[usual], left[usual]) / max(float(np.vdot(moved[usual], moved[usual])), 1e-300)
-    )
-    offset -= float(np.clip(later, -_APART_S, _APART_S))
-    q, _ = path.at(time_s[some] - offset)
-    misses = np.linalg.norm(smr_positions(arm, q) - p_M[some], axis=1)
-    return ClockStart(offset, float(correlation), arm, float(np.median(misses)))
+    """The nominal arm at its base for one delay, refined; None where too few points overlap."""
+    for _ in range(_REFINED + 1):
+        known = np.flatnonzero(path.known(time_s - offset))
+        if len(known) < _FEWEST_POINTS:
+            return None
+        some = known[np.linspace(0, len(known) - 1, min(_TRIED_POINTS, len(known))).astype(np.intp)]
+        q, _ = path.at(time_s[some] - offset)
+        try:
+            arm = start_from_nominal(nominal, q, p_M[some], tool_unknown=tool_unknown)
+        except TooFewReadings:
+            return None
+        computed = smr_positions(arm, q)
+        left = p_M[some] - computed
+        misses = np.linalg.norm(left, axis=1)
+        found = ClockStart(offset, float(correlation), arm, float(np.median(misses)))
+        # delays are known to a step of the grid: what is left along the motion tells the rest
+        moved = smr_positions(arm, path.at(time_s[some] - offset + _GRID_S)[0]) - computed
+        usual = misses <= 3.0 * found.rms_m
+        share = float(np.vdot(moved[usual], left[usual]) / max(float(np.vdot(moved[usual], moved[usual])), 1e-300))
+        offset -= _GRID_S * float(np.clip(share, -1.0, 1.0))
+    return found

@@ -65,7 +65,7 @@ class Layout:
 
     def rate(self, number: int) -> int:
         """Place of the rate of one recording."""
-        return self.offsets(number).stop
+        return int(self.offsets(number).stop)
 
     def columns_of(self, number: int) -> NDArray[np.intp]:
         """Places of the parameters that move the points of one recording."""

@@ -32,7 +32,7 @@ _BAD_START = 5.0
 _MOST_SEGMENTS = 40
 _SPIKE_M = 0.01
 """Distance of a point from the median of its neighbours from which the start does not use it."""
-_ABSURD_M = 0.3
+_ABSURD_M = 0.05
 """Median distance of the points from the nominal arm from which files must be mistaken."""
 _SEED = 0xB10C
 
@@ -100,8 +100,8 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
     start = clock_start(nominal, path, time[usual], p_M[usual], tool_unknown=tool_unknown, where=where)
     if start.rms_m > _ABSURD_M:
         raise InputError(
-            f"{where}: the points lie {start.rms_m * 1e3:.0f} mm from the arm wherever its base is; look for joints in"
-            " degrees, points in millimetres, files of another arm or of another recording"
+            f"{where}: the points lie {start.rms_m * 1e3:.0f} mm from the arm wherever its base is and whatever the"
+            " delay; look for joints in degrees, points in millimetres, files of another arm or of another time"
         )
     segment, beside = _segments(path, stamps, time - start.offset_s, where)
     known = path.known(time - start.offset_s) & ~beside
