@@ -68,8 +68,9 @@ class SweepRecord:
     ----------
     joint_time_s, q, qd : arrays, shapes (n,), (n, N), (n, N)
         Stamps of the controller, joint positions [rad] and speeds [rad/s] before the gears.
-    point_time_s, p_M : arrays, shapes (m,), (m, 3)
-        Stamps of the tracker, points [m]; NaN where the beam was lost.
+    point_time_s, p_M, sigma_m : arrays, shapes (m,), (m, 3), (m,)
+        Stamps of the tracker, points [m], their standard uncertainty by the specification [m]; points are NaN where the
+        beam was lost.
     """
 
     joint_time_s: Array
@@ -77,6 +78,7 @@ class SweepRecord:
     qd: Array
     point_time_s: Array
     p_M: Array
+    sigma_m: Array
 
 
 def record_sweep(plant: Plant, recorder: Recorder, name: str, commanded: Array, cycle_s: float) -> SweepRecord:
@@ -98,7 +100,7 @@ def record_sweep(plant: Plant, recorder: Recorder, name: str, commanded: Array, 
     seen = seen[seen < time_s[-1]]
     began_s = plant.clock_s
     p_M = _points(plant, arm, time_s, q, seen, began_s)
-    p_M, _ = plant.measure_positions(p_M, rng)
+    p_M, covariance = plant.measure_positions(p_M, rng)
     if plant.config.noise:
         distance = np.linalg.norm(p_M, axis=1, keepdims=True)
         p_M = p_M * (1.0 + DYNAMIC_M * rng.standard_normal(distance.shape) / distance)
@@ -111,6 +113,7 @@ def record_sweep(plant: Plant, recorder: Recorder, name: str, commanded: Array, 
         qd=speeds,
         point_time_s=recorder.offset_s + (1.0 + 1e-6 * recorder.rate_ppm) * (began_s + seen),
         p_M=np.where(lost[:, None], np.nan, p_M),
+        sigma_m=np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0),
     )
 
 

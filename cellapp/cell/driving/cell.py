@@ -57,8 +57,8 @@ class Cell:
     functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
     ``gate`` checks every motion; a trial that drives the same plan many times shares its answers. ``tracker_unmet``
     lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's sign of life. ``person``
-    does in a simulated cell what a person does in others, None there. ``record_sweep`` lets an arm follow joint positions
-    and records it; None in others, which do not do that yet.
+    does in a simulated cell what a person does in others, None there. ``record_sweep`` lets an arm follow joint
+    positions and records it; None in others, which do not do that yet.
     """
 
     arms: Mapping[str, Arm]

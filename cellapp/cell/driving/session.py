@@ -85,7 +85,7 @@ class CollectSession:
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
         stored = {name: self.run.readings(name) for name in self.work.plan}
         self._model = LiveModel(profile, self.work.plan, stored, self._log)
-        self._sweeps = Sweeps(self.run, self.cell, self.bodies, self._note)
+        self._sweeps = Sweeps(self.run, self.cell, self.bodies, self.number, self._note)
         self._travel = Travel(profile, self._mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None

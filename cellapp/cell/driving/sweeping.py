@@ -25,8 +25,9 @@ CYCLE_S = 0.008
 class Sweeps:
     """The planned sweeps of a run that are not recorded yet."""
 
-    def __init__(self, run: RunFile, cell: Cell, bodies: CellBodies, note: Callable[[str], None]) -> None:
+    def __init__(self, run: RunFile, cell: Cell, bodies: CellBodies, session: int, note: Callable[[str], None]) -> None:
         self._run, self._cell, self._bodies, self._note = run, cell, bodies, note
+        self._session = f"sweeps-{session}"
         done = {(state.arm, state.name) for state in recording_states(run)}
         self._waiting: dict[int, list[PlannedSweep]] = {}
         for sweep in read_sweeps(run):
@@ -61,9 +62,13 @@ class Sweeps:
         columns = {"time_s": record.joint_time_s}
         columns |= {f"q{j + 1}": record.q[:, j] for j in range(joints)}
         columns |= {f"qd{j + 1}": record.qd[:, j] for j in range(joints)}
-        points = {"time_s": record.point_time_s, **dict(zip(POINT, record.p_M.T, strict=True))}
+        points = {
+            "time_s": record.point_time_s,
+            **dict(zip(POINT, record.p_M.T, strict=True)),
+            "sigma_m": record.sigma_m,
+        }
         tables = (
             StreamTable(Path(f"{sweep.name} of arm {sweep.arm}"), its, {}, np.arange(len(its["time_s"])))
             for its in (columns, points)
         )
-        return checked_recording(self._run.profile, (sweep.arm, sweep.name), *tables)
+        return checked_recording(self._run.profile, (sweep.arm, sweep.name), *tables, session=self._session)

@@ -94,16 +94,25 @@ def _listed(run: RunFile) -> list[tuple[RecordingState, str]]:
 
 
 def read_recordings_of(run: RunFile, arm: str) -> tuple[Recording, ...]:
-    """The recordings of one arm, as estimation takes them."""
+    """The recordings of one arm, as estimation takes them; those of a session as one, in the order of time."""
     joints = len(run.profile.arms[arm].type.joints)
-    found = []
+    sessions: dict[str, list[RecordingState]] = {}
     for state in recording_states(run):
         if state.arm == arm:
-            samples, _ = read_stream(run, state, "joints")
-            points, words = read_stream(run, state, "points")
-            stream = point_stream(points, words.get("split"))
-            found.append(Recording(name=state.name, arm=arm, joints=joint_stream(samples, joints), points=stream))
+            sessions.setdefault(state.session or state.name, []).append(state)
+    found = []
+    for name, states in sessions.items():
+        samples = _in_order([read_stream(run, state, "joints")[0] for state in states])
+        streams = [read_stream(run, state, "points") for state in states]
+        points = point_stream(_in_order([its for its, _ in streams]), streams[0][1].get("split"))
+        found.append(Recording(name=name, arm=arm, joints=joint_stream(samples, joints), points=points))
     return tuple(found)
+
+
+def _in_order(parts: Sequence[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
+    """Columns that all parts have, one part after the other by the time at which it begins."""
+    parts = sorted(parts, key=lambda part: float(part["time_s"][0]))
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if all(name in p for p in parts)}
 
 
 def read_stream(

@@ -175,7 +175,9 @@ def _by_recording(table: StreamTable, arm: str, name: str) -> dict[Key, StreamTa
     return found
 
 
-def checked_recording(profile: Profile, key: Key, joints: StreamTable, points: StreamTable) -> RecordedStreams:
+def checked_recording(
+    profile: Profile, key: Key, joints: StreamTable, points: StreamTable, session: str = ""
+) -> RecordedStreams:
     """One recording whose values are plausible, without the points at which the beam was lost.
 
     Raises ``InputError`` with what is not.
@@ -199,6 +201,7 @@ def checked_recording(profile: Profile, key: Key, joints: StreamTable, points: S
     state = RecordingState(
         name=key[1],
         arm=key[0],
+        session=session,
         joints=state_of(joints.columns["time_s"]),
         points=state_of(seen.columns["time_s"], int(lost.sum())),
         optional=tuple(stem for stem in OPTIONAL_OF_JOINTS if quantities[stem][0] in joints.columns)

@@ -73,10 +73,14 @@ class StreamState(Record):
 
 
 class RecordingState(Record):
-    """A recording of motion in a run; ``unknown`` are columns that are kept and not used."""
+    """A recording of motion in a run; ``unknown`` are columns that are kept and not used.
+
+    Recordings of one arm with the same ``session`` were made without a pause of the devices: their clocks are the same.
+    """
 
     name: str
     arm: str
+    session: str = ""
     joints: StreamState
     points: StreamState
     optional: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Samples of recordings that stand for readings of arms without any at rest: what later verbs know of the arm's use."""
+"""Samples of recordings as readings: what later verbs know of arms that were recorded in motion."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ import numpy as np
 
 from cellapp.cell.run.file import RunFile
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.readings import joined
 
 _DOCUMENT = "motion_samples"
+_APART = 1_000_000_000
+"""Between the numbers of samples of successive arms: what two arms did at different times is no common stop."""
 
 
 def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
@@ -18,6 +21,7 @@ def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
     content = {
         arm: {
             "time_s": its.time_s.tolist(),
+            "sigma_m": None if its.sigma_m is None else its.sigma_m.tolist(),
             "q": its.q.tolist(),
             "approach": its.approach.tolist(),
             "p_M": its.p_M.tolist(),
@@ -29,20 +33,22 @@ def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
 
 
 def known_readings(run: RunFile, arm: str) -> Readings:
-    """The readings of one arm at rest; where it has none, samples of its recordings as the calibration keeps them."""
-    measured = run.readings(arm)
-    text = None if len(measured) else run.read_result(_DOCUMENT)
+    """The readings of one arm at rest, and after them samples of its recordings as the calibration keeps them."""
+    measured, text = run.readings(arm), run.read_result(_DOCUMENT)
     kept = None if text is None else json.loads(text).get(arm)
     if kept is None:
         return measured
-    return Readings(
-        configuration=np.arange(len(kept["time_s"])),
-        time_s=np.array(kept["time_s"]),
+    first = (1 + [*run.profile.arms].index(arm)) * _APART
+    samples = Readings(
+        configuration=first + np.arange(len(kept["time_s"])),
+        time_s=np.full(len(kept["time_s"]), np.nan),
         q=np.array(kept["q"]),
         approach=np.array(kept["approach"], dtype=np.int8),
         p_M=np.array(kept["p_M"]),
+        sigma_m=None if kept["sigma_m"] is None else np.array(kept["sigma_m"]),
         split=tuple(kept["split"]),
     )
+    return joined([measured, samples]) if len(measured) else samples
 
 
 def all_known_readings(run: RunFile) -> dict[str, Readings]:

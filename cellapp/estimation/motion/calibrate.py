@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration, calibrate_readings, rms_length_mm
 from cellapp.estimation.calibration.evaluation import evaluate, repeatability
@@ -31,7 +32,7 @@ _SAMPLES = 1500
 
 @dataclass(frozen=True)
 class MotionCalibration:
-    """A calibration, and samples (as readings) of the arms that have no readings at rest."""
+    """A calibration, and samples (as readings) of the arms that were recorded."""
 
     calibration: Calibration
     samples: Mapping[str, Readings]
@@ -63,8 +64,7 @@ def calibrate_with_motion(
         listener(Progress("calibrate", number, len(moved) + 1, f"arm {name}: recordings of motion"))
         cancel.check()
         fit, known[name] = calibrate_arm_with_motion(profile, name, readings[name], its)
-        if not len(readings[name]):
-            samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
+        samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
     found = calibrate_readings(profile, readings, listener, cancel, known=known)
     if found.pair is None and len(known) == len(profile.arms) == 2:
         T_M_first, T_M_second = (arm.model.geometry.T_M_B() for arm in found.arms.values())
@@ -140,8 +140,14 @@ def samples_of(fit: MotionFit, joints: int) -> Readings:
         q=np.concatenate([q for q, _ in moved]).reshape(n, joints),
         approach=np.sign(np.concatenate([qd for _, qd in moved])).astype(np.int8).reshape(n, joints),
         p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
+        sigma_m=_stated_of(parts),
         split=tuple(word for word, _, rows in parts for _ in rows),
     )
+
+
+def _stated_of(parts: Sequence[tuple[str, RecordingFit, NDArray[np.intp]]]) -> Array | None:
+    sigmas = [one.track.sigma_m[rows] for _, one, rows in parts if one.track.sigma_m is not None]
+    return np.concatenate(sigmas) if len(sigmas) == len(parts) else None
 
 
 def _stops(readings: Readings) -> Stops:
