@@ -14,13 +14,13 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import Writes
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -35,16 +35,6 @@ if TYPE_CHECKING:
 
 PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
 """Environment variable with the passphrase of a signing key, where nobody can be asked."""
-
-
-class Writes(Enum):
-    """How a path that a field names is written."""
-
-    FILE = "the file itself; looked at before the command begins"
-    FILES = "a file, or several that are named after it; looked at when they are written"
-    FOLDER = "files in a folder; looked at when they are written"
-    STORE = "a store of results, to which is added; never replaced"
-    OWN_FOLDER = "a folder that is new, or is continued; never replaced"
 
 
 @dataclass(frozen=True)

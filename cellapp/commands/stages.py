@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 from pydantic import BaseModel, ValidationError
 
@@ -22,6 +22,7 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.rows import StageRow
 from cellapp.commands.basis import Basis, PriorBasis, ReadingsBasis, basis_of, readings_digest, sha256_of
 from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import (
     CALIBRATE,
@@ -236,6 +237,7 @@ def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel
     return Basis(
         profile=sha256_of(profile_to_json(run.profile)),
         readings=model.basis.readings,
+        recordings=model.basis.recordings,
         stages={model.name: model.digest},
         targets=sha256_of("\n".join(one.model_dump_json(exclude_none=True, exclude_defaults=True) for one in targets)),
     )
@@ -267,15 +269,7 @@ def _stage(run: RunFile, row: StageRow) -> StoredStage:
         basis = None if row.basis is None else Basis.model_validate_json(row.basis)
     except ValidationError:
         raise InputError(f"{run.path} is damaged (basis of stage {row.number}); restore it from a copy") from None
-    return StoredStage(
-        number=row.number,
-        name=cast(StageName, row.name),
-        written=row.written,
-        program=row.program,
-        basis=basis,
-        text=row.text,
-        model=row.model,
-    )
+    return StoredStage(**{**vars(row), "basis": basis})
 
 
 def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredStage]:
@@ -340,6 +334,8 @@ def _why_outdated(
     if stage.basis.profile != now.profile:
         reasons.append("the profile was changed since")
     reasons += _changed_readings(stage.basis.readings, now.readings)
+    if dict(stage.basis.recordings) != dict(now.recordings):
+        reasons.append("the recordings of motion were changed since")
     reasons += _changed_priors(stage.basis.priors)
     for name, digest in stage.basis.stages.items():
         if name in _MEASURED:
@@ -382,7 +378,7 @@ def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
 def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, ReadingsBasis]) -> list[str]:
     before, after = (sum(arm.n for arm in arms.values()) for arms in (then, now))
     if after > before:
-        return [f"{after - before} readings were added since"]
+        return [f"{counted(after - before, 'reading was', 'readings were')} added since"]
     same = then.keys() == now.keys() and all(now[name].is_same(arm) for name, arm in then.items())
     return [] if same else ["the readings or their splits were changed since"]
 

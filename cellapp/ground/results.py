@@ -82,6 +82,12 @@ class Record(BaseModel):
     omitted_when_none: ClassVar[frozenset[str]] = frozenset()
     """Keys that are left out of the JSON object where their value is None."""
 
+    @classmethod
+    def like(cls, source: object, **given: Any) -> Self:
+        """A record of what ``source`` has under the names of the fields; ``given`` are all other fields."""
+        same = {name: getattr(source, name) for name in cls.model_fields if name not in given and hasattr(source, name)}
+        return cls(**same, **given)
+
     @model_serializer(mode="wrap")
     def _without_omitted(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         content: dict[str, Any] = handler(self)

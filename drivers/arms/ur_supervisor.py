@@ -47,11 +47,8 @@ _STOP_WITHIN_S = 1.0
 _LOCAL_WITHIN_S = 0.3
 _REST_WITHIN_S = 3.0
 _RELEASE_WITHIN_S = 0.5
-_KINDS = {
-    "PROTECTIVE_STOP": "protective",
-    "SYSTEM_EMERGENCY_STOP": "emergency",
-    "ROBOT_EMERGENCY_STOP": "emergency",
-}
+_EMERGENCIES = ("SYSTEM_EMERGENCY_STOP", "ROBOT_EMERGENCY_STOP")
+_KINDS = {"PROTECTIVE_STOP": "protective", **dict.fromkeys(_EMERGENCIES, "emergency")}
 _HARMLESS = "stalled"
 """The fault after which a profile may allow to go on without a person."""
 
@@ -117,12 +114,8 @@ class Supervisor:
     def state(self, within_s: float = SILENT_S) -> dict[str, Any]:
         """Return the next state of the arm, which must come ``within_s`` [s]."""
         state = self._states.next(within_s).as_dict()
-        fault = self._fault
-        return {
-            **state,
-            "moving": self.may_move,
-            "fault": None if fault is None else {"kind": fault.kind, "text": fault.text},
-        }
+        fault = None if self._fault is None else {"kind": self._fault.kind, "text": self._fault.text}
+        return {**state, "moving": self.may_move, "fault": fault}
 
     @property
     def _moves(self) -> bool:

@@ -22,6 +22,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.estimation.monitoring.check import SequentialState
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
@@ -226,8 +227,8 @@ class _Checking:
         if self._missed[name] >= (_MISSED_LATER if seen else _MISSED_AT_FIRST):
             self.driven.lost.append(name)
             self.driven.notes.append(
-                f"arm {name}: its SMR was not found at {self._missed[name]} stops in a row and is not looked for any"
-                " more: look for a covered or missing SMR"
+                f"arm {name}: its SMR was not found at {counted(self._missed[name], 'stop')} in a row and is not"
+                " looked for any more: look for a covered or missing SMR"
             )
         return None
 

@@ -16,6 +16,7 @@ from cellapp.cell.driving.practice import AirTemperature, LiveModel
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.references import References
 from cellapp.cell.driving.supervision import Supervisor
+from cellapp.cell.driving.sweeping import Sweeps
 from cellapp.cell.driving.travel import Travel
 from cellapp.cell.driving.work import StopQueue, Work
 from cellapp.cell.run import Outcome, RunFile
@@ -24,6 +25,7 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.estimation.readings import Reading
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Detail, Listener, LogReport, MeasurementBegun, PointMissed, Progress, Suspicion
 from drivers.arms.protocol import ArmState
@@ -83,6 +85,7 @@ class CollectSession:
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
         stored = {name: self.run.readings(name) for name in self.work.plan}
         self._model = LiveModel(profile, self.work.plan, stored, self._log)
+        self._sweeps = Sweeps(self.run, self.cell, self.bodies, self.number, self._note)
         self._travel = Travel(profile, self._mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None
@@ -156,6 +159,8 @@ class CollectSession:
         rows, outcomes = self._measure(stop, states)
         self._store(stop, rows, outcomes)
         self._queue.done()
+        if recorded := self._sweeps.at_stop(stop, self.work.targets(stop), self._supervisor.checkpoint):
+            self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded)} are recorded")
         if outcomes and self._queue.replace() is not None:
             self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
         self._travel.stop_visited()
@@ -174,7 +179,7 @@ class CollectSession:
 
     def _suspect(self, suspicion: Suspicion) -> None:
         self._emit(suspicion)
-        self._note(f"after {self._queue.finished} stops: {suspicion.kind}: {suspicion.text}")
+        self._note(f"after {counted(self._queue.finished, 'stop')}: {suspicion.kind}: {suspicion.text}")
 
     @property
     def standard_error_mm(self) -> dict[str, float]:
@@ -186,7 +191,7 @@ class CollectSession:
         self._missed = 0 if rows else self._missed + 1
         if self._missed < MOST_MISSED_IN_A_ROW:
             return
-        text = f"the tracker saw no SMR at {self._missed} stops in a row; check tracker and targets"
+        text = f"the tracker saw no SMR at {counted(self._missed, 'stop')} in a row; check tracker and targets"
         if not self._supervisor.hold(text):
             raise HardwareError(text)
         self._missed = 0
@@ -257,7 +262,7 @@ class CollectSession:
             self._travel.home()  # always from the same side: hysteresis of the joints is no drift
             states = self._travel.to_stop(self._reference_stop())
         except MotionRefused as error:
-            self._note(f"after {self._queue.finished} stops: no reference measurements: {error}")
+            self._note(f"after {counted(self._queue.finished, 'stop')}: no reference measurements: {error}")
             return
         began_s = self._begin(self.cell.clock.now_s())
         self._until_reference = 0  # until it is done: a stop of the cell repeats it

@@ -26,7 +26,7 @@ class CorrectedTarget(Record):
     q_new : six numbers or None
         Joint positions that a plain controller computes for ``new`` [rad].
     uncertainty_mm, uncertainty_mrad : float or None
-        Standard uncertainties of a coordinate of the SMR and of the flange's orientation there, by the model; None
+        Standard uncertainties of a coordinate of the TCP and of the flange's orientation there, by the model; None
         where it states none.
     nearest_to : str
         What selected among the solutions of a pose: ``qnear``, a line, or ``home``; empty for joint positions.

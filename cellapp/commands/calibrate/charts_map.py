@@ -18,6 +18,7 @@ from cellapp.commands.plan.charts_obstacles import (
 )
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Axis, Chart, Series, enumerated, series
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
@@ -116,6 +117,7 @@ def _message(smr: Mapping[str, Array], stops: Sequence[PlannedStop], T_C_M: Arra
     measured = sum(stop.measured for stop in stops)
     hidden = [f"{one.name} from azimuth {one.azimuth_deg[0]:.0f} to {one.azimuth_deg[1]:.0f} deg" for one in blocked]
     return (
-        f"{measured} of {len(stops)} planned stops are measured; they are {away.min():.1f} to {away.max():.1f} m from"
+        f"{measured} of {counted(len(stops), 'planned stop is', 'planned stops are')} measured; they are"
+        f" {away.min():.1f} to {away.max():.1f} m from"
         f" the tracker.{f' Beams are blocked by {enumerated(hidden)}.' if hidden else ''}"
     )

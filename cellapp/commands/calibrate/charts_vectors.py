@@ -9,6 +9,7 @@ import numpy as np
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.view.camera import evenly_spread
 from cellapp.commands.view.charts import SMALLEST_MM, STAGE_STYLES, Array, Axis, Chart, mm, series
+from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import apply, invert
 
@@ -68,7 +69,8 @@ def _message(points: Array, vectors: Array) -> str:
     x, y, z = points[worst]
     direction = "they point in all directions" if common < 0.5 * float(lengths.mean()) else "most point the same way"
     return (
-        f"Residuals at {len(vectors)} held-out stops are {mm(float(lengths.mean()))} long on average, the longest"
+        f"Residuals at {counted(len(vectors), 'held-out stop')} are"
+        f" {mm(float(lengths.mean()))} long on average, the longest"
         f" {mm(float(lengths[worst]))} at ({x:.2f}, {y:.2f}, {z:.2f}) m; {direction} (mean vector {mm(common)})."
     )
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from cellapp.commands.calibrate.motion_view import motion_sentences, motion_tables
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column
-from cellapp.commands.view.words import geometry_unit
+from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult
+from cellapp.ground.counting import counted
 from cellapp.ground.results import METHODS, STAGES, ErrorSummary
 
 MM = ".4f"
@@ -49,10 +51,12 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
         tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *ERROR_COLUMNS), tuple(rows)))
     if result.pair:
         rows = [
-            (method, *error_cells(result.pair[method].cooperative_mm)) for method in METHODS if method in result.pair
+            (METHOD_WORDS[method], *error_cells(result.pair[method].cooperative_mm))
+            for method in METHODS
+            if method in result.pair
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *ERROR_COLUMNS), tuple(rows)))
-    return [*tables, *prior_tables(result)]
+    return [*tables, *motion_tables(result), *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -72,7 +76,9 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
     if result.pair:
         noise = cooperative_noise_mm(result)
         summaries = {method: result.pair[method].cooperative_mm for method in METHODS if method in result.pair}
-        rows = [(method, *_detailed_cells(errors), _ratio(errors, noise)) for method, errors in summaries.items()]
+        rows = [
+            (METHOD_WORDS[key], *_detailed_cells(errors), _ratio(errors, noise)) for key, errors in summaries.items()
+        ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
     return [*tables, *prior_tables(result)]
 
@@ -80,7 +86,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
 def transform_tables(result: CalibrateResult) -> list[Table]:
     """Cooperative errors with either inter-base transform on the same held-out stops; empty without a pair."""
     rows = [
-        (f"{method}, by {_TRANSFORMS[transform]}", *_detailed_cells(summary))
+        (f"{METHOD_WORDS[method]}, by {_TRANSFORMS[transform]}", *_detailed_cells(summary))
         for method in METHODS
         if method in result.pair
         for transform, summary in result.pair[method].by_transform_mm.items()
@@ -136,7 +142,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    return [*sentences, *prior_sentences(result)]
+    return [*sentences, *motion_sentences(result), *prior_sentences(result)]
 
 
 def distance_mm(first: float | None, second: float | None) -> float | None:
@@ -155,7 +161,9 @@ def cooperative_noise_mm(result: CalibrateResult) -> float | None:
 
 
 def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
-    return f"Arm {name}: held-out errors [mm] ({arm.rank} parameters, {arm.iterations} iterations)"
+    return (
+        f"Arm {name}: held-out errors [mm] ({counted(arm.rank, 'parameter')}, {counted(arm.iterations, 'iteration')})"
+    )
 
 
 def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSummary]]:

@@ -26,6 +26,7 @@ from cellapp.estimation.uncertainty.budget import distance_budget, expanded_mm, 
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.decision import conformity
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement, UncertaintyContribution
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Tolerances
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName
@@ -101,7 +102,7 @@ def _distance(results: StageResults, arm: str, budget: Budget) -> _Measured:
     if verify is None or not len(errors):
         return _Measured("distance", arm, (), _unverified(results, "distance", _held_out(results, arm, "distance_mm")))
     points = sum(one.measured_M is not None for one in targets)
-    source = f"{_verified(verify, points, len(targets), 'targets')}, {len(errors)} distances between them"
+    source = f"{_verified(verify, points, len(targets), 'targets')}, {counted(len(errors), 'distance')} between them"
     return _Measured("distance", arm, errors, source, distance_budget(budget))
 
 

@@ -8,6 +8,7 @@ from cellapp.cell.driving.records import CollectionResult, CollectResult
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.counting import counted
 from cellapp.ground.times import second_of
 
 _MOST_LISTED = 10
@@ -21,10 +22,10 @@ def view(result: CollectResult, request: Request | None = None) -> View:
 
 def collect_lines(result: CollectResult) -> list[str]:
     """How many stops are stored, how the session ended, which readings are missing."""
-    lines = [f"{result.stops} stops stored: {result.outcome}"]
+    lines = [f"{counted(result.stops, 'stop')} stored: {result.outcome}"]
     if result.missing:
         share = f"{result.missing_share:.1%}, tolerated {result.tolerated_share:.1%}"
-        lines.append(f"{len(result.missing)} planned readings are missing ({share}):")
+        lines.append(f"{counted(len(result.missing), 'planned reading is', 'planned readings are')} missing ({share}):")
         groups = _grouped(result.missing)
         lines += [f"  stop {stops}, arm {arm}: {kind}: {reason}" for stops, arm, kind, reason in groups[:_MOST_LISTED]]
         if len(groups) > _MOST_LISTED:

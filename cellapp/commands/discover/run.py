@@ -9,6 +9,7 @@ from cellapp.cell.planning.proposal.candidate_poses import Effort
 from cellapp.cell.planning.proposal.propose import propose_stops
 from cellapp.cell.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import known_readings
 from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
 from cellapp.commands.discover.request import DiscoverRequest
@@ -88,7 +89,7 @@ def propose_after(
     effort: Effort | None = None,
 ) -> Proposal:
     """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
-    readings = {name: run.readings(name) for name in run.profile.arms}
+    readings = {name: known_readings(run, name) for name in run.profile.arms}
     with one_blas_thread():
         proposed = propose_stops(
             run.profile, found.model, readings, found.arms, count, with_eta(listener), cancel, effort
@@ -136,7 +137,7 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
         )
     with one_blas_thread():
         earlier = earlier_of_calibration(run)
-    readings = {name: run.readings(name) for name in run.profile.arms}
+    readings = {name: known_readings(run, name) for name in run.profile.arms}
     calibrated_model = model_of(run, calibrated)
     result, found = discover_effects(run.profile, calibrated_model, readings, listener, cancel, earlier=earlier)
     basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})

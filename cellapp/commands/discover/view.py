@@ -167,7 +167,7 @@ def cycle_words(found: AcceptedEffect) -> str:
     if found.law.name != "curve":
         return ""
     return ", ".join(
-        f"joint {joint}: {_band(band)} ({band.rms_urad:.0f} urad rms)" for joint, band in (found.cycles or {}).items()
+        f"joint {joint}: {_band(band)} ({band.rms_urad:.0f} µrad rms)" for joint, band in (found.cycles or {}).items()
     )
 
 

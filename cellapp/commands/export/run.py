@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
 from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
@@ -14,6 +15,9 @@ from cellapp.cell.exports.records import ArmFile, ExportResult
 from cellapp.cell.exports.words import form_line, lost_sentences
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
+from cellapp.cell.run.recordings_export import write_recordings_csv
+from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.stream_columns import Kind
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run_commands import export_commands
 from cellapp.commands.plan.run import export_plan
@@ -23,6 +27,7 @@ from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
@@ -36,7 +41,9 @@ def run(request: ExportRequest, work: Work) -> ExportResult:
     """Write what is asked for."""
     with RunFile.open(request.folder) as opened:
         if request.form is None or request.out is None:  # neither is given then
-            return export_run(opened, request.csv, request.geometry, request.plan, work.outputs)
+            streams: dict[Kind, Path | None] = {"joints": request.joints, "points": request.points}
+            recordings = {kind: path for kind, path in streams.items() if path is not None}
+            return export_run(opened, request.csv, request.geometry, request.plan, work.outputs, recordings=recordings)
         return export_as_run(opened, request.form, request.out, request.arm, request.stage, work.outputs)
 
 
@@ -94,7 +101,7 @@ def _export_arms(
         raise InputError(f"export: {run.path} has no calibrated arm '{arm}'; arms are {', '.join(exports)}")
     chosen = {name: export for name, export in exports.items() if arm in (None, name)}
     files = files_of_arms(out, list(chosen))
-    texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
+    texts = {files[name]: form.text(export, sentences(form, export, run.profile)) for name, export in chosen.items()}
     notes = (*_stale_notes(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
     write_new(texts, outputs)
     return ExportResult(
@@ -120,7 +127,8 @@ def _export_cell(
         raise InputError(f"export: --as {form.name} writes all arms in one file; leave --arm out, or take --as urdf")
     check_out(out)
     exports = calibrated_arms(run, stages, stage_name)
-    lines = [form_line(form), *(line for export in exports.values() for line in _arm_sentences(export))]
+    arms = (line for export in exports.values() for line in _arm_sentences(export))
+    lines = [form_line(form, simulated=run.profile.is_simulated), *arms]
     notes = (*_stale_notes(stages.stale_model()), *_rigid_notes(run, stages, exports))
     write_new({out: form.text(exports, lines)}, outputs)
     return ExportResult(
@@ -160,7 +168,7 @@ def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
 
 
 def _workspaces(run: RunFile, model: CellModel) -> dict[str, Workspace]:
-    readings = {name: run.readings(name) for name in model.arms}
+    readings = {name: known_readings(run, name) for name in model.arms}
     conditions = conditions_of_arms(model.arms, readings)
     return {name: workspace(own.q, conditions[name], run.profile.seed) for name, own in readings.items()}
 
@@ -194,9 +202,9 @@ def lost_by_arm(run: RunFile) -> list[str]:
     return lines
 
 
-def sentences(form: ExportFormat, export: ArmExport) -> list[str]:
+def sentences(form: ExportFormat, export: ArmExport, profile: Profile) -> list[str]:
     """What stands at the top of every file: the arm, where it is from, what the file does not hold."""
-    return [form_line(form), *_arm_sentences(export)]
+    return [form_line(form, simulated=profile.is_simulated), *_arm_sentences(export)]
 
 
 def _arm_sentences(export: ArmExport) -> list[str]:
@@ -218,24 +226,32 @@ def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFi
 
 
 def export_run(
-    run: RunFile, csv: Path | None, geometry: Path | None, plan: Path | None = None, outputs: Outputs = NEW_ONLY
+    run: RunFile,
+    csv: Path | None,
+    geometry: Path | None,
+    plan: Path | None = None,
+    outputs: Outputs = NEW_ONLY,
+    *,
+    recordings: Mapping[Kind, Path] = MappingProxyType({}),
 ) -> ExportResult:
-    """Write the readings or the plan as CSV, the identified arms as one JSON file, or several of these.
+    """Write readings, recordings of motion or the plan as CSV, the identified arms as one JSON file, or some of these.
 
     Raises
     ------
     InputError
         If none is given, there is nothing to write, or a file cannot be written, or may not.
     """
-    if csv is None and geometry is None and plan is None:
+    if csv is None and geometry is None and plan is None and not recordings:
         raise InputError(
-            "export: say what to write: --csv FILE for the readings, --plan FILE for the plan, --as FORMAT --out FILE"
-            " for the arms; 'cellapp docs exports' lists the formats"
+            "export: say what to write: --csv FILE for the readings, --joints FILE and --points FILE for recordings,"
+            " --plan FILE for the plan, --as FORMAT --out FILE for the arms; 'cellapp docs exports' lists the formats"
         )
     if plan is not None:
         export_plan(run, plan, outputs)
     if csv is not None:
         write_readings_csv(run, csv, outputs)
+    for kind, path in recordings.items():
+        write_recordings_csv(run, kind, path, outputs)
     lost = None
     if geometry is not None:
         content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))))
@@ -244,6 +260,7 @@ def export_run(
     return ExportResult(
         csv=None if csv is None else str(csv),
         readings=None if csv is None else {name: len(run.readings(name)) for name in run.arms()},
+        recordings={kind: str(path) for kind, path in recordings.items()} or None,
         plan=None if plan is None else str(plan),
         geometry=None if geometry is None else str(geometry),
         ur_lost_rms_mm=lost,

@@ -7,7 +7,7 @@ from cellapp.commands.record import Request, View
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Cell, Column, Table, number_column
-from cellapp.ground.results import FOLLOW, PATH, ErrorSummary
+from cellapp.ground.results import FOLLOW, PATH
 
 
 def view(result: PathResult, request: Request | None = None) -> View:
@@ -131,14 +131,8 @@ def _distances(paths: list[PathRecord]) -> Table:
             if errors is not None:
                 decides = by == "model" and how == driven.judged
                 expanded, verdict = (driven.expanded_mm, driven.verdict) if decides else (None, "")
-                rows.append(_distance_row(path.name, by, how, errors, expanded, verdict))
+                rows.append((path.name, by, how, errors.n, errors.mean, errors.p95, errors.max, expanded, verdict))
     return Table("Distance of measured points from the path", columns, tuple(rows))
-
-
-def _distance_row(
-    name: str, by: str, how: str, errors: ErrorSummary, expanded_mm: float | None, verdict: str
-) -> tuple[Cell, ...]:
-    return (name, by, how, errors.n, errors.mean, errors.p95, errors.max, expanded_mm, verdict)
 
 
 def _measured(path: PathRecord) -> bool:

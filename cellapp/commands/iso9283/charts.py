@@ -9,6 +9,7 @@ import numpy as np
 from cellapp.commands.view.charts import Axis, Chart, Limit, Series, mm, series
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
+from cellapp.ground.counting import counted
 
 
 def iso9283_charts(result: Iso9283Result, pose_tolerance_mm: float | None = None) -> list[Chart]:
@@ -66,7 +67,7 @@ def cycle_chart(name: str, kind: IsoCommands, tests: CommandedTests, tolerance_m
         Axis("error", "mm"),
         tuple(drawn),
         f"Largest pose accuracy AP {mm(worst.accuracy.value_mm)} at {worst.pose}, largest repeatability RP"
-        f" {mm(max(pose.repeatability.value_mm for pose in tests.pose))}, {worst.accuracy.n} cycles.",
+        f" {mm(max(pose.repeatability.value_mm for pose in tests.pose))}, {counted(worst.accuracy.n, 'cycle')}.",
         _limits(tolerance_mm),
     )
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.records import PlanResult
+from cellapp.cell.driving.records import PlanResult, SweepCount
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
 from cellapp.cell.planning.design_records import ViewResult
@@ -25,6 +25,7 @@ from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
 from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
 from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops, write_planned_stops
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_sweeps
 from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -33,6 +34,7 @@ from cellapp.commands.plan.request import PlanRequest
 from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.record import Work
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
@@ -61,7 +63,7 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | View
         return plan_from_file(profile, request.source, request.folder, *watched)
     if request.keep is not None:
         return plan_around_file(profile, request.keep, request.folder, *watched)
-    return plan_new_run(profile, request.folder, *watched)
+    return plan_new_run(profile, request.folder, *watched, sweeps=request.sweeps)
 
 
 def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
@@ -79,9 +81,16 @@ def default_folder(profile_name: str) -> Path:
 
 
 def new_planned_run(
-    profile: Profile, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+    profile: Profile,
+    folder: Path,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    sweeps: int | None = None,
 ) -> RunFile:
     """A new run with its plan. Nothing is left behind where there is no plan, or on request.
+
+    With ``sweeps`` the plan has this many stops, and at each a sweep of every arm.
 
     Raises
     ------
@@ -90,18 +99,32 @@ def new_planned_run(
     Cancelled
     """
 
+    if sweeps is not None:
+        plan = profile.plan.model_copy(update={"stops": sweeps, "reserve": 0})
+        profile = profile.model_copy(update={"plan": plan})
+
     def fill(run: RunFile) -> None:
         with one_blas_thread():
-            plan_run(run, with_eta(listener), cancel)
+            stops = plan_run(run, with_eta(listener), cancel)
+            if sweeps is not None:
+                planned = plan_sweeps(profile, stops, with_eta(listener), cancel)
+                run.write_result(SWEEPS_RESULT, planned.model_dump_json())
+                for note in planned.notes:
+                    run.log("note", note)
 
     return RunFile.create(folder, profile, fill)
 
 
 def plan_new_run(
-    profile: Profile, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+    profile: Profile,
+    folder: Path,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    sweeps: int | None = None,
 ) -> PlanResult:
-    """Make a new run with its plan. Raises as ``new_planned_run`` does."""
-    with new_planned_run(profile, folder, listener, cancel) as run:
+    """Make a new run with its plan. Arguments and errors are as of ``new_planned_run``."""
+    with new_planned_run(profile, folder, listener, cancel, sweeps=sweeps) as run:
         return plan_result(run)
 
 
@@ -117,8 +140,16 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
         reserves=len(reserves),
         design=read_plan_design(run),
         time=planned_time(run.profile, visited),
+        sweeps=planned_sweeps(run),
         notes=tuple(notes),
     )
+
+
+def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
+    """Number and duration of the planned sweeps of each arm; None without any."""
+    sweeps = read_sweeps(run)
+    times = {name: [one.period_s for one in sweeps if one.arm == name] for name in run.profile.arms}
+    return {name: SweepCount(n=len(its), seconds=sum(its)) for name, its in times.items()} if sweeps else None
 
 
 def planned_stops(run: RunFile) -> StopsResult:
@@ -186,13 +217,15 @@ def plan_from_file(
     _require_safe(_checked(profile, file, listener, cancel))
     count, notes = len(file.stops), []
     if count != profile.plan.stops + profile.plan.reserve:
-        notes.append(f"the file has {count} stops, the profile asks for {profile.plan.stops}: the run has {count}")
+        notes.append(
+            f"the file has {counted(count, 'stop')}, the profile asks for {profile.plan.stops}: the run has {count}"
+        )
         plan = profile.plan.model_copy(update={"stops": count, "reserve": 0})
         profile = profile.model_copy(update={"plan": plan})
 
     def fill(run: RunFile) -> None:
         write_planned_stops(run, file.stops)
-        run.log("info", f"plan: {count} stops from {path}")
+        run.log("info", f"plan: {counted(count, 'stop')} from {path}")
 
     with RunFile.create(folder, profile, fill) as run:
         return plan_result(run, notes)
@@ -218,7 +251,7 @@ def plan_around_file(
 
     def fill(run: RunFile) -> None:
         write_planned_stops(run, stops, design=design)
-        run.log("info", f"plan: {len(stops)} stops, {len(kept)} of them kept from {path}")
+        run.log("info", f"plan: {counted(len(stops), 'stop')}, {len(kept)} of them kept from {path}")
 
     with RunFile.create(folder, profile, fill) as run:
         return plan_result(run)
@@ -243,7 +276,7 @@ def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: 
         kept, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
         stops, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=count)
         write_planned_stops(run, stops, proposed=proposed, design=design)
-        note = f"{len(stops) - len(kept)} stops were added after stop {len(kept)}"
+        note = f"{counted(len(stops) - len(kept), 'stop was', 'stops were')} added after stop {len(kept)}"
         run.log("info", _CHANGED + note)
         return plan_result(run, [note])
 
@@ -276,7 +309,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         kept = stops.take([*parts.fixed, *parts.frozen])
         made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)
         write_planned_stops(run, made.take(parts.places(len(made))), proposed=proposed & {*parts.fixed}, design=design)
-        note = f"{len(made) - len(kept)} stops were designed again around {len(kept)}"
+        note = f"{counted(len(made) - len(kept), 'stop was', 'stops were')} designed again around {len(kept)}"
         if parts.unreached:
             listed = ", ".join(str(stop + 1) for stop in parts.unreached)
             note += f"; replaced were stops that could not be reached or measured: {listed}"
@@ -299,7 +332,7 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
             raise InputError(f"{run.path}: there is no configuration {unknown[0]}; there are 0 to {len(stops) - 1}")
         frozen = np.isin(np.arange(len(stops)), list(chosen))
         write_planned_stops(run, replace(stops, frozen=frozen), proposed=proposed)
-        return plan_result(run, [f"{int(frozen.sum())} of {len(stops)} stops are frozen"])
+        return plan_result(run, [f"{int(frozen.sum())} of {counted(len(stops), 'stop is', 'stops are')} frozen"])
 
 
 def stop_numbers(text: str) -> tuple[int, ...]:

@@ -12,6 +12,7 @@ from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.push import Visited, push
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import all_known_readings
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target
@@ -27,6 +28,7 @@ from cellapp.commands.stored_model import model_of, require_current_model, stage
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
@@ -166,7 +168,9 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
             asked = len(dict.fromkeys(command.target.name for command in job.commands))
             done = len(dict.fromkeys(target.name for target in visited.targets))
             with suppress(InputError):  # the reason of the stop is the one to report
-                _store(job, judge, visited.result(f"stopped after {done} of {asked} targets: {error}"), notes)
+                _store(
+                    job, judge, visited.result(f"stopped after {done} of {counted(asked, 'target')}: {error}"), notes
+                )
         raise
     return _store(job, judge, pushed, notes)
 
@@ -174,7 +178,7 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
 def judge_of(run: RunFile, profile: Profile) -> Judge:
     """Who decides on tolerances in a run: with the uncertainty that its results and readings give."""
     results = read_stage_results(run)
-    measured = measured_conditions({name: run.readings(name) for name in run.arms()})
+    measured = measured_conditions(all_known_readings(run))
     return Judge(profile, {name: evidence_of(results, name, measured.get(name)) for name in profile.arms})
 
 

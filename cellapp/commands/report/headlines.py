@@ -9,6 +9,7 @@ from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.words import METHOD_WORDS
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, PairMethodResult
 from cellapp.estimation.discovery.records import ArmDiscoveryResult
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, VERIFY, Method, StageName
 
@@ -60,8 +61,8 @@ def verified_headlines(data: ReportData) -> list[Headline]:
         lines.append(
             Headline(
                 f"Arm {name}, verified",
-                f"At {verified.compensated_mm.n} new targets the measured mean error {change} from {before:.3f} mm to"
-                f" {after:.3f} mm with compensation.",
+                f"At {counted(verified.compensated_mm.n, 'new target')} the measured mean error {change} from"
+                f" {before:.3f} mm to {after:.3f} mm with compensation.",
             )
         )
     return lines
@@ -83,8 +84,8 @@ def _arm_sentence(arm: ArmCalibrationResult, found: ArmDiscoveryResult | None) -
     with_effects = found is not None and bool(found.accepted)
     best = arm.validate_["effects"].position_mm if with_effects else geometry
     sentence = (
-        f"The mean error of the predicted SMR position is {best.mean:.3f} mm ({best.n} configurations that the"
-        f" calibration did not use); with the nominal geometry it is {nominal.mean:.3f} mm"
+        f"The mean error of the predicted SMR position is {best.mean:.3f} mm ({counted(best.n, 'configuration')}"
+        f" that the calibration did not use); with the nominal geometry it is {nominal.mean:.3f} mm"
     )
     return sentence + (f", with the identified geometry alone {geometry.mean:.3f} mm." if with_effects else ".")
 
@@ -92,7 +93,7 @@ def _arm_sentence(arm: ArmCalibrationResult, found: ArmDiscoveryResult | None) -
 def _pair_sentence(method: Method, best: PairMethodResult, nominal: PairMethodResult | None) -> str:
     sentence = (
         f"The mean error of the predicted distance between the two arms' SMRs is {best.cooperative_mm.mean:.3f} mm"
-        f" with {METHOD_WORDS[method]} (held-out stops)"
+        f" ({METHOD_WORDS[method]}; held-out stops)"
     )
     if method != "nominal" and nominal is not None:
         sentence += f"; with the nominal cell it is {nominal.cooperative_mm.mean:.3f} mm"

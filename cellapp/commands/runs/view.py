@@ -11,6 +11,7 @@ from cellapp.commands.record import Request, View
 from cellapp.commands.runs.result import ArmFigures, CellKind, RunsResult, RunSummary
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.discovery.records import BeforeAfter
+from cellapp.ground.counting import counted
 from cellapp.ground.times import day_of, minute_of
 
 CELL_WORDS: dict[CellKind, str] = {
@@ -90,7 +91,7 @@ def run_lines(run: RunSummary) -> list[str]:
         *(f"{name}: {figures_words(figures)}" for name, figures in run.figures.items()),
     ]
     if run.resumable:
-        return [*lines, f"interrupted, {run.stops_left} stops left: {run.next_step}"]
+        return [*lines, f"interrupted, {counted(run.stops_left, 'stop')} left: {run.next_step}"]
     return [*lines, f"next: {run.next_step or 'nothing is left to do'}"]
 
 
@@ -111,7 +112,8 @@ def resume_sentence(run: RunSummary) -> str:
     """Offer to continue an interrupted run."""
     return (
         f"{run.run}: collecting was interrupted ({session_words(run)}) with {run.stops_left} of"
-        f" {run.stops_measured + run.stops_left} stops left; 'cellapp collect {run.run} --resume' continues it"
+        f" {counted(run.stops_measured + run.stops_left, 'stop')} left; 'cellapp collect {run.run} --resume'"
+        " continues it"
     )
 
 

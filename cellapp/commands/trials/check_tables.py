@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult, Group, Share, share
 from cellapp.commands.trials.skeleton import Field, table_of
 from cellapp.commands.view.table import Interval, Table
+from cellapp.ground.counting import counted
 
 _PERCENT = ".1f"
 _TITLES: dict[Group, str] = {
     "unchanged": "nothing",
-    "parameter": "a parameter by 0.05 mm or 50 urad",
+    "parameter": "a parameter by 0.05 mm or 50 µrad",
     "effect": "stiffness, play or eccentricity",
     "tracker": "tracker",
     "base": "base of an arm",
@@ -34,9 +35,10 @@ def check_trial_sentences(result: CheckTrialResult) -> list[str]:
     false, found = result.false_alarms(), result.found()
     alarms = f"False alarms: {false.value:.2%} of {false.n} [{false.low:.2%}, {false.high:.2%}], at most 1 %."
     if not found.n:
-        return [f"{result.cells} calibrations of measured robots, {false.n} checks on other rows. {alarms}"]
+        return [f"{result.cells} calibrations of measured robots, {counted(false.n, 'check')} on other rows. {alarms}"]
     return [
-        f"{result.cells} cells, {len(result.checks)} checks of at most {result.planned} stops"
+        f"{counted(result.cells, 'cell')}, {counted(len(result.checks), 'check')} of at most"
+        f" {counted(result.planned, 'stop')}"
         f"{', the tracker set up anew' if result.station_free else ''}. A change is visible if it moves the SMR by at"
         " least the standard deviation of a measured coordinate, rms, beside the best motion of the tracker. Named: the"
         " first change that is stated is the true one; listed: it is that, or stated as one that the stops cannot tell"

@@ -1,7 +1,7 @@
 """How often the ten-minute check finds and names changes of simulated cells, and how often it finds one where none is.
 
 A cell is drawn and calibrated from many stops. Then its plant is changed, not the model: every visible parameter of the
-geometry by 0.05 mm or 50 urad, one at a time; stiffness, play and eccentricity of joints by what moves the SMR by 0.05
+geometry by 0.05 mm or 50 µrad, one at a time; stiffness, play and eccentricity of joints by what moves the SMR by 0.05
 mm; tracker, bases and SMRs by 0.1 to 10 mm. Each check measures the chosen stops with noise of its own.
 """
 

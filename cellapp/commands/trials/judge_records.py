@@ -45,7 +45,7 @@ class DescribedTerm(Record):
 
 
 class NoiseLengths(Record):
-    """Rms length of the noise that the search assumed, and of the noise really drawn at the held-out stops [um].
+    """Rms length of the noise that the search assumed, and of the noise really drawn at the held-out stops [µm].
 
     ``stated`` is None where the search had no number for it.
     """
@@ -182,14 +182,8 @@ class OutcomeCounts(EndState):
 
     def count(self, outcome: Outcome) -> int:
         """Number of one outcome."""
-        return {
-            "named": self.named,
-            "extra": self.extra,
-            "part": self.part,
-            "wrong": self.wrong,
-            "unknown": self.unknown,
-            "none": self.none,
-        }[outcome]
+        found: int = getattr(self, outcome)
+        return found
 
 
 class EffectCounts(Record):

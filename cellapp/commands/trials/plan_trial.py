@@ -18,6 +18,7 @@ from cellapp.commands.trials.whole_plans import WholePlan, whole_plans
 from cellapp.estimation.design.block_choice import Candidates
 from cellapp.estimation.design.block_design import Criterion
 from cellapp.estimation.design.relaxation import least_errors
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from cellapp.ground.results import Record, Result
@@ -67,7 +68,11 @@ class PlanTrialsResult(Result):
 
     def complaints(self) -> list[str]:
         """What failed, and what whole plans must never have."""
-        colliding = [f"seed {one.seed}: {one.collisions} motions collide" for one in self.plans if one.collisions]
+        colliding = [
+            f"seed {one.seed}: {counted(one.collisions, 'motion collides', 'motions collide')}"
+            for one in self.plans
+            if one.collisions
+        ]
         return [*self.failed, *colliding]
 
     def worth(self, arm: str, error: ErrorName) -> float:

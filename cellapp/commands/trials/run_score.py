@@ -45,26 +45,12 @@ _ALIKE: tuple[frozenset[DriverVariable], ...] = (
 def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
     """Compare what was found in one run with what was hidden in it."""
     noise_um = truth.noise_um.get(truth.arm, 0.0)
-    hidden = tuple(
-        HiddenEffect(
-            effect=one.effect,
-            plant=one.plant,
-            law=one.law,
-            raw_um=one.raw_um,
-            visible_um=one.visible_um,
-            beyond_law_um=one.beyond_law_um,
-            visible=one.visible_um > noise_um,
-        )
-        for one in truth.effects
-    )
+    hidden = tuple(HiddenEffect.like(one, visible=one.visible_um > noise_um) for one in truth.effects)
     names = frozenset(effect.effect for effect in hidden)
     expected = None if truth.expected is None else DescribedTerm.model_validate(truth.expected.model_dump())
     here = arms.get(truth.arm)
-    return ScoredRun(
-        run=truth.run,
-        kind=truth.kind,
-        look_alikes=truth.look_alikes,
-        arm=truth.arm,
+    return ScoredRun.like(
+        truth,
         hidden=hidden,
         expected=expected,
         visible=None if here is None else all(effect.visible for effect in hidden),

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
+from cellapp.ground.counting import counted
 from cellapp.ground.profile.acceptance import DecisionRule
 
 CHARACTERISTIC_WORDS: Mapping[Characteristic, str] = {
@@ -75,8 +76,8 @@ def judged_sentence(judgements: Sequence[Judgement]) -> str:
     out, unsure = counts["does not conform"], counts["cannot say"]
     missing = [one for one in unsure if one.value_mm is None]
     if len(counts["conforms"]) == total:
-        return f"All {total} errors with a tolerance are inside it."
-    parts = [f"{len(counts['conforms'])} of {total} errors with a tolerance conform"]
+        return f"All {counted(total, 'error')} with a tolerance are inside it."
+    parts = [f"{len(counts['conforms'])} of {counted(total, 'error')} with a tolerance conform"]
     if out:
         parts.append(f"{f'{len(out)} do' if len(out) > 1 else 'one does'} not: {named_errors(out)}")
     if len(unsure) > len(missing):

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,10 +17,11 @@ from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_
 from cellapp.estimation.calibration.identification import Identification, TooFewReadings, start_from_nominal
 from cellapp.estimation.calibration.network_training import Shape, Training, train_network, training_steps
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
-from cellapp.estimation.calibration.records import ArmPriorResult, Repeatability
+from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
 from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
@@ -66,6 +68,8 @@ class ArmCalibration:
         Configurations of readings with gross errors. Nothing here rests on them: no parameter, no held-out error.
     left_out_counts : mapping
         Their number in each split.
+    clocks, motion
+        Of an arm that was recorded in motion: the clocks by recording, and what was found.
     """
 
     model: ArmModel
@@ -80,6 +84,8 @@ class ArmCalibration:
     prior: ArmPriorResult | None = None
     left_out: tuple[int, ...] = ()
     left_out_counts: Mapping[str, int] = field(default_factory=dict)
+    clocks: Mapping[str, ClockResult] | None = None
+    motion: MotionResult | None = None
 
 
 @dataclass(frozen=True)
@@ -98,8 +104,10 @@ def calibrate_readings(
     readings: Mapping[str, Readings],
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
+    *,
+    known: Mapping[str, ArmCalibration] = MappingProxyType({}),
 ) -> Calibration:
-    """Calibrate from readings whose splits are drawn: geometry, networks, pair.
+    """Calibrate from readings whose splits are drawn: geometry, networks, pair; arms in ``known`` have theirs.
 
     Raises
     ------
@@ -116,7 +124,7 @@ def calibrate_readings(
     for name, arm_readings in readings.items():
         listener(Progress("calibrate", len(arms), total, f"arm {name}: geometry"))
         cancel.check()
-        arms[name], arm_notes = calibrate_arm(profile, name, arm_readings)
+        arms[name], arm_notes = (known[name], []) if name in known else calibrate_arm(profile, name, arm_readings)
         notes += arm_notes
     if profile.network.kind == "mlp":
         listener(Progress("calibrate", len(arms), total, "residual networks"))
@@ -210,7 +218,8 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
     if len(identify_rows) < 4 or len(validate_rows) < 1:
         raise InputError(
-            f"arm '{name}': {len(readings)} readings leave {len(identify_rows)} to identify and {len(validate_rows)} to"
+            f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')} {len(identify_rows)} to"
+            f" identify and {len(validate_rows)} to"
             f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
         )
     arm, learn = profile.arms[name], readings.take(identify_rows)
@@ -271,7 +280,8 @@ def left_out_note(name: str, arm: ArmCalibration) -> str:
     """Which readings were left out, and how many of those that are held out."""
     held_out, left_out = arm.counts["validate"], arm.left_out_counts.get("validate", 0)
     return (
-        f"arm '{name}': {left_out_words(arm.left_out)}; held-out errors are those of {held_out} readings, without"
+        f"arm '{name}': {left_out_words(arm.left_out)}; held-out errors are those of"
+        f" {counted(held_out, 'reading')}, without"
         f" {left_out} of these: look at the rows, and measure these configurations again"
     )
 

@@ -34,7 +34,7 @@ _EXCESS_CHANGE = 0.02
 """Relative change of the excess variance below which its estimate has converged: weights then change by 1 %."""
 _SAME_COLUMNS = 1e-3
 """Steps of a fit [m at arm's length] up to which the effects' columns are kept: they change by about as
-much, relatively, an effect of 0.3 mm by 0.3 um."""
+much, relatively, an effect of 0.3 mm by 0.3 µm."""
 _DRAW_SEED = 0xD4A7
 """Beside the profile's seed: the draws of parameters are then independent of all other draws."""
 
@@ -312,7 +312,7 @@ def uncertainty_with_scatter(data: ArmData, scatter_m: float) -> Array:
 def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[EffectColumn, ...]]:
     """Joint identification of geometry and terms, with effect parameters in the order of the terms' columns."""
     columns = data.term_columns(terms)
-    order = _joint_columns_first(columns)
+    order = np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
     settings = data.profile.calibration
     found = identify(
         data.model.geometry,
@@ -328,11 +328,6 @@ def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[E
         max_iterations=settings.max_iterations,
     )
     return _reordered(found, np.argsort(order)), columns
-
-
-def _joint_columns_first(columns: Sequence[EffectColumn]) -> NDArray[np.intp]:
-    """Places of the columns that offset a joint, then of those that shift the SMR."""
-    return np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
 
 
 def _effect_columns(

@@ -323,6 +323,12 @@ class Profile(Section, defer_build=True):
         """Whether a motion in this cell moves a real arm."""
         return any(arm.driver.moves_hardware for arm in self.arms.values())
 
+    @property
+    def is_simulated(self) -> bool:
+        """Whether what this cell measures is simulated: it has simulated devices, or emulated ones alone."""
+        kinds = {self.tracker.driver.kind, *(arm.driver.kind for arm in self.arms.values())}
+        return "simulated" in kinds or (self.plant is not None and not self.moves_hardware)
+
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         self._check_plant()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from cellapp.ground.control import Aborted, JobControl
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words
+from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words, in_lines
 from cellapp.ground.signals import available, ended_by, watch_signals
 from cellapp.interfaces.cli.command_outputs import current_outputs
 
@@ -62,6 +62,7 @@ class Job:
         self._json_file = json_file
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
+        self._in_lines = in_lines(self._announce)
         self._signals = contextlib.ExitStack()
         self._interrupts = 0
         self._messages: queue.SimpleQueue[str | None] = queue.SimpleQueue()
@@ -80,7 +81,10 @@ class Job:
         self._stop_bars()
 
     def listen(self, event: Progress) -> None:
-        """Draw one bar for each job on standard error, if that is a terminal, and say what a person must know."""
+        """Draw one bar for each job on standard error, and say what a person must know.
+
+        Where standard error is no terminal, a long job says in a line each minute how far it is.
+        """
         match event.detail:
             case StateChange(state, reason):
                 self._announce(f"{event.job}: {state}: {reason}")
@@ -89,6 +93,7 @@ class Job:
             case Notice(text):
                 self._announce(f"{event.job}: {text}")
         if not sys.stderr.isatty():
+            self._in_lines(event)
             return
         if self._bars is None:
             self._start_bars()

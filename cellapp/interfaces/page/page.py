@@ -29,7 +29,6 @@ from cellapp.commands.report.headlines import (
 from cellapp.commands.report.judged import judgement_table
 from cellapp.commands.report.summary import header_facts, nothing_found, summary
 from cellapp.commands.view.acceptance_words import RULE_WORDS
-from cellapp.commands.view.words import METHOD_WORDS
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.records import Judgement
@@ -123,7 +122,7 @@ def _accuracy(data: ReportData) -> Mapping[str, object]:
         "accuracy": [*accuracy_figures(data), *pair_figures(calibrate)],
         "accuracy_tables": detailed_tables(calibrate),
         "tracker": _tracker_words(calibrate),
-        "methods": [(method, words) for method, words in METHOD_WORDS.items() if method in calibrate.pair],
+        "has_pair": bool(calibrate.pair),
         "vectors": residual_figures(data),
         "fact_table": calibration_facts(calibrate),
         "network_tables": network_tables(calibrate),

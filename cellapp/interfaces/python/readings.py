@@ -14,6 +14,7 @@ from cellapp.commands.view.table import Column, Parts, Table, number_column
 from cellapp.estimation.calibration.calibrate import missing_splits
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.columns import COLUMNS
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.python.printed import Printed
@@ -53,7 +54,9 @@ class CellReadings(Printed, Mapping[str, Readings]):
 
     def summary(self) -> str:
         """Number of readings of each arm."""
-        return ", ".join(f"{name}: {len(arm)} readings of {arm.joints} joints" for name, arm in self.arms.items())
+        return ", ".join(
+            f"{name}: {counted(len(arm), 'reading')} of {arm.joints} joints" for name, arm in self.arms.items()
+        )
 
     def view(self) -> Parts:
         """What each arm's readings hold, and the notes."""

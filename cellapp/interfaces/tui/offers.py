@@ -12,6 +12,7 @@ from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
 from cellapp.commands.replay.request import VERB as REPLAY
+from cellapp.ground.counting import counted
 from cellapp.interfaces.render.plain import plain_text
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
@@ -149,7 +150,7 @@ def offer_to_quit(app: Host, leave: Callable[[bool], None]) -> None:
 def offer_to_resume(app: Host, run: RunSummary) -> None:
     """Open a run that was interrupted while collecting, or one in which another process works now."""
     folder, title = Path(run.run), "Go on with the last run?"
-    text = f"{folder} was interrupted with {run.stops_left} stops left. Open it? Nothing moves yet."
+    text = f"{folder} was interrupted with {counted(run.stops_left, 'stop')} left. Open it? Nothing moves yet."
     if run.in_use:
         title = "Watch the job that runs now?"
         text = f"Another process works in {folder}. Open it? Its job goes on; Escape here stops its arms."

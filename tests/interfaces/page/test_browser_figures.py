@@ -109,6 +109,16 @@ def stroke(figure: Locator) -> str:
     return str(figure.locator(".live .xtick text").first.evaluate("e => getComputedStyle(e).fill"))
 
 
+def test_logarithmic_axes_are_labelled_by_whole_numbers_that_ascend(opened: Open) -> None:
+    """Not 2, 1, 5, 2, the first digits alone."""
+    figure = alive(opened(), "errors1")
+    labels = figure.locator(".live .ytick text")
+    labels.first.wait_for()
+    values = [float(words) for words in labels.all_text_contents() if words]
+    assert len(values) >= 2
+    assert values == sorted(values)
+
+
 def test_values_are_under_the_pointer_and_the_legend_hides_series(opened: Open) -> None:
     page = opened()
     figure = alive(page, "errors1")

@@ -238,7 +238,7 @@ def test_a_histogram_of_the_pair() -> None:
     pair = {"proposed": PairMethodResult(cooperative_mm=ERRORS, held_out=held_out)}
     chart = pair_histogram_chart(calibration("left", "right").model_copy(update={"pair": pair}))
     assert chart.series[0].y.sum() == 3.0
-    assert "Median error: 0.200 mm (geometry and a network in the base frame)." in chart.message
+    assert "Median error: 0.200 mm (network in the base frame)." in chart.message
 
 
 def test_the_worst_part_of_a_joint_is_named() -> None:

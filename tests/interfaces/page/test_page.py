@@ -374,7 +374,7 @@ def test_discovery_shows_everything_that_was_found(double: RunFile) -> None:
     assert f"Arm {LEFT}: unknown effect" in page.texts
     assert f"Arm {RIGHT}: nothing missing" in page.texts
     for words in (
-        "Something that the library does not have; 31 um rms held out.",
+        "Something that the library does not have; 31 µm rms held out.",
         "pedestal_compliance or link_bending would explain these data as well as joint_compliance",
         "Nearly as good as joint_compliance, but ruled out by these data: tracker_angle_error.",
         "There is no figure of joint_compliance for joint 6: the SMR hardly moves with this joint.",
@@ -402,7 +402,7 @@ def test_nothing_missing_is_said(double: RunFile) -> None:
     store_discovery(double, DiscoverResult(arms={name: nothing_missing(name) for name in (LEFT, RIGHT)}))
     text = page_of(double).text
     assert "Out of date" not in text
-    assert "nothing missing: 23 um rms held out" in text
+    assert "nothing missing: 23 µm rms held out" in text
     assert "no effects: none was found" in text
 
 

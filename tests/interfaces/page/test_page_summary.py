@@ -20,6 +20,7 @@ from cellapp.commands.report.summary import summary, verdict
 from cellapp.commands.view.acceptance_words import CHARACTERISTIC_WORDS, judged_sentence
 from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Instrument, Tolerances, Traceability
 from cellapp.interfaces.page.page_sections import SECTIONS, page_sections
@@ -76,9 +77,11 @@ def test_the_verdict_is_the_worst_of_all(states: list[Conformity]) -> None:
     assert found.state == worst
     assert ("does not" in found.title) == (worst == "does not conform")
     if worst == "conforms":
-        assert found.sentence == f"All {len(states)} errors with a tolerance are inside it."
+        assert found.sentence == f"All {counted(len(states), 'error')} with a tolerance are inside it."
     else:
-        assert found.sentence.startswith(f"{states.count('conforms')} of {len(states)} errors with a tolerance conform")
+        assert found.sentence.startswith(
+            f"{states.count('conforms')} of {counted(len(states), 'error')} with a tolerance"
+        )
 
 
 def test_what_does_not_conform_is_named() -> None:

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.commands.trials.league.draws import DRAWS, DrawTask, HeldOutScore, LeagueDraw
+from cellapp.commands.trials.league.draws import DRAWS, DrawTask, LeagueDraw
 from cellapp.commands.trials.league.series import SERIES, Entrant, Group, Rows, draw_rows, parse_entrants, series_texts
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.ground.errors import InputError
@@ -227,17 +227,13 @@ def _line(draws: Sequence[LeagueDraw], group: Group) -> LeagueLine:
         network_mm=float(np.mean(networks)) if networks else None,
         discovery_mm=float(np.mean(errors)),
         worst_to_mean=max(errors) / float(np.mean(errors)),
-        within_95=_share(scores),
+        within_95=float(np.average([score.within_95 for score in scores], weights=[score.n for score in scores])),
         names=dict(Counter(name for draw in draws for name in dict.fromkeys(draw.names)).most_common()),
         verdicts=dict(Counter(draw.verdict for draw in draws).most_common()),
         seconds_median=float(np.median(seconds)),
         seconds_worst=max(seconds),
         published_mm=SERIES[first.series].published_mm if group == "published" else None,
     )
-
-
-def _share(scores: Sequence[HeldOutScore]) -> float:
-    return float(np.average([score.within_95 for score in scores], weights=[score.n for score in scores]))
 
 
 def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:

@@ -16,6 +16,7 @@ from cellapp.estimation.monitoring.check.naming import NOT_EXPLAINED, Cause, Des
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckVerdict, FoundChange
 from cellapp.estimation.monitoring.check.statistics import MinPValueTest
 from cellapp.estimation.monitoring.check.stops import LEAST_INFORMATION
+from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array, apply
 
 _VERDICTS: Mapping[str, CheckVerdict] = {
@@ -211,13 +212,13 @@ def _notes(
     if verdict == "valid" and hidden:
         noise_mm = 1e3 * max(arm.noise_m for arm in design.belief.arms.values())
         notes.append(
-            f"a change of 0.05 mm or 50 urad of {hidden} of {len(own)} parameters of the arms would not be seen: it"
-            f" moves the SMR by less than a measurement scatters ({noise_mm:.3f} mm)"
+            f"a change of 0.05 mm or 50 µrad of {hidden} of {counted(len(own), 'parameter')} of the arms would not"
+            f" be seen: it moves the SMR by less than a measurement scatters ({noise_mm:.3f} mm)"
         )
     return tuple(notes)
 
 
 def _amount(one: Power) -> str:
     """The size of a change that is found, for people."""
-    factor, unit = {"m": (1e3, "mm"), "rad": (1e6, "urad")}.get(one.unit, (1.0, one.unit))
+    factor, unit = {"m": (1e3, "mm"), "rad": (1e6, "µrad")}.get(one.unit, (1.0, one.unit))
     return f"{factor * one.detected:.2g} {unit}"

@@ -120,18 +120,7 @@ def _of_tests(
     if not tests:
         return EffectComparison(slug, before, after, otherwise)
     best = min(tests, key=lambda test: test.p_value)
-    return EffectComparison(
-        slug,
-        before,
-        after,
-        best.state,
-        tests=len(tests),
-        parameter=best.parameter,
-        unit=best.unit,
-        difference=best.difference,
-        standard_uncertainty=best.standard_uncertainty,
-        p_value=best.p_value,
-    )
+    return EffectComparison(slug, before, after, tests=len(tests), **vars(best))
 
 
 def _instead_of(

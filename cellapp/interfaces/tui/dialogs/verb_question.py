@@ -115,7 +115,7 @@ class VerbQuestion(AnswerQuestion[Request]):
         label, key = f"{words.label} [{words.unit}]" if words.unit else words.label, _id(name)
         if kind is bool:
             yield Checkbox(label, bool(default), id=key, compact=True)
-        elif get_origin(kind) is tuple:
+        elif get_origin(kind) is tuple and self._possible(name):
             yield Static(f"{label}:", markup=False)
             boxes = (
                 Checkbox(words.words.get(one, one), one in (default or ()), id=f"{key}-{one}", compact=True)
@@ -130,8 +130,10 @@ class VerbQuestion(AnswerQuestion[Request]):
             text = "" if default is None else str(default)
             yield Labelled(label, PathField(text, lambda path: _fits(path, words), id=key, hint=words.hint))
         else:
-            text = "" if default is None else f"{default:g}" if isinstance(default, float) else str(default)
-            choices = [str(one) for one in self._choices.get(name, get_args(kind))]
+            several = get_origin(kind) is tuple
+            shown = default if isinstance(default, tuple) else () if default is None else (default,)
+            text = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in shown)
+            choices = [] if several else [str(one) for one in self._choices.get(name, get_args(kind))]
             yield text_field(label, key, text, words.hint or " or ".join(choices), choices=choices)
 
     def _value(self, name: str) -> Any:
@@ -141,10 +143,12 @@ class VerbQuestion(AnswerQuestion[Request]):
             return self.query_one(f"#{_id(name)}", Input).value
         if kind is bool:
             return self.query_one(f"#{_id(name)}", Checkbox).value
-        if get_origin(kind) is tuple:
+        if get_origin(kind) is tuple and self._possible(name):
             boxes = {one: self.query_one(f"#{_id(name)}-{one}", Checkbox) for one in self._possible(name)}
             return tuple(one for one, box in boxes.items() if box.value)
         text = self.query_one(f"#{_id(name)}", Input).value.strip()
+        if get_origin(kind) is tuple:
+            return tuple(one.strip() for one in text.split(",") if one.strip())
         if not text:
             return None if self._default(name) is None else ""
         if kind in (int, float):

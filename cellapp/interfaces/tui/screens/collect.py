@@ -23,6 +23,7 @@ from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.show.overview import run_log
 from cellapp.commands.view.charts import Chart
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import work as jobs
 from cellapp.interfaces.tui.dialogs.question import Choice
@@ -186,19 +187,21 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
 
     def action_begin(self) -> None:
         """Collect the planned run that is open."""
-        self._collect("Begin to collect?", f"{stops_left(self.workspace)} stops", resume=False)
+        self._collect("Begin to collect?", counted(stops_left(self.workspace), "stop"), resume=False)
 
     def action_resume_run(self) -> None:
         """Collect what an interrupted run lacks."""
         left, measured = stops_left(self.workspace), stops_measured(self.workspace)
-        self._collect("Resume?", f"the {left} stops that are left; {measured} are measured", resume=True)
+        self._collect("Resume?", f"the {counted(left, 'stop')} that are left; {measured} are measured", resume=True)
 
     def action_accept_drift(self) -> None:
         """Let drift count from new first measurements."""
         if self.cell_app.jobs.running:
             self.cell_app.action_resume()  # the job measures its references anew
             return
-        what = f"{stops_left(self.workspace)} stops; drift of the references counts from new first measurements"
+        what = (
+            f"{counted(stops_left(self.workspace), 'stop')}; drift of the references counts from new first measurements"
+        )
         self._collect("Accept the drift and resume?", what, resume=True, accept_drift=True)
 
     def _collect(self, title: str, what: str, *, resume: bool, accept_drift: bool = False) -> None:
@@ -257,9 +260,9 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
 
         def saved(path: Path | None) -> None:
             if path is not None:
-                self.notify(f"{len(rows)} lines saved as {path}")
+                self.notify(f"{counted(len(rows), 'line')} saved as {path}")
 
-        self.app.push_screen(SaveAs(f"{len(rows)} lines of the log", as_text(rows), proposed), saved)
+        self.app.push_screen(SaveAs(f"{counted(len(rows), 'line')} of the log", as_text(rows), proposed), saved)
 
     # -- the stored log ------------------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from cellapp.ground.control import Request
+from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui.job_record import JobRecord, within_limit
 from cellapp.interfaces.tui.workspace import NO_PROFILE, NO_RUN, Workspace
@@ -100,16 +101,19 @@ def _of_run(workspace: Workspace) -> Headline:
         return Headline("IN USE", f"by {workspace.in_use}. Shown is what was stored when it was opened.", "waiting")
     left, measured = stops_left(workspace), stops_measured(workspace)
     if not left:
-        word = f"COMPLETE, {measured} stops" if measured else "NO PLAN"
+        word = f"COMPLETE, {counted(measured, 'stop')}" if measured else "NO PLAN"
         text = "n goes to the next step." if measured else "This run has no stops to measure: plan a run (key 2)."
         return Headline(word, text, "done" if measured else "idle")
     if not measured:
-        return Headline(f"READY, {left} stops", "b begins. Nothing moves before it is confirmed.", "idle")
-    word, text = f"INTERRUPTED, {measured} of {measured + left} stops", f"e measures the {left} stops that are left."
+        return Headline(f"READY, {counted(left, 'stop')}", "b begins. Nothing moves before it is confirmed.", "idle")
+    word, text = (
+        f"INTERRUPTED, {measured} of {counted(measured + left, 'stop')}",
+        f"e measures the {counted(left, 'stop')} that are left.",
+    )
     outcome = workspace.collection.sessions[-1].outcome if workspace.collection is not None else None
     if outcome == "accurate enough":
-        word = f"ACCURATE ENOUGH, {measured} of {measured + left} stops"
-        text = f"n goes to the next step; e measures the {left} stops that are left."
+        word = f"ACCURATE ENOUGH, {measured} of {counted(measured + left, 'stop')}"
+        text = f"n goes to the next step; e measures the {counted(left, 'stop')} that are left."
     elif outcome == "complete":
         word, text = f"{left} MORE STOPS", f"{measured} are measured; e measures those that were planned since."
     if drift_exceeded(workspace):

@@ -16,6 +16,7 @@ from cellapp.commands.discover.proposal_view import proposal_lines
 from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.discover.view import explanation_text, verdict_sentence
 from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Choice
@@ -102,7 +103,7 @@ The handbook explains each effect: key **h**.
         if folder is None or left == 0:
             self.say("No stop is left to measure: m proposes further ones.", "warning")
             return
-        text = f"{left} stops are left to measure in {folder}; {arms_words(self.workspace)}."
+        text = f"{counted(left, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
 
         def begin(answer: str | None) -> None:
             if answer == "begin":

@@ -15,6 +15,7 @@ from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.commands.plan.request import VERB as PLAN
+from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.screens.plan_edits import NO_PLANNED_RUN, PlanEdits
@@ -160,7 +161,10 @@ class PlanScreen(PlanEdits):
             self.say("A job is running; plan when it has ended.", "warning")
             return
         reserve = f" and {profile.plan.reserve} in reserve" if profile.plan.reserve else ""
-        text = f"{profile.plan.stops} stops{reserve} of the cell '{profile.name}', read from {path}. Nothing moves."
+        text = (
+            f"{counted(profile.plan.stops, 'stop')}{reserve} of the cell '{profile.name}', read from {path}."
+            " Nothing moves."
+        )
 
         def begin(folder: Path | None) -> None:
             if folder is not None:
@@ -383,6 +387,6 @@ def _state_words(workspace: Workspace) -> str:
     for name, arm in overview.arms.items():
         reserves = len(stops) - arm.planned
         more = f" and {reserves} in reserve" if reserves else ""
-        parts.append(f"arm {name}: {arm.planned} stops{more}, {arm.measured} measured")
+        parts.append(f"arm {name}: {counted(arm.planned, 'stop')}{more}, {arm.measured} measured")
     edited = " The profile was edited since; g plans with the present one." if workspace.edited else ""
     return "; ".join(parts) + "." + edited

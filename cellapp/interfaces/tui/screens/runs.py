@@ -30,6 +30,7 @@ from cellapp.commands.runs.result import RunComparison, RunsResult
 from cellapp.commands.runs.view import run_lines, runs_sentences
 from cellapp.commands.view.charts import enumerated
 from cellapp.estimation.monitoring.fleet.records import FleetResult
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui import work as jobs_of_verbs
@@ -287,7 +288,7 @@ class RunsScreen(DayScreen):
             self._draw()
             self.refresh_bindings()
             if len(self._marked) >= _PAIR:
-                self.say(f"{len(self._marked)} runs are marked; c compares them.")
+                self.say(f"{counted(len(self._marked), 'run is', 'runs are')} marked; c compares them.")
 
         self._with_run(mark)
 

@@ -34,6 +34,7 @@ from cellapp.commands.compensate.words import compensate_summary, unknown_lines,
 from cellapp.commands.correct.view import correct_table
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.report.result import RunResults
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
@@ -281,7 +282,7 @@ explains frames, conditions and verdicts.
             if path is not None:
                 self._edits = self._edits.saved_as(path, targets)
                 self._draw_list()
-                self.say(f"{len(targets)} targets saved as {path}.")
+                self.say(f"{counted(len(targets), 'target')} saved as {path}.")
 
         self.app.push_screen(SaveAs("targets", targets_text(targets), proposed), saved)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Self
 
 from cellapp.cell.targets.targets import Target, list_problems
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.tui.workspace import NO_PROFILE, NO_RUN, NOT_CALIBRATED, Workspace
 
@@ -75,7 +76,7 @@ class TargetEdits:
         """File, number of targets, and whether they are saved."""
         if self.path is None and not self.targets:
             return EMPTY
-        count = f"{len(self.targets)} target{'' if len(self.targets) == 1 else 's'}"
+        count = counted(len(self.targets), "target")
         name = "no file yet" if self.path is None else str(self.path)
         state = " · NOT SAVED (w saves)" if self.edited else ""
         gone = " · the file is gone, w writes it again" if self.path is not None and not self.path.is_file() else ""
