@@ -81,15 +81,13 @@ def calibrate_arm_with_motion(
     """One arm from its recordings and, where there are any, from the readings of its identify split."""
     arm, settings = profile.arms[name], profile.calibration
     nominal = nominal_arm(arm)
-    learnt = np.zeros(len(readings), dtype=bool)
-    learnt[readings.in_split("identify")] = True
-    stops = _stops(readings) if learnt.any() else None
+    stops, held_out_stops = stops_of(readings)
     fit = identify_from_motion(
         nominal,
         recordings,
         tool_unknown=arm.smr.offset == "unknown",
         stops=stops,
-        held_out_stops=None if stops is None else ~learnt,
+        held_out_stops=held_out_stops,
         parameter_set=settings.parameter_set,
         prior_sigma=prior_sigmas(nominal, settings.priors),
         seed=profile.seed,
@@ -148,6 +146,13 @@ def samples_of(fit: MotionFit, joints: int) -> Readings:
 def _stated_of(parts: Sequence[tuple[str, RecordingFit, NDArray[np.intp]]]) -> Array | None:
     sigmas = [one.track.sigma_m[rows] for _, one, rows in parts if one.track.sigma_m is not None]
     return np.concatenate(sigmas) if len(sigmas) == len(parts) else None
+
+
+def stops_of(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
+    """Readings at rest for a fit with recordings, and which of them it may not use; None where it may use none."""
+    learnt = np.zeros(len(readings), dtype=bool)
+    learnt[readings.in_split("identify")] = True
+    return (_stops(readings), ~learnt) if learnt.any() else (None, None)
 
 
 def _stops(readings: Readings) -> Stops:

@@ -115,12 +115,16 @@ class MotionEffect:
 
 @dataclass(frozen=True, eq=False)
 class MotionDiscovery:
-    """The fit with all effects that were found, in the order in which they entered, and the errors without any."""
+    """The fit with all effects that were found, in the order in which they entered, and the errors without any.
+
+    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``.
+    """
 
     fit: MotionFit
     effects: tuple[MotionEffect, ...]
     heldout_before_mm: float
     heldout_after_mm: float
+    covariance: Array = field(repr=False)
 
     @property
     def terms(self) -> tuple[EffectTerm, ...]:
@@ -216,7 +220,10 @@ class _Search:
         final = self._unwhitened(state)
         fit = motion_fit(final.problem, final.solution)
         effects = tuple(_effect(final, law, steps) for law in dict.fromkeys(step.law for step in steps))
-        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm)
+        at_rest = [term for step_law in dict.fromkeys(step.law for step in steps) for term in _terms(step_law, steps)]
+        places = [*range(final.problem.layout.geometric), *_places(final, [t for t in at_rest if t.law in _AT_REST])]
+        covariance = final.solution.noise.covariance[np.ix_(places, places)]
+        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance)
 
     def _unwhitened(self, state: _State) -> _State:
         """All points as they are, for predictions; lines and play, which are fast, stay as the
@@ -297,6 +304,10 @@ def _has(steps: Sequence[_Step], law: Law) -> bool:
     return any(step.law is law for step in steps)
 
 
+def _terms(law: Law, steps: Sequence[_Step]) -> tuple[JointTerm, ...]:
+    return tuple(term for step in steps if step.law is law for term in step.terms)
+
+
 def _places(state: _State, terms: Sequence[JointTerm]) -> list[int]:
     layout = state.problem.layout
     return [layout.geometric + layout.terms.index(term) for term in terms]
@@ -320,8 +331,7 @@ def _statistic(state: _State, terms: Sequence[JointTerm]) -> float:
 
 
 def _effect(state: _State, law: Law, steps: Sequence[_Step]) -> MotionEffect:
-    own = [step for step in steps if step.law is law]
-    terms = tuple(term for step in own for term in step.terms)
+    own, terms = [step for step in steps if step.law is law], _terms(law, steps)
     values, covariance = _values(state, terms)
     errors = np.sqrt(np.diag(covariance))
     shown = {
