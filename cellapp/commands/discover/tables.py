@@ -54,8 +54,21 @@ def discovery_tables(result: DiscoverResult) -> list[Table]:
         tables.append(steps_table(name, arm))
         if arm.accepted:
             tables.append(_short_accepted_table(name, arm))
-        tables += _effect_size_tables(name, arm)
+        tables += [*_effect_size_tables(name, arm), *motion_tables(name, arm)]
     return tables
+
+
+def motion_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
+    """What recordings of motion show of the joints, by effect; none without recordings."""
+    if arm.motion is None or not arm.motion.effects:
+        return []
+    rows: list[tuple[Cell, ...]] = []
+    for found in arm.motion.effects:
+        for parameter, estimate in found.parameters.items():
+            value, interval, unit = interval_95(estimate)
+            rows.append((found.effect, parameter, value, interval, unit, found.only_motion or ""))
+    columns = (Column("effect"), *_SIZE_COLUMNS[1:5], Column("only in motion"))
+    return [without_empty(Table(f"Arm {name}: what its recordings of motion show", columns, tuple(rows)))]
 
 
 def steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
@@ -141,7 +154,11 @@ def _accepted_row(found: AcceptedEffect) -> tuple[Cell, ...]:
 
 def size_tables(result: DiscoverResult) -> list[Table]:
     """Parameters with 95 % intervals as in ``parameter_table``, one table for each effect: they fit a terminal."""
-    return [table for name, arm in result.arms.items() for table in _effect_size_tables(name, arm)]
+    return [
+        table
+        for name, arm in result.arms.items()
+        for table in (*_effect_size_tables(name, arm), *motion_tables(name, arm))
+    ]
 
 
 def _effect_size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.motion.records import RecordingFit
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
@@ -36,7 +37,7 @@ def aligned(one: RecordingFit, geometry: Geometry, half_play: Array) -> Recordin
     return one
 
 
-def _correction(one: RecordingFit, geometry: Geometry, half_play: Array, rows: Array) -> tuple[float, float]:
+def _correction(one: RecordingFit, geometry: Geometry, half_play: Array, rows: NDArray[np.intp]) -> tuple[float, float]:
     """By how much offset [s] and rate are too small."""
     track = one.track
     time_s = track.controller_times(rows, one.offsets_s, one.rate)

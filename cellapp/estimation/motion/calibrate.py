@@ -134,11 +134,14 @@ def samples_of(fit: MotionFit, joints: int) -> Readings:
             parts.append((word, one, rows))
     n = sum(len(rows) for *_, rows in parts)
     moved = [one.track.path.at(one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
+    sides = [
+        one.track.path.direction_at(one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts
+    ]
     return Readings(
         configuration=np.arange(n),
         time_s=np.concatenate([one.track.time_s[rows] for _, one, rows in parts]),
         q=np.concatenate([q for q, _ in moved]).reshape(n, joints),
-        approach=np.sign(np.concatenate([qd for _, qd in moved])).astype(np.int8).reshape(n, joints),
+        approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8).reshape(n, joints),
         p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
         sigma_m=_stated_of(parts),
         split=tuple(word for word, _, rows in parts for _ in rows),

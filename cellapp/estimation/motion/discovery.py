@@ -7,11 +7,10 @@ recordings show predicts held-out readings better, it is the model from then on.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-
-import math
 
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.accepted import accepted_effect
@@ -43,13 +42,14 @@ def with_motion(
     found: CellDiscovery,
     calibrated: Mapping[str, ArmModel],
     readings: Mapping[str, Readings],
+    stops: Mapping[str, Readings],
     recordings: Mapping[str, Sequence[Recording]],
     cancel: CancelToken | None = None,
 ) -> CellDiscovery:
     """The discovery of a cell with what recordings of its arms show.
 
-    ``readings`` are those that were searched: stops, or samples of the recordings for arms without any. ``calibrated``
-    are the arms before discovery.
+    ``readings`` are those that were searched: ``stops``, and samples of the recordings. ``calibrated`` are the arms
+    before discovery.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def with_motion(
         if not its:
             continue
         started = time.perf_counter()
-        motion = _search(profile, name, readings[name], its, cancel)
+        motion = _search(profile, name, stops[name], its, cancel)
         held_out = HeldOut.of(readings[name], conditions[name])
         seconds = time.perf_counter() - started
         arms[name] = _with_effects(name, found.arms[name], calibrated[name], motion, held_out, seconds)
@@ -71,11 +71,11 @@ def with_motion(
 
 
 def _search(
-    profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording], cancel: CancelToken | None
+    profile: Profile, name: str, at_rest: Readings, recordings: Sequence[Recording], cancel: CancelToken | None
 ) -> MotionDiscovery:
     arm, settings = profile.arms[name], profile.calibration
     nominal = nominal_arm(arm)
-    stops, held_out_stops = stops_of(readings)
+    stops, held_out_stops = stops_of(at_rest)
     return effects_in_motion(
         nominal,
         recordings,
@@ -159,9 +159,7 @@ def _result(effect: MotionEffect) -> MotionEffectResult:
                 effect.names, effect.values.tolist(), effect.standard_errors.tolist(), effect.units, strict=True
             )
         },
-        evidence=Evidence(
-            statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)
-        ),
+        evidence=Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
         only_motion=effect.only_motion or None,
         at_rest=effect.at_rest,
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.parameters import SetName, determined_set
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
-from cellapp.estimation.motion.fit import GROSS, Problem, Solution, problem_of, solve
+from cellapp.estimation.motion.fit import GROSS, Problem, Solution, free_clocks, problem_of, solve
 from cellapp.estimation.motion.observe import Model, Stops, residuals, stop_residuals
 from cellapp.estimation.motion.records import ClockFit, ClockSegment, MotionFit, RecordingFit
 from cellapp.estimation.motion.streams import Recording
@@ -72,7 +72,7 @@ def identify_from_motion(
         prior_sigma=prior_sigma,
         seed=seed,
     )
-    return motion_fit(problem, solve(problem, stop_rows))
+    return motion_fit(problem, free_clocks(problem, solve(problem, stop_rows)))
 
 
 def motion_problem(

@@ -45,8 +45,8 @@ class Bands:
     ----------
     columns : array of int, shape (k,)
         Places of the source's columns among all parameters.
-    count : array of int, shape (B,)
-        Coordinates in each band.
+    count : array, shape (B,)
+        Coordinates in each band, less what was taken out of it.
     gram : array, shape (B, k, k)
         ``X^T X`` of each band.
     product : array, shape (B, k)
@@ -56,7 +56,7 @@ class Bands:
     """
 
     columns: NDArray[np.intp] = field(repr=False)
-    count: NDArray[np.intp] = field(repr=False)
+    count: NDArray[np.intp] | Array = field(repr=False)
     gram: Array = field(repr=False)
     product: Array = field(repr=False)
     square: Array = field(repr=False)
@@ -117,7 +117,7 @@ class _Band:
     """One band with enough degrees of freedom: its gram (K, K) of orthonormal columns, and its energy."""
 
     source: int
-    count: int
+    count: float
     gram: Array
     energy: float
 
@@ -180,13 +180,13 @@ def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: A
     found: list[_Band] = []
     first = 0
     for place in range(len(grams)):
-        gram, count = grams[first : place + 1].sum(axis=0), int(source.count[first : place + 1].sum())
+        gram, count = grams[first : place + 1].sum(axis=0), float(source.count[first : place + 1].sum())
         if count - np.trace(gram) >= _LEAST_FREEDOM or (place + 1 == len(grams) and not found):
             found.append(_Band(number, count, gram, float(energies[first : place + 1].sum())))
             first = place + 1
     if first < len(grams):
         last = found[-1]
-        rest = grams[first:].sum(axis=0), int(source.count[first:].sum()), float(energies[first:].sum())
+        rest = grams[first:].sum(axis=0), float(source.count[first:].sum()), float(energies[first:].sum())
         found[-1] = _Band(number, last.count + rest[1], last.gram + rest[0], last.energy + rest[2])
     return found
 

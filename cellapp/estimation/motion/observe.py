@@ -7,7 +7,9 @@ are those of the geometry; ``o_k dP/dq_j`` for b_k; ``-J qd`` for o and ``-(t - 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,8 @@ _CHUNK = 2048
 _BLOCK_RATE = 25.0
 """Averaged residuals a second from which the noise is read: motion and its correlation are slower."""
 _MOST_BLOCKS = 20_000
+_SAME = 1e-4
+"""Singular value, over the largest, below which functions of posture are the same along a path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,10 @@ class Layout:
     def rate(self, number: int) -> int:
         """Place of the rate of one recording."""
         return int(self.offsets(number).stop)
+
+    def clock(self, number: int) -> NDArray[np.intp]:
+        """Places of the offsets and the rate of one recording."""
+        return np.arange(self.offsets(number).start, self.rate(number) + 1)
 
     def columns_of(self, number: int) -> NDArray[np.intp]:
         """Places of the parameters that move the points of one recording."""
@@ -128,21 +136,56 @@ def residuals(model: Model, track: Track, number: int, rows: NDArray[np.intp]) -
     return left
 
 
+@dataclass(frozen=True, eq=False)
+class Averages:
+    """Weighted columns ``X`` (m, 3, k) at places ``columns``, residuals ``r`` (m, 3) and joint positions ``q`` (m, N)
+    of one recording, averaged over neighbours so that sums are kept."""
+
+    X: Array
+    columns: NDArray[np.intp]
+    r: Array
+    q: Array
+
+
 def track_sums(
     model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, whitening: Array | None = None
 ) -> Sums:
     """Sums over ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m].
 
-    ``whitening`` is a filter along time that columns and residuals pass (``whitening``).
+    ``whitening`` is a filter along time that columns and residuals pass.
     """
-    columns, arm = model.layout.columns_of(number), model.layout.arm
-    k, geometry, (offsets, rate), work = len(columns), model.geometry, model.clock(number), Workspace()
+    k = len(model.layout.columns_of(number))
     A, b = np.zeros((k, k)), np.zeros(k)
-    each = _block_length(track, len(rows))
-    step = max(1, _CHUNK // each) * each
-    X_blocks, r_blocks = [], []
     past = 0 if whitening is None else len(whitening) - 1
     memory_X, memory_r = np.zeros((3, k, past)), np.zeros((3, past))
+    parts = []
+    for X, left, weight, q in _chunks(model, track, number, rows, root):
+        if whitening is not None:
+            X, memory_X = lfilter(whitening, [1.0], X, zi=memory_X)
+            left, memory_r = lfilter(whitening, [1.0], left, zi=memory_r)
+        flat = X.swapaxes(0, 1).reshape(k, -1)
+        A += flat @ flat.T
+        b += flat @ left.ravel()
+        parts.append(_averaged(X, left, weight, q, _block_length(track, len(rows))))
+    found = _joined(parts, model.layout.columns_of(number))
+    return Sums(A, b, bands_of(found.X, found.columns, found.r, in_time=True))
+
+
+def track_averages(model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array) -> Averages:
+    """Averages of ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m]."""
+    each = _block_length(track, len(rows))
+    parts = [_averaged(*chunk, each) for chunk in _chunks(model, track, number, rows, root)]
+    return _joined(parts, model.layout.columns_of(number))
+
+
+def _chunks(
+    model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array
+) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """Weighted columns (3, k, n) and residuals (3, n), weights (n,) and joint positions (n, N), chunk by chunk."""
+    k, arm = len(model.layout.columns_of(number)), model.layout.arm
+    geometry, (offsets, rate), work = model.geometry, model.clock(number), Workspace()
+    each = _block_length(track, len(rows))
+    step = max(1, _CHUNK // each) * each
     for first in range(0, len(rows), step):
         part, weight = rows[first : first + step], root[first : first + step]
         u = track.controller_times(part, offsets, rate)
@@ -155,18 +198,54 @@ def track_sums(
             np.multiply(moved, -(segment == place).astype(np.float64), out=X[:, arm + place])
         np.multiply(moved, track.middle_s - track.time_s[part], out=X[:, -1])
         X *= weight
-        left = (track.p_M[part].T - P) * weight
-        if whitening is not None:
-            X, memory_X = lfilter(whitening, [1.0], X, zi=memory_X)
-            left, memory_r = lfilter(whitening, [1.0], left, zi=memory_r)
-        flat = X.swapaxes(0, 1).reshape(k, -1)
-        A += flat @ flat.T
-        b += flat @ left.ravel()
-        starts = np.arange(0, len(part), each)
-        share = weight / np.sqrt(np.maximum(np.add.reduceat(weight**2, starts), 1e-300)).repeat(each)[: len(part)]
-        X_blocks.append(np.add.reduceat(X * share, starts, axis=2).transpose(2, 0, 1))
-        r_blocks.append(np.add.reduceat(left * share, starts, axis=1).T)
-    return Sums(A, b, bands_of(np.concatenate(X_blocks), columns, np.concatenate(r_blocks), in_time=True))
+        yield X, (track.p_M[part].T - P) * weight, weight, state.q
+
+
+def _averaged(X: Array, left: Array, weight: Array, q: Array, each: int) -> tuple[Array, Array, Array]:
+    """Averages of one chunk over ``each`` neighbours."""
+    starts = np.arange(0, len(weight), each)
+    total = np.sqrt(np.maximum(np.add.reduceat(weight**2, starts), 1e-300))
+    share = weight / total.repeat(each)[: len(weight)]
+    return (
+        np.add.reduceat(X * share, starts, axis=2).transpose(2, 0, 1),
+        np.add.reduceat(left * share, starts, axis=1).T,
+        q[starts],
+    )
+
+
+def _joined(parts: Sequence[tuple[Array, Array, Array]], columns: NDArray[np.intp]) -> Averages:
+    X, r, q = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return Averages(X, columns, r, q)
+
+
+def posture_basis(q: Array) -> Array:
+    """Orthonormal functions of posture (n, f): one and two cycles of each joint, of sums and differences of any two,
+    and of sums along the arm. What a model lacks at rest, gravity and gears, is mostly one of them."""
+    joints = range(q.shape[1])
+    angles = [factor * q[:, joint] for joint in joints for factor in (1, 2)]
+    angles += [q[:, i] + sign * q[:, k] for i, k in combinations(joints, 2) for sign in (1, -1)]
+    angles += [q[:, first:last].sum(axis=1) for first in joints for last in range(first + 3, q.shape[1] + 1)]
+    table = np.stack(angles, axis=1)
+    table = np.concatenate([np.ones((len(q), 1)), np.sin(table), np.cos(table)], axis=1)
+    vectors, sizes, _ = np.linalg.svd(table, full_matrices=False)
+    return np.asarray(vectors[:, sizes > _SAME * sizes[0]])
+
+
+def without_posture(averages: Averages, basis: Array, left: float) -> Sums:
+    """Sums after functions of posture are taken out, all but the share ``left``: the root of what noise is of them.
+
+    Bands have fewer degrees of freedom by what was taken out.
+    """
+    both = np.concatenate([averages.X, averages.r[:, :, None]], axis=2).reshape(len(basis), -1)
+    both = (both - (1.0 - left) * basis @ (basis.T @ both)).reshape(len(basis), 3, -1)
+    X, r = both[:, :, :-1], both[:, :, -1]
+    bands = bands_of(X, averages.columns, r, in_time=True)
+    if left == 0.0:
+        of_basis = bands_of(basis[:, None, :], averages.columns, basis[:, :1], in_time=True)
+        taken = 3.0 * of_basis.gram.trace(axis1=1, axis2=2)
+        bands = replace(bands, count=np.maximum(bands.count - taken, 1.0))
+    flat = X.reshape(-1, X.shape[2])
+    return Sums(flat.T @ flat, flat.T @ r.ravel(), bands)
 
 
 def stop_sums(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> Sums:
