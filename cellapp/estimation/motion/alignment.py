@@ -18,7 +18,12 @@ from cellapp.robot.kinematics.transforms import Array
 
 _POINTS = 6000
 _STEP_RAD = 1e-6
-_ROUNDS = 2
+_INDEPENDENT = 300.0
+"""Of these points about so many are independent: neighbours are alike."""
+_PLAY_SD = 3e-5
+"""Of what is left of lost motion [rad]."""
+_MORE_THAN_STATED = 3.0
+"""Standard errors of the fit hold for its own model; the clock may be off by this multiple of them."""
 _GROSS = 5.0
 """Multiple of the median residual beyond which a point is not used."""
 
@@ -30,14 +35,12 @@ def aligned(one: RecordingFit, geometry: Geometry, half_play: Array) -> Recordin
     """
     rows = np.flatnonzero(one.track.learnt | one.track.held_out)
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _POINTS)).astype(np.intp)]
-    for _ in range(_ROUNDS):
-        offset, rate = _correction(one, geometry, half_play, rows)
-        one = replace(one, offsets_s=one.offsets_s + offset, rate=one.rate + rate)
-    return one
+    offset, rate = _correction(one, geometry, half_play, rows)
+    return replace(one, offsets_s=one.offsets_s + offset, rate=one.rate + rate)
 
 
 def _correction(one: RecordingFit, geometry: Geometry, half_play: Array, rows: Array) -> tuple[float, float]:
-    """By how much offset [s] and rate are too small."""
+    """By how much offset [s] and rate are too small, as far as the points say more than the fit does."""
     track = one.track
     time_s = track.controller_times(rows, one.offsets_s, one.rate)
     q, qd = track.path.at(time_s)
@@ -56,9 +59,13 @@ def _correction(one: RecordingFit, geometry: Geometry, half_play: Array, rows: A
     basis, _ = np.linalg.qr(_functions_of_posture(q[good]))
     table = np.concatenate([columns[good], left[good, :, None]], axis=2).reshape(len(basis), -1)
     table = (table - basis @ (basis.T @ table)).reshape(len(basis) * 3, -1)
-    unit = np.maximum(np.linalg.norm(table[:, :-1], axis=0), 1e-300)
-    found, *_ = np.linalg.lstsq(table[:, :-1] / unit, table[:, -1], rcond=1e-6)
-    return float(found[0] / unit[0]), float(found[1] / unit[1])
+    clock = one.clock
+    errors = clock.offset_standard_error_s, 1e-6 * clock.rate_standard_error_ppm
+    spread = np.append(np.multiply(_MORE_THAN_STATED, errors), np.full(q.shape[1], _PLAY_SD))
+    variance = float(np.mean(table[:, -1] ** 2)) * len(table) / _INDEPENDENT + 1e-300
+    scaled = table[:, :-1] * spread
+    found = np.linalg.solve(scaled.T @ scaled + variance * np.eye(len(spread)), scaled.T @ table[:, -1]) * spread
+    return float(found[0]), float(found[1])
 
 
 def _moved(geometry: Geometry, q: Array, direction: Array) -> Array:
