@@ -16,15 +16,8 @@ from typing import Any, NoReturn, Protocol
 from drivers.arms.protocol import LinkLost, LiveArm
 from drivers.arms.ur_control import Refusal, UrControl, advised, failed
 from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, stop_program
-from drivers.arms.ur_motion import (
-    STILL_MOVING,
-    Kicks,
-    Motion,
-    RestCriterion,
-    Unrest,
-    WorkerSample,
-    leading_rates,
-)
+from drivers.arms.ur_motion import STILL_MOVING, Kicks, Motion, RestCriterion, Unrest, leading_rates
+from drivers.arms.ur_rtde_reader import UrSample
 from drivers.arms.ur_safety import not_ready
 from drivers.arms.ur_states import SILENT_S, States
 from drivers.patience import Patience, RunningTime
@@ -89,7 +82,7 @@ class Supervisor:
         self._motion: Motion | None = None
         self._cut_short = False
         self._settle_requests: list[SettleRequest] = []
-        self._resting_since: WorkerSample | None = None
+        self._resting_since: UrSample | None = None
         self._fault: Refusal | None = None
         self._halted = False
         self._program_stopped_s: float | None = None  # since when the program is seen stopped without a brake
@@ -168,7 +161,7 @@ class Supervisor:
         self._motion = Motion(goal, number, self._now())
         return {}
 
-    def _require_movable(self) -> WorkerSample:
+    def _require_movable(self) -> UrSample:
         """Return the state of an arm that may begin a motion; refuse otherwise."""
         self._require_no_fault()
         self._require_not_braked()
@@ -278,7 +271,7 @@ class Supervisor:
         if self._application.braked and not self._halted:
             self.take_brake()
 
-    def _require_ready(self, sample: WorkerSample) -> None:
+    def _require_ready(self, sample: UrSample) -> None:
         """Raise and record what keeps the arm from moving."""
         problem = not_ready(sample.robot_mode, sample.safety_mode)
         if problem is not None:
@@ -296,7 +289,7 @@ class Supervisor:
         self.take_brake()
         return Refusal("stopped", "its motion was stopped before the goal")
 
-    def _ensure_program_runs(self, sample: WorkerSample) -> None:
+    def _ensure_program_runs(self, sample: UrSample) -> None:
         """Upload the control program again if it was stopped on purpose."""
         if sample.program == "PLAYING" and not self._halted:
             return
@@ -383,7 +376,7 @@ class Supervisor:
         if self._settle_requests:
             self._answer_settle_requests(sample, now, news)
 
-    def _look(self) -> tuple[WorkerSample, bool]:
+    def _look(self) -> tuple[UrSample, bool]:
         """Check what can stop an arm at any time; return its newest state, and whether that is new."""
         unwatched = self._application.check(self._kicks, self.live, watched=self._moves)
         self._states.check_links()
@@ -398,7 +391,7 @@ class Supervisor:
                     self._record_fault(Refusal("stalled", unwatched))
         return sample, news
 
-    def _check_program(self, sample: WorkerSample, now: float) -> None:
+    def _check_program(self, sample: UrSample, now: float) -> None:
         """Record that something else than the application stopped the program."""
         if self._fault is not None:
             return
@@ -411,7 +404,7 @@ class Supervisor:
         elif now - self._program_stopped_s > _STOP_SEEN_WITHIN_S:
             self._program_stopped()
 
-    def _track_motion(self, motion: Motion, sample: WorkerSample, now: float, news: bool) -> None:
+    def _track_motion(self, motion: Motion, sample: UrSample, now: float, news: bool) -> None:
         """Detect the end of a motion; end the process if the client's report contradicts the arm's state."""
         number, running = self._control.operation()
         if number != motion.number_before:
@@ -433,7 +426,7 @@ class Supervisor:
         self._resting_since = None  # delayed positions from before the motion may have looked like rest
         self._unrest.end(now)
 
-    def _update_rest(self, sample: WorkerSample) -> None:
+    def _update_rest(self, sample: UrSample) -> None:
         """Track since when the arm rests."""
         first = self._resting_since
         if sample.speed > self._rest.speed:
@@ -441,7 +434,7 @@ class Supervisor:
         elif first is None or sample.distance(first.q) > self._rest.position:
             self._resting_since = sample
 
-    def _answer_settle_requests(self, sample: WorkerSample, now: float, news: bool) -> None:
+    def _answer_settle_requests(self, sample: UrSample, now: float, news: bool) -> None:
         waiting = []
         for item in self._settle_requests:
             answer = self._settled(sample, now, news)
@@ -454,7 +447,7 @@ class Supervisor:
                 self._application.answer({"id": item.request, **answer})
         self._settle_requests = waiting
 
-    def _settled(self, sample: WorkerSample, now: float, news: bool) -> dict[str, Any] | None:
+    def _settled(self, sample: UrSample, now: float, news: bool) -> dict[str, Any] | None:
         """Return the answer to a settle request if the arm has settled, was stopped or has a fault; else None."""
         if self._fault is not None:
             return {"error": self._fault.kind, "text": self._fault.text}

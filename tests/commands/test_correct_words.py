@@ -7,6 +7,7 @@ import pytest
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
 from cellapp.commands.correct.view import view
 from cellapp.commands.docs.handbook import chapter_text
+from cellapp.commands.view.table import Table
 
 pytestmark = pytest.mark.fast
 
@@ -19,6 +20,7 @@ def test_each_size_in_the_table_is_explained_below_it_and_in_the_chapter() -> No
     table, *lines = view(
         CorrectResult(program="day.script", arm="left", targets=(target,), left=(), assumptions=(), out="out.script")
     ).parts
+    assert isinstance(table, Table)
     words = " ".join(map(str, lines))
     chapter = chapter_text("programs")
     for column in ("moves", "turns", "sigma"):

@@ -65,7 +65,7 @@ class MeasuredStop:
 
     number: int
     found: Mapping[str, FoundPoint]
-    standing: SequentialState
+    state: SequentialState
     time_s: float
 
 
@@ -211,9 +211,9 @@ class _Checking:
         rows = {name: self._reading(name, point) for name, point in found.items()}
         # arms that went to a stop each alone were at two stops: the other one stood at home
         count = len(self.driven.stops)
-        standing = self.test.add({name: row.as_readings(count) for name, row in rows.items()})
-        self.driven.stops.append(MeasuredStop(number, found, standing, self.elapsed_s()))
-        return standing.sure
+        state = self.test.add({name: row.as_readings(count) for name, row in rows.items()})
+        self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
+        return state.sure
 
     def _find(self, name: str, state: ArmState) -> FoundPoint | None:
         """Measure one SMR; an arm whose SMR is missed too often is given up."""

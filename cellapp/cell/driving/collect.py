@@ -9,8 +9,8 @@ from types import MappingProxyType
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.controllers import check_controllers
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.records import CollectResult
-from cellapp.cell.driving.session import CollectSession, End
+from cellapp.cell.driving.records import CollectResult, End
+from cellapp.cell.driving.session import CollectSession
 from cellapp.cell.driving.supervision import Opened, opening, reacting
 from cellapp.cell.driving.work import remaining_work
 from cellapp.cell.run import RunFile, SessionEnd

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from cellapp.cell.driving.cell import Cell, start_tracker
 from cellapp.cell.driving.details import missed_sentence, point_measured, record_sentence, state_of
@@ -14,6 +14,7 @@ from cellapp.cell.driving.measuring import SmrMeasurement
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.practice import AirTemperature, LiveModel
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
+from cellapp.cell.driving.records import End
 from cellapp.cell.driving.references import References
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.cell.driving.sweeping import Sweeps
@@ -37,7 +38,6 @@ MOST_MISSED_IN_A_ROW = 10
 _HARMLESS = ("pause", "resume", "suspend", "give up", "reference")
 """What is recorded of a session that needs nobody's attention afterwards."""
 
-End = Literal["complete", "accurate enough"]
 T = TypeVar("T")
 
 

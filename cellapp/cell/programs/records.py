@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from cellapp.cell.programs.targets import TargetKind
 from cellapp.ground.results import Record, Result
 
 Numbers = tuple[float, float, float, float, float, float]
@@ -36,7 +37,7 @@ class CorrectedTarget(Record):
 
     line: int
     command: str
-    kind: Literal["pose", "joints"]
+    kind: TargetKind
     old: Numbers
     new: Numbers | None = None
     correction_mm: float | None = None

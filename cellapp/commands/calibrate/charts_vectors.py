@@ -24,20 +24,17 @@ _OTHER_STYLE = 5
 
 
 def vector_charts(name: str, held_out: HeldOutArm) -> Iterator[Chart]:
-    """Residuals of the identified geometry of one arm, in the tracker frame and in its base frame."""
+    """Residuals of the identified geometry of one arm: from above in the tracker frame, two views in its base frame."""
     readings, geometry = held_out.readings, held_out.calibrated.geometry
     shown = readings.take(evenly_spread(len(readings), _MOST_ARROWS))
     residual_M = shown.p_M - smr_positions(geometry, shown.q)
     T_B_M = invert(geometry.T_M_B())
     stops = shown.configuration.tolist()
-    in_frames = {
-        "the tracker frame": (shown.p_M, residual_M),
-        "its base frame": (apply(T_B_M, shown.p_M), residual_M @ T_B_M[:3, :3].T),
-    }
-    for frame, (points, vectors) in in_frames.items():
-        for up, view in ((1, "from above"), (2, "from the side")):
-            title = f"Arm {name}: residuals of the geometry in {frame}, {view}"
-            yield vector_chart(title, stops, points, vectors, up)
+    title = f"Arm {name}: residuals of the geometry in"
+    yield vector_chart(f"{title} the tracker frame, from above", stops, shown.p_M, residual_M, 1)
+    points_B, residual_B = apply(T_B_M, shown.p_M), residual_M @ T_B_M[:3, :3].T
+    yield vector_chart(f"{title} its base frame, from above", stops, points_B, residual_B, 1)
+    yield vector_chart(f"{title} its base frame, from the side", stops, points_B, residual_B, 2)
 
 
 def vector_chart(title: str, stops: list[int], points: Array, vectors: Array, up: int) -> Chart:

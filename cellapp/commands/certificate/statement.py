@@ -10,6 +10,7 @@ from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.certificate.instruments import missing_data, used_instruments
 from cellapp.commands.certificate.judgements import held_verification, judge_run
 from cellapp.commands.certificate.result import (
+    SIMULATED,
     CertificateResult,
     CertifiedArm,
     CertifiedCharacteristic,
@@ -102,7 +103,7 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
         limits=tuple(_limits(results, held_verification(results))),
         missing=missing_data(profile, instruments, arms, given.conditions, given.measured, lines),
         warnings=(
-            *_simulated(profile),
+            *([f"{SIMULATED}: no real arm and no real tracker was measured"] if profile.is_simulated else []),
             *_unverified(profile, results),
             *(f"{one.role}: {one.note}" for one in instruments if one.note),
         ),
@@ -212,11 +213,6 @@ def _calibration(results: StageResults) -> CalibrateResult | None:
 
 
 # -- words ------------------------------------------------------------------------------------------------------------
-
-
-def _simulated(profile: Profile) -> list[str]:
-    """A simulated cell must not pass for a real one."""
-    return ["simulated cell: no real arm and no real tracker was measured"] if profile.is_simulated else []
 
 
 def _unverified(profile: Profile, results: StageResults) -> list[str]:

@@ -220,7 +220,7 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
     points = points_of(list(stop.found.values()))
     expected = predicted_points(model, points)
     return CheckedStop.like(
-        stop.standing,
+        stop.state,
         points={
             name: CheckedPoint(
                 q=tuple(own.q[0].tolist()),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from cellapp.commands.check.charts import check_charts
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
+from cellapp.commands.view.parts import Part
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.monitoring.check.records import TRACKER, CheckResult, FoundChange, WeakChange
 from cellapp.ground.counting import counted
@@ -25,9 +27,10 @@ _LEAST_CHANCE = 1e-12
 
 
 def view(result: CheckResult, request: CheckRequest | None = None) -> View:
-    """What was measured, the verdict, and why the calibration does not hold."""
+    """What was measured, the verdict, the evidence, and why the calibration does not hold."""
     strict = request is not None and request.strict
-    return View((*check_tables(result), *check_sentences(result)), result.complaints(strict=strict))
+    parts: tuple[Part, ...] = (*check_tables(result), *check_sentences(result), *check_charts(result))
+    return View(parts, result.complaints(strict=strict), held="the calibration holds")
 
 
 def check_tables(result: CheckResult) -> list[Table]:

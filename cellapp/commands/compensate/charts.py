@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellapp.cell.targets.records import VerifyResult
+from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.compensate.tables import measured_targets
 from cellapp.commands.compensate.words import PART_WORDS, Measured, bounds_and_errors, promise_words
 from cellapp.commands.view.charts import (
@@ -22,6 +22,7 @@ from cellapp.commands.view.charts import (
 )
 from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 
 _BEFORE, _AFTER = STAGE_STYLES["nominal"], STAGE_STYLES["effects"]
 _CORRECTED, _OUT = STAGE_STYLES["network"], 5
@@ -95,6 +96,12 @@ def rounds_chart(verify: VerifyResult) -> Chart:
         " the end."
     )
     return Chart(title, x, y, drawn, message, by_stage=True)
+
+
+def parts_charts(result: CompensateResult) -> list[Chart]:
+    """What the uncertainty at the targets of each arm is made of; without arms whose commands state none."""
+    by_arm = grouped((command.arm, command.parts) for command in result.targets if command.parts is not None)
+    return [parts_chart(f"Arm {name}: uncertainty at its targets by sources", parts) for name, parts in by_arm.items()]
 
 
 def parts_chart(title: str, parts: Sequence[UncertaintyParts]) -> Chart:

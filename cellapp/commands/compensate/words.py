@@ -10,6 +10,7 @@ import numpy as np
 from cellapp.cell.targets.records import CompensateResult, MeasuredPair, MeasuredTarget, TargetCommand, VerifyResult
 from cellapp.commands.view.acceptance_words import RULE_WORDS, undecided_words
 from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 
 PART_WORDS: Mapping[str, str] = {
     "parameters": "geometry",
@@ -75,10 +76,7 @@ def arms_words(arms: Iterable[str]) -> str:
 
 def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
     """Conditions that nobody stated, the most important first."""
-    found: dict[str, list[tuple[float, str, tuple[str, ...]]]] = {}
-    for target in targets:
-        for one in target.unknown:
-            found.setdefault(one.condition, []).append((one.mm, target.name, one.effects))
+    found = grouped((one.condition, (one.mm, target.name, one.effects)) for target in targets for one in target.unknown)
     summaries = []
     for condition, entries in found.items():
         mm, worst, _ = max(entries, key=lambda entry: entry[0])
@@ -136,7 +134,7 @@ def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
 
 
 def _count_words(result: CompensateResult) -> str:
-    commands = by_name(result.targets)
+    commands = grouped((command.name, command) for command in result.targets)
     refused = sum(any(command.refusal for command in of_target) for of_target in commands.values())
     pairs = sum(len(of_target) > 1 for of_target in commands.values())
     cooperative = f", {pairs} of them cooperative" if pairs else ""
@@ -268,14 +266,6 @@ def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tupl
         for target in verify.targets
         if arm in (None, target.arm) and target.within_mm is not None and (error := target.compensated_mm) is not None
     ]
-
-
-def by_name(commands: Sequence[TargetCommand]) -> dict[str, list[TargetCommand]]:
-    """The commands of each target: one, or one for each arm of a cooperative target."""
-    found: dict[str, list[TargetCommand]] = {}
-    for command in commands:
-        found.setdefault(command.name, []).append(command)
-    return found
 
 
 def named_few(names: Sequence[str]) -> str:

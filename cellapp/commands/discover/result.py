@@ -17,6 +17,7 @@ from cellapp.estimation.discovery.records import (
     ProposalQuestion,
 )
 from cellapp.estimation.discovery.records import ProposedStop as ProposedStopRow
+from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS
 
 
@@ -31,9 +32,7 @@ def discover_result(found: CellDiscovery) -> DiscoverResult:
 
 def proposal_result(proposed: ProposedStops, first: int | None, notes: Sequence[str]) -> Proposal:
     """Proposed stops; ``first`` is the number of the first of them in the run's plan, None where it has none."""
-    arms: dict[str, list[ProposalQuestion]] = {}
-    for prediction in proposed.predictions:
-        arms.setdefault(prediction.arm, []).append(_question(prediction))
+    arms = grouped((prediction.arm, _question(prediction)) for prediction in proposed.predictions)
     return Proposal(
         count=len(proposed.stops),
         written=first is not None,

@@ -132,9 +132,9 @@ class Iso9283Request(Request):
             "Repeat pose and path tests at this speed, in percent; may be repeated. The norm also has 50 and 10.",
             "PERCENT",
             option="--also-speed",
-            label="and again at",
+            label="again at",
             unit="%",
-            hint="50, 10 by the norm",
+            hint="50, 10",
         ),
     ] = ()
     also_loads: Annotated[
@@ -144,9 +144,9 @@ class Iso9283Request(Request):
             "Repeat the pose test with this load, in kg; may be repeated. A person hangs it when the job pauses.",
             "KG",
             option="--also-load",
-            label="and again with",
+            label="again with",
             unit="kg",
-            hint="the job pauses for a person",
+            hint="by hand",
         ),
     ] = ()
     forces: Annotated[
@@ -156,7 +156,7 @@ class Iso9283Request(Request):
             "Force on the flange in the test of compliance, in N; may be repeated.",
             "N",
             option="--force",
-            label="compliance under",
+            label="force",
             unit="N",
         ),
     ] = (25.0, 50.0)

@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from cellapp.commands.iso9283.by_hand_tables import by_hand_sentences, by_hand_tables
 from cellapp.commands.iso9283.cells import pair_columns, series_of, tests_of, value_cells
+from cellapp.commands.iso9283.charts import iso9283_charts
 from cellapp.commands.iso9283.norm_tables import abilities_table, coverage_table
 from cellapp.commands.iso9283.path_tables import path_tables
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.acceptance_words import RULE_WORDS
+from cellapp.commands.view.parts import Part
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
@@ -41,7 +43,8 @@ _FOUND: Mapping[IsoCommands, str] = {"nominal": "as found", "calibrated": "as le
 def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
     """The characteristics, the outcome, where they are stored, and what did not hold."""
     stored = [] if request is None or request.folder is None else [f"stored in {request.folder}"]
-    return View((*iso9283_tables(result), *iso9283_sentences(result), *stored), result.complaints())
+    parts: tuple[Part, ...] = (*iso9283_tables(result), *iso9283_sentences(result), *stored, *iso9283_charts(result))
+    return View(parts, result.complaints())
 
 
 def iso9283_tables(result: Iso9283Result) -> list[Table]:

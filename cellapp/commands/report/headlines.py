@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.words import METHOD_WORDS
@@ -30,36 +28,28 @@ STAGE_TITLES: dict[StageName, str] = {
 }
 
 
-@dataclass(frozen=True)
-class Headline:
-    """A subject and a sentence about it."""
-
-    subject: str
-    sentence: str
-
-
-def headlines(data: ReportData) -> list[Headline]:
-    """The accuracy of each arm and of the pair at held-out configurations; only results that hold."""
+def headlines(data: ReportData) -> list[tuple[str, str]]:
+    """Subject and accuracy of each arm and of the pair at held-out configurations; only results that hold."""
     lines = []
     suffix = " (out of date)" if CALIBRATE in data.out_of_date else ""
     for name, arm in data.calibrate.arms.items():
         found = None if data.discover is None else data.discover.arms.get(name)
-        lines.append(Headline(f"Arm {name}{suffix}", _arm_sentence(arm, found)))
+        lines.append((f"Arm {name}{suffix}", _arm_sentence(arm, found)))
     method = best_method(data.calibrate)
     if method is not None:
         sentence = _pair_sentence(method, data.calibrate.pair[method], data.calibrate.pair.get("nominal"))
-        lines.append(Headline(f"Pair{suffix}", sentence))
+        lines.append((f"Pair{suffix}", sentence))
     return lines
 
 
-def verified_headlines(data: ReportData) -> list[Headline]:
-    """The measured errors of each arm at targets, without and with compensation."""
+def verified_headlines(data: ReportData) -> list[tuple[str, str]]:
+    """Subject and the measured errors of each arm at targets, without and with compensation."""
     lines = []
     for name, verified in ({} if data.verify is None else data.verify.arms).items():
         before, after = verified.nominal_mm.mean, verified.compensated_mm.mean
         change = "fell" if after < before else "did not fall: it changed"
         lines.append(
-            Headline(
+            (
                 f"Arm {name}, verified",
                 f"At {counted(verified.compensated_mm.n, 'new target')} the measured mean error {change} from"
                 f" {before:.3f} mm to {after:.3f} mm with compensation.",

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 from rich import filesize
 
 from cellapp.commands.record import Request, View
+from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import ArmFigures, CellKind, RunsResult, RunSummary
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 from cellapp.ground.times import day_of, minute_of
 
 CELL_WORDS: dict[CellKind, str] = {
@@ -24,7 +27,12 @@ _MM = ".3f"
 
 
 def view(result: RunsResult, request: Request | None = None) -> View:
-    """Every run below the folder."""
+    """Every run below the folder; or what waits today."""
+    if isinstance(request, RunsRequest) and request.today:
+        from cellapp.commands.runs.today import today_sentences, today_tables  # late: it uses the words of this module
+
+        now = datetime.now(UTC)
+        return View((*today_tables(result, now), *today_sentences(result, now)))
     return View((*runs_tables(result), *runs_sentences(result)))
 
 
@@ -141,10 +149,7 @@ def session_words(run: RunSummary) -> str:
 def stages_words(run: RunSummary) -> str:
     """Which results hold, and which are out of date and why."""
     held = [stage.name for stage in run.stages if not stage.out_of_date]
-    reasons: dict[str, list[str]] = {}
-    for stage in run.stages:
-        if stage.out_of_date:
-            reasons.setdefault(stage.out_of_date, []).append(stage.name)
+    reasons = grouped((stage.out_of_date, stage.name) for stage in run.stages if stage.out_of_date)
     parts = [f"results: {', '.join(held)}"] if held else []
     parts += [f"out of date: {', '.join(names)} ({reason})" for reason, names in reasons.items()]
     return "; ".join(parts) or "no results"

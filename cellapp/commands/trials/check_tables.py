@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult, Group, Share, share
-from cellapp.commands.trials.skeleton import Field, table_of
-from cellapp.commands.view.table import Interval, Table
+from cellapp.commands.view.table import Field, Interval, Table, table_of
 from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 
 _PERCENT = ".1f"
 _TITLES: dict[Group, str] = {
@@ -126,9 +126,9 @@ def _statistics(result: CheckTrialResult) -> Table:
 
 def _hardest(result: CheckTrialResult) -> Table:
     """Visible changes that were detected or listed least."""
-    by: dict[str, list[CheckedChange]] = {}
-    for one in (*result.some("parameter", visible=True), *result.some("effect", visible=True)):
-        by.setdefault(one.what, []).append(one)
+    by = grouped(
+        (one.what, one) for one in (*result.some("parameter", visible=True), *result.some("effect", visible=True))
+    )
     lines = [_Checks(what, some) for what, some in by.items()]
     lines.sort(key=lambda its: (its.found.value, its.of_changes(lambda one: one.listed) or 0.0, its.moved_mm))
     return table_of(

@@ -182,9 +182,9 @@ class _Trial:
         """One check of a changed plant."""
         readings = self._readings(change.plant, number)
         stops = stop_rows(self.belief, readings, self.design.directions)
-        some, standing = decided_prefix(self.design, stops)
+        some, state = decided_prefix(self.design, stops)
         here, _ = with_station(self.design, some)
-        verdict, found, _, _ = judgement(self.design, here, standing)
+        verdict, found, _, _ = judgement(self.design, here, state)
         moved = self.points(change.plant) - self.before
         count = len(stops.measured) / (1 if change.arm in ("", TRACKER) else len(self.q))
         what, visible = self._words(change)
@@ -203,7 +203,7 @@ class _Trial:
             visible=visible,
             moved_mm=float(np.sqrt(np.sum(moved**2) / count)) * 1e3,
             verdict=verdict,
-            stops=standing.stops,
+            stops=state.stops,
             named=named,
             listed=named or (first is not None and what in first.rivals),
             solved_mm=None if first is None or not named else _solved_mm(self.design, change, first, stops),

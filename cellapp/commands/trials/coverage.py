@@ -13,6 +13,7 @@ from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, bare_prof
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.task import TaskKind, as_given
@@ -114,10 +115,7 @@ INTERVALS = TaskKind("cellapp.commands.trials.coverage:INTERVALS", PlannedCell, 
 
 
 def _coverage(found: Sequence[Interval]) -> ArmCoverage:
-    inside: dict[str, list[bool]] = {}
-    for one in found:
-        for name, held in one.held.items():
-            inside.setdefault(name, []).append(held)
+    inside = grouped((name, held) for one in found for name, held in one.held.items())
     every = [held for some in inside.values() for held in some]
     return ArmCoverage(
         runs=len(found),

@@ -18,8 +18,8 @@ import numpy as np
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.commands.trials.drawn_cell import drawn_cell
 from cellapp.commands.trials.measured import measured_plan
-from cellapp.commands.trials.skeleton import IN_PLACE, Work, table_of
-from cellapp.commands.view.table import Number, Table
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
+from cellapp.commands.view.table import Number, Table, table_of
 from cellapp.commands.view.words import METHOD_WORDS
 from cellapp.estimation.calibration.calibrate import ArmCalibration, calibrate_readings
 from cellapp.estimation.readings import Readings

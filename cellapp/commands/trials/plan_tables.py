@@ -7,11 +7,11 @@ from operator import itemgetter
 
 import numpy as np
 
-from cellapp.cell.planning.plan_quality import ERROR_NAMES, ErrorName
+from cellapp.cell.planning.design_records import ErrorName
+from cellapp.cell.planning.plan_quality import ERROR_NAMES
 from cellapp.commands.trials.plan_trial import BARS, PlanTrialsResult
-from cellapp.commands.trials.skeleton import table_of
 from cellapp.commands.trials.whole_plans import WholePlan
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.table import Table, table_of
 from cellapp.ground.counting import counted
 
 _HEADINGS = {"parameters": "parameters, effects", "mean": "mean prediction", "worst": "worst prediction"}

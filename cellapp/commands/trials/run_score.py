@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 from cellapp.commands.trials.judge_records import (
     ArmFindings,
     DescribedTerm,
     HiddenEffect,
+    Likeness,
     Outcome,
     ScoredRun,
     SecondName,
@@ -75,11 +75,11 @@ def _outcome(hidden: frozenset[str], accepted: frozenset[str]) -> Outcome:
     return "unknown" if accepted == {UNKNOWN} else "wrong"
 
 
-def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) -> Literal["", "part", "right"]:
+def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) -> Likeness:
     """How well the best data-driven term matches; a channel in one direction only counts as that channel."""
     if expected.variables == (POSITION,):
         return _field_description(described)
-    best: Literal["", "part"] = ""
+    best: Likeness = ""
     for term in described:
         if term.channel != expected.channel and not term.channel.startswith(f"{expected.channel} "):
             continue
@@ -90,9 +90,9 @@ def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) ->
     return best
 
 
-def _field_description(described: Sequence[DescribedTerm]) -> Literal["", "part", "right"]:
+def _field_description(described: Sequence[DescribedTerm]) -> Likeness:
     """As ``_description`` for a field over the workspace: at least two variables of position, or the word itself."""
-    best: Literal["", "part"] = ""
+    best: Likeness = ""
     for term in described:
         of_space = term.channel.split(" ")[0] in _OF_SPACE
         variables = set(term.variables)

@@ -22,6 +22,7 @@ from cellapp.commands.trials.judge_records import (
 )
 from cellapp.commands.trials.posteriors import posterior_scores
 from cellapp.commands.trials.targets import targets
+from cellapp.ground.grouping import grouped
 
 
 def scores(runs: Sequence[ScoredRun]) -> Scores:
@@ -56,10 +57,7 @@ def scores(runs: Sequence[ScoredRun]) -> Scores:
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
     """Runs that hide the same, look-alikes last."""
-    groups: dict[str, list[ScoredRun]] = {}
-    for run in sorted(runs, key=lambda run: (run.look_alikes, run.hidden_names)):
-        groups.setdefault(run.hidden_names, []).append(run)
-    return groups
+    return grouped((run.hidden_names, run) for run in sorted(runs, key=lambda run: (run.look_alikes, run.hidden_names)))
 
 
 def _effect_counts(runs: Sequence[ScoredRun]) -> EffectCounts:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from cellapp.commands.trials.signature import SignatureResult
-from cellapp.commands.trials.skeleton import table_of
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.table import Table, table_of
 from cellapp.ground.counting import counted
 
 _MM = ".4f"

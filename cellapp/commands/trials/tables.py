@@ -23,8 +23,8 @@ from cellapp.commands.trials.judge_records import (
     TargetScore,
 )
 from cellapp.commands.trials.sealed_setup import Setup
-from cellapp.commands.trials.skeleton import Field, not_computed, table_of
-from cellapp.commands.view.table import Column, Number, Table, number_column
+from cellapp.commands.trials.skeleton import not_computed
+from cellapp.commands.view.table import Column, Field, Number, Table, number_column, table_of
 from cellapp.ground.counting import counted
 from cellapp.ground.times import day_of
 

@@ -12,7 +12,6 @@ from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
 from cellapp.estimation.calibration.evaluation import evaluate, repeatability
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, MotionResult, RecordingResult
-from cellapp.estimation.motion.alignment import aligned
 from cellapp.estimation.motion.identify import identify_from_motion
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.records import ClockFit, MotionFit, RecordingFit
@@ -123,10 +122,9 @@ def calibrate_arm_with_motion(
 
 def samples_of(fit: MotionFit, joints: int) -> Readings:
     """Some points of all recordings with the joint positions at their times, as readings: of what was learnt from, and
-    of the held-out blocks. Their clocks are those of ``aligned``."""
+    of the held-out blocks."""
     parts = []
-    for found in fit.recordings.values():
-        one = aligned(found, fit.identification.geometry, fit.half_play)
+    for one in fit.recordings.values():
         share = _SAMPLES // len(fit.recordings) + 1
         for word, chosen, most in (("identify", one.track.learnt, share), ("validate", one.track.held_out, share // 3)):
             rows = np.flatnonzero(chosen)

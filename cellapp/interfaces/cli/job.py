@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellapp.commands.view.parts import Parts, printed
 from cellapp.ground.control import Aborted, JobControl
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words, in_lines
@@ -20,7 +21,7 @@ from cellapp.interfaces.cli.command_outputs import current_outputs
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
-    from cellapp.commands.view.table import Parts, Table
+    from cellapp.commands.view.table import Table
     from cellapp.ground.results import Result
 
 INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
@@ -129,7 +130,7 @@ class Job:
 
     def show_view(self, view: Parts) -> None:
         """Print the tables and lines of a view in their order."""
-        for part in view:
+        for part in printed(view):
             if isinstance(part, str):
                 self.say(part)
             else:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from cellapp.cell.run.csv_import import readings_of_table
 from cellapp.cell.run.csv_text import CsvTable, read_csv_table
 from cellapp.cell.run.table_in_memory import is_frame, table_of_arrays, table_of_frame
-from cellapp.commands.view.table import Column, Parts, Table, number_column
+from cellapp.commands.view.parts import Parts
+from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.calibration.calibrate import missing_splits
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.columns import COLUMNS

@@ -13,7 +13,6 @@ from cellapp.commands.calibrate.charts_accuracy import (
     pair_histogram_chart,
     stage_chart,
 )
-from cellapp.commands.calibrate.charts_map import cell_map_chart
 from cellapp.commands.collect.charts import (
     NO_READINGS,
     NO_REFERENCES,
@@ -23,6 +22,7 @@ from cellapp.commands.collect.charts import (
     standard_error_chart,
 )
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
+from cellapp.commands.plan.charts_map import cell_map_chart
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Axis, Chart, Series, bar_chart, enumerated, mm
 from cellapp.estimation.calibration.records import PairHeldOut, PairMethodResult

@@ -21,11 +21,10 @@ from cellapp.commands.discover.tables import (
     size_tables,
     structure_table,
 )
-from cellapp.commands.discover.view import (
+from cellapp.commands.discover.view import discovery_lines, meaning_lines
+from cellapp.commands.discover.words import (
     contradiction_sentences,
     description_sentences,
-    discovery_lines,
-    meaning_lines,
     misfit_sentences,
     picture_words,
     remainder_sentences,

@@ -25,7 +25,7 @@ async def ask_for_program(pilot: Pilot[None], app: CellApp) -> None:
     await until(pilot, lambda: app.workspace.results is not None, "the run")
     await pilot.press("6")
     await until(pilot, lambda: app.day_screen.STEP == "targets", "the screen")
-    await pilot.press("c")
+    await pilot.press("e")
     await until(pilot, lambda: isinstance(app.screen, FilePicker), "the question for the program")
     app.screen.query_one("#path", Input).value = "old.script"
     await pilot.press("enter")

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from cellapp.commands.trials.league.series import SERIES
 from cellapp.commands.trials.league.trial import CURVE_SERIES, LeagueLine, LeagueResult, bar_words
-from cellapp.commands.trials.skeleton import table_of
-from cellapp.commands.view.table import Number, Table
+from cellapp.commands.view.table import Number, Table, table_of
 from cellapp.ground.counting import counted
 
 _MM = ".4f"

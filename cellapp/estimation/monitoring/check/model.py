@@ -1,4 +1,4 @@
-"""The shapes of the check: what a calibration expects of a cell, changes, chosen stops, standing and conclusion.
+"""The shapes of the check: what a calibration expects of a cell, changes, chosen stops, state of the test, conclusion.
 
 A change is *visible* if it is one of a parameter by 0.05 mm or 50 µrad (of an effect: by what moves the SMR by 0.05 mm
 rms) that moves the SMR, root mean square over the readings of the calibration, by at least ``VISIBLE`` times the

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -20,7 +21,9 @@ from cellapp.interfaces.tui.dialogs.question import Answer, AnswerQuestion
 from cellapp.interfaces.tui.widgets.labelled import Labelled, text_field
 
 _COLUMN = 30
-"""Width of a check box with its words."""
+"""Width of a check box with its words, or of a number with its label."""
+_MOST_IN_ONE_COLUMN = 4
+"""More numbers in a row stand in columns: the dialog fits into the smallest terminal then."""
 
 
 class VerbQuestion(AnswerQuestion[Request]):
@@ -71,8 +74,12 @@ class VerbQuestion(AnswerQuestion[Request]):
 
     def fields(self) -> ComposeResult:
         """A widget for each field; its id is the field's name with hyphens."""
-        for name, words in self._fields.items():
-            yield from self._widgets(name, words)
+        for short, names in groupby(self._fields, self._is_number):
+            widgets = [widget for name in names for widget in self._widgets(name, self._fields[name])]
+            if short and len(widgets) > _MOST_IN_ONE_COLUMN:
+                yield ItemGrid(*widgets, min_column_width=_COLUMN)
+            else:
+                yield from widgets
 
     def on_mount(self) -> None:
         """Begin with what is still to be filled in, where nothing can move by it."""
@@ -155,6 +162,11 @@ class VerbQuestion(AnswerQuestion[Request]):
             with suppress(ValueError):  # the request says what is wrong with it
                 return kind(text)
         return Path(text).expanduser() if kind is Path else text
+
+    def _is_number(self, name: str) -> bool:
+        """Whether a field takes a number, or some."""
+        kind = self._kind(name)
+        return kind in (int, float) or (get_origin(kind) is tuple and get_args(kind)[0] in (int, float))
 
     def _possible(self, name: str) -> Sequence[str]:
         """The values of which a field takes several."""
