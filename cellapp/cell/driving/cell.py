@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.cell.driving.attendance import SimulatedPerson
 from cellapp.cell.driving.pulse import JobPulse
@@ -24,6 +26,7 @@ from drivers.arms.protocol import Arm, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
 from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+from drivers.plant.sweep import SweepRecord, record_sweep, recorder_of
 from drivers.sensors.protocol import AirSensor, SensorError
 from drivers.settings import SettingError
 from drivers.trackers.protocol import NotReady, Tracker, TrackerError
@@ -42,6 +45,10 @@ class ClearanceObserver(Protocol):
         """Smallest distance of an arm from the floor."""
 
 
+RecordSweep = Callable[[str, NDArray[np.float64], float], SweepRecord]
+"""Arm, joint positions (n, N) [rad] and the time between two of them [s] -> what both devices recorded."""
+
+
 @dataclass(frozen=True)
 class Cell:
     """An open cell: connected devices and their common clock.
@@ -50,7 +57,8 @@ class Cell:
     functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
     ``gate`` checks every motion; a trial that drives the same plan many times shares its answers. ``tracker_unmet``
     lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's sign of life. ``person``
-    does in a simulated cell what a person does in others, None there.
+    does in a simulated cell what a person does in others, None there. ``record_sweep`` lets an arm follow joint
+    positions and records it; None in others, which do not do that yet.
     """
 
     arms: Mapping[str, Arm]
@@ -64,6 +72,7 @@ class Cell:
     tracker_unmet: tuple[str, ...] = ()
     pulse: JobPulse = field(default_factory=JobPulse)
     person: SimulatedPerson | None = None
+    record_sweep: RecordSweep | None = None
 
     def oldest_data_s(self) -> float:
         """Return the age of the newest state of the arm that was heard last [s]; never blocks."""
@@ -124,8 +133,18 @@ def open_cell(
             yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
         else:
             clock, clearance = SimulatedClock(simulated), simulated.clearance
-            person = SimulatedPerson(simulated)
-            yield Cell(arms, tracker, clock, air, clearance, together, unwatched, tracker_unmet=unmet, person=person)
+            yield Cell(
+                arms,
+                tracker,
+                clock,
+                air,
+                clearance,
+                together,
+                unwatched,
+                tracker_unmet=unmet,
+                person=SimulatedPerson(simulated),
+                record_sweep=partial(record_sweep, simulated, recorder_of(simulated)),
+            )
 
 
 def _needs_plant(profile: Profile) -> bool:

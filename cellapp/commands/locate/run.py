@@ -12,6 +12,7 @@ from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_stati
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import known_readings
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.locate.result import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
@@ -91,7 +92,7 @@ def locate_run(
         profile=profile_at_station(run, stages, simulated_pose),
         model=model_of(run, used),
         rough_T=_rough_station(run, stages, tracker_pose),
-        candidates={name: run.readings(name).q for name in run.profile.arms},
+        candidates={name: known_readings(run, name).q for name in run.profile.arms},
         excess_m=excess_of_readings(run, model_of(run, used)),
         points=points,
         still_m=run.profile.collection.reference.drift,
