@@ -61,7 +61,7 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
 
 
 def _has_new_stops(run: RunFile) -> bool:
-    """Whether stops are planned that no session has tried, reserves aside: they were added since."""
+    """Whether no session has tried some of the planned stops, as they were added later; reserves do not count."""
     total = max(run.planned_counts().values(), default=0)
     tried = run.stops_done() | {one.stop for one in run.outcomes()}
     return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))

@@ -248,11 +248,7 @@ def _postures(profile: Profile, cell: CellBodies, q: Mapping[str, Array]) -> Col
     return found[0].with_(*found[1:])
 
 
-def _as_it_is(step: Array) -> Array:
-    return step
-
-
-_MEASURES: tuple[Callable[[Array], Array], ...] = (np.sign, np.abs, _as_it_is)
+_MEASURES: tuple[Callable[[Array], Array], ...] = (np.sign, np.abs, np.positive)
 """What a signed step is a level of: the side, the size, both."""
 
 

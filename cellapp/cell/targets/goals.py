@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,8 @@ def goals_of_arm(model: CellModel, targets: Sequence[Target], name: str) -> ArmG
     rotation, position = _in_frames(own, name)
     frame, parents, T_parent_W = _frames(own)
     T_calibrated, T_nominal = (
-        _frame_poses(model, chain, parents, T_parent_W)[frame] for chain in (_calibrated, _nominal)
+        _frame_poses(model, chain, parents, T_parent_W)[frame]
+        for chain in (attrgetter("geometry"), attrgetter("nominal"))
     )
     return ArmGoals(
         rows=np.array(rows, dtype=np.intp),
@@ -67,14 +69,6 @@ def work_frame_pose(frame: WorkFrame) -> tuple[Array, float]:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _calibrated(arm: ArmModel) -> Geometry:
-    return arm.geometry
-
-
-def _nominal(arm: ArmModel) -> Geometry:
-    return arm.nominal
 
 
 def _in_frames(targets: Sequence[Target], name: str) -> tuple[Array, Array]:

@@ -61,7 +61,7 @@ def compensate_targets(
 ) -> tuple[tuple[Command, ...], CompensateResult]:
     """Commands for targets with a model, and their result; ``readings`` are those of the model.
 
-    ``notes`` stand before the one that says what is not known of a cell of which nothing moves here.
+    The result has ``notes`` first, then what is not known of a cell that this program does not drive.
 
     Raises
     ------

@@ -15,8 +15,7 @@ from cellapp.commands.stages import change_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.uncertainty.decision import target_verdict
 from cellapp.ground.grouping import grouped
-from cellapp.ground.profile.acceptance import DecisionRule
-from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE
+from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, DecisionRule
 
 R = TypeVar("R", bound=TargetRecord)
 J = TypeVar("J", MeasuredTarget, MeasuredPair)

@@ -37,7 +37,7 @@ from cellapp.commands.collect.charts_drift import residual_drift_chart
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collection_section
 from cellapp.commands.compensate.section import targets_section
-from cellapp.commands.discover.sections import discovery_section
+from cellapp.commands.discover.view import discovery_section
 from cellapp.commands.export.run import lost_by_arm
 from cellapp.commands.follow.view import paths_section, stored_paths
 from cellapp.commands.iso9283.view import view as iso9283_view
@@ -240,7 +240,7 @@ def _iso9283(data: ReportData) -> Section | None:
     """Also of tests that do not hold any more, which the section then says."""
     result = data.results.iso9283
     about = (
-        "Each arm was driven through the cube, the poses and the cycles of ISO 9283:1998; `cellapp docs iso9283` has"
+        "Each arm was driven through the cube, the poses and the cycles of ISO 9283:1998; 'cellapp docs iso9283' has"
         " the formulas and says what one SMR cannot show."
     )
     return None if result is None else section_of("", iso9283_view(result).parts, about=about)
@@ -250,7 +250,7 @@ def _check(data: ReportData) -> Section | None:
     """Only of a check that holds: one of another model says nothing."""
     result = data.results.held_check
     about = (
-        "A few stops were measured again and compared with what the stored model expects there; `cellapp docs check`"
+        "A few stops were measured again and compared with what the stored model expects there; 'cellapp docs check'"
         " explains how that is judged."
     )
     return None if result is None else section_of("", check_view(result).parts, about=about)
@@ -369,7 +369,7 @@ def _cell(data: ReportData) -> Section:
 def _parameters(data: ReportData, lost: list[str]) -> Section:
     tables = [*nominal_and_identified_tables(data.calibrate, data.calibrated), *merged_tables(data.calibrate)]
     others = (
-        "Other programs read the geometry of the model in force: `cellapp export DIR --as FORMAT --out FILE`, with"
+        "Other programs read the geometry of the model in force: 'cellapp export DIR --as FORMAT --out FILE', with"
         f" {', '.join(formats_of(ExportFormat))}. No file of a rigid chain holds the rest of the model; without it the"
         f" SMR is off, over the workspace of the readings: {'; '.join(lost)}."
     )

@@ -52,6 +52,7 @@ _LOG_2 = math.log(2.0)
 """Median of the power of noise over its mean: powers of cosine and sine together are exponential."""
 _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
+_COUNT_ROUNDS = 3
 _SHOWN = 3.5
 """Standard errors from which a joint is named as having an effect that was found."""
 _AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.COMPLIANCE: "linear"}
@@ -70,7 +71,7 @@ class MotionEffect:
         Of the effect; ``tracking_lag`` for the delay of a joint behind the others.
     names, units : tuple of str
     values, standard_errors : array
-        Parameters of all joints.
+        Parameters of the joints that show it.
     joints : tuple of int
         Joints that show it, from 1.
     statistic : float
@@ -129,7 +130,7 @@ class MotionDiscovery:
     @property
     def terms(self) -> tuple[EffectTerm, ...]:
         """Terms of an arm model that serve commands at rest."""
-        return tuple(effect.term() for effect in self.effects if effect.at_rest)
+        return tuple(effect.term() for effect in self.effects if effect.at_rest and effect.names)
 
 
 def effects_in_motion(
@@ -217,13 +218,56 @@ class _Search:
             state, step = found
             state = _whitened(state)
             steps.append(step)
+        state, steps = self._with_exact_counts(state, steps)
         final = self._unwhitened(state)
         fit = motion_fit(final.problem, final.solution)
         effects = tuple(_effect(final, law, steps) for law in dict.fromkeys(step.law for step in steps))
-        at_rest = [term for step_law in dict.fromkeys(step.law for step in steps) for term in _terms(step_law, steps)]
-        places = [*range(final.problem.layout.geometric), *_places(final, [t for t in at_rest if t.law in _AT_REST])]
+        laws_at_rest = [law for law in dict.fromkeys(step.law for step in steps) if law in _AT_REST]
+        at_rest = [term for law in laws_at_rest for term in _shown(final, law, steps)]
+        places = [*range(final.problem.layout.geometric), *_places(final, at_rest)]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
         return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance)
+
+    def _with_exact_counts(self, state: _State, steps: list[_Step]) -> tuple[_State, list[_Step]]:
+        """Lines at the counts that are best beside all other terms: the first ones entered before these were known.
+
+        Lines of one joint that are not apart over the turns that it made are joined to the stronger one.
+        """
+        for _ in range(_COUNT_ROUNDS):
+            lines = _terms(Law.LINE, steps)[::2]
+            better: dict[tuple[int, int], int | None] = {}
+            for term in lines:
+                if (term.joint, term.cycles) in better:
+                    continue
+                self.cancel.check()
+                near = _near(state, term, lines)
+                values = state.solution.values.copy()
+                values[_places(state, [t for line in near for t in _pair(line.joint, line.cycles)])] = 0.0
+                power = line_powers(state.problem, replace(state.solution, values=values))[0][term.joint]
+                reach = np.abs(np.arange(len(power)) - term.cycles) <= _reach(state, term)
+                count = int(np.argmax(np.where(reach & (np.arange(len(power)) > 1), power, 0.0)))
+                better.update({(line.joint, line.cycles): None for line in near})
+                better[term.joint, term.cycles] = count
+            if all(cycles == count for (_, cycles), count in better.items()):
+                break
+            steps = [_recounted(step, better) for step in steps]
+            steps = [step for step in steps if step.terms]
+            state = self._refitted(state, steps)
+        return state, steps
+
+    def _refitted(self, state: _State, steps: Sequence[_Step]) -> _State:
+        """The same with the terms of ``steps``, in the same order; new terms begin at zero."""
+        layout, terms = state.problem.layout, tuple(term for step in steps for term in step.terms)
+        problem = state.problem.without_terms().with_terms(terms)
+        values = np.insert(
+            np.delete(state.solution.values, np.arange(layout.geometric, layout.arm)),
+            layout.geometric,
+            [
+                float(state.solution.values[_places(state, [term])[0]]) if term in layout.terms else 0.0
+                for term in terms
+            ],
+        )
+        return self._state(problem, values)
 
     def _unwhitened(self, state: _State) -> _State:
         """All points as they are, for predictions; lines and play, which are fast, stay as the
@@ -300,12 +344,46 @@ def _whitened(state: _State) -> _State:
     return replace(state, problem=replace(state.problem, whitening=filters))
 
 
+def _pair(joint: int, cycles: int) -> tuple[JointTerm, JointTerm]:
+    return JointTerm(Law.LINE, joint, cycles, False), JointTerm(Law.LINE, joint, cycles, True)
+
+
+def _reach(state: _State, term: JointTerm) -> float:
+    """Counts that are not apart from that of a line over the turns that its joint made."""
+    q = np.concatenate([track.path.at(track.path.stamps.time_s)[0][:, term.joint] for track in state.problem.tracks])
+    return max(1.0, 2.0 * math.pi * _ALIKE_TURNS / max(float(np.ptp(q)), 1e-3))
+
+
+def _near(state: _State, term: JointTerm, lines: Sequence[JointTerm]) -> list[JointTerm]:
+    reach = _reach(state, term)
+    return [line for line in lines if line.joint == term.joint and abs(line.cycles - term.cycles) <= 1.5 * reach]
+
+
+def _recounted(step: _Step, better: Mapping[tuple[int, int], int | None]) -> _Step:
+    """A step with its lines at other counts; those that are joined to another are gone."""
+    if step.law is not Law.LINE:
+        return step
+    counts = [(term.joint, better[term.joint, term.cycles]) for term in step.terms[::2]]
+    terms = [term for joint, count in counts if count is not None for term in _pair(joint, count)]
+    return replace(step, terms=tuple(terms))
+
+
 def _has(steps: Sequence[_Step], law: Law) -> bool:
     return any(step.law is law for step in steps)
 
 
 def _terms(law: Law, steps: Sequence[_Step]) -> tuple[JointTerm, ...]:
     return tuple(term for step in steps if step.law is law for term in step.terms)
+
+
+def _shown(state: _State, law: Law, steps: Sequence[_Step]) -> tuple[JointTerm, ...]:
+    """Terms of the joints that show a law."""
+    terms = _terms(law, steps)
+    values, covariance = _values(state, terms)
+    errors = np.sqrt(np.diag(covariance))
+    pairs = zip(terms, np.abs(values) > _SHOWN * errors, strict=True)
+    clear = {(term.joint, term.cycles) for term, shows in pairs if shows}
+    return tuple(term for term in terms if (term.joint, term.cycles) in clear)
 
 
 def _places(state: _State, terms: Sequence[JointTerm]) -> list[int]:
@@ -331,12 +409,10 @@ def _statistic(state: _State, terms: Sequence[JointTerm]) -> float:
 
 
 def _effect(state: _State, law: Law, steps: Sequence[_Step]) -> MotionEffect:
-    own, terms = [step for step in steps if step.law is law], _terms(law, steps)
-    values, covariance = _values(state, terms)
-    errors = np.sqrt(np.diag(covariance))
-    shown = {
-        term.joint + 1 for term, value, error in zip(terms, values, errors, strict=True) if abs(value) > _SHOWN * error
-    }
+    own, terms = [step for step in steps if step.law is law], _shown(state, law, steps)
+    values, covariance = _values(state, _terms(law, steps))
+    places = [_terms(law, steps).index(term) for term in terms]
+    values, errors = values[places], np.sqrt(np.diag(covariance))[places]
     only = ""
     if law is Law.LAG:
         only = "a delay moves nothing at rest"
@@ -348,7 +424,7 @@ def _effect(state: _State, law: Law, steps: Sequence[_Step]) -> MotionEffect:
         units=tuple(term.unit for term in terms),
         values=values,
         standard_errors=errors,
-        joints=tuple(sorted(shown)),
+        joints=tuple(sorted({term.joint + 1 for term in terms})),
         statistic=sum(step.statistic for step in own),
         p_value=min(step.p_value for step in own),
         heldout_before_mm=own[0].before_mm,

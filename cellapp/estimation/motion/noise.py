@@ -150,6 +150,10 @@ def noise_model(
     s, freedom = _variances(bands)
     by_prior = (root * precision) @ root.T
     inner = np.einsum("b,bij->ij", s, np.stack([band.gram for band in bands]))
+    # what averages over neighbours lack of the columns is faster than all bands
+    averaged_out = (root @ information) @ root.T - sum(band.gram for band in bands)
+    fastest = max(s[number] for number, band in enumerate(bands) if _is_last(number, bands))
+    inner = inner + fastest * averaged_out
     covariance = root.T @ (inner + by_prior) @ root
     shares = np.stack([np.sum(root * (band.gram @ root), axis=0) for band in bands]) * s[:, None]
     own = np.sum(shares**2 / freedom[:, None], axis=0)
@@ -170,6 +174,11 @@ def whitening_filter(r: Array, period_s: float) -> Array:
     covariance = irfft(power.sum(axis=1), size)[: order + 1]
     covariance[0] *= 1.0 + 1e-9
     return np.concatenate([[1.0], -solve_toeplitz(covariance[:-1], covariance[1:])])
+
+
+def _is_last(number: int, bands: Sequence[_Band]) -> bool:
+    """Whether a band is the fastest of its source."""
+    return number + 1 == len(bands) or bands[number + 1].source != bands[number].source
 
 
 def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: Array) -> list[_Band]:

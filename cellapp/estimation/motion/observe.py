@@ -26,7 +26,7 @@ from cellapp.robot.kinematics.workspace import Workspace
 _CHUNK = 2048
 _BLOCK_RATE = 25.0
 """Averaged residuals a second from which the noise is read: motion and its correlation are slower."""
-_MOST_BLOCKS = 20_000
+_MOST_BLOCKS = 8000
 _SAME = 1e-4
 """Singular value, over the largest, below which functions of posture are the same along a path."""
 

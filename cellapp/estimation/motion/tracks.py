@@ -129,9 +129,9 @@ def _segments(
     path: JointPath, stamps: Stamps, controller_s: Array, where: str
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Segment of each point between steps of either clock, and which points lie beside a step of the controller's."""
-    pairs = np.column_stack([stamps.segment, path.segment_at(controller_s)])
-    _, segment = np.unique(pairs, axis=0, return_inverse=True)
-    segment = segment.ravel().astype(np.intp)
+    of_joints = path.segment_at(controller_s)
+    _, segment = np.unique(stamps.segment * (int(of_joints.max()) + 1) + of_joints, return_inverse=True)
+    segment = segment.astype(np.intp)
     if segment.max() >= _MOST_SEGMENTS:
         raise InputError(
             f"{where}: its clocks jump {int(segment.max())} times; look for stamps in another unit or lines in another"

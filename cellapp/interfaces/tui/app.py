@@ -269,7 +269,7 @@ class CellApp(JobKeys):
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable actions that are not possible now; over a dialog only stop and abort remain."""
-        if action in _REQUESTS and not self.jobs.possible(action):
+        if action in _REQUESTS and not self.jobs.possible(action.removesuffix("_job")):
             return False
         if action == "stop" and self.escape_closes:
             return False

@@ -105,6 +105,11 @@ class ProgressBars(Widget):
         """One line, or one for each part."""
         return self._lines(self.parts)
 
+    @property
+    def lines(self) -> int:
+        """Lines that the present parts need."""
+        return self._lines(self.parts)
+
     def _lines(self, parts: tuple[Part, ...]) -> int:
         is_one_line = self.compact and any(part.progress is not None for part in parts)
         return 1 if is_one_line else len(parts)
