@@ -46,35 +46,35 @@ def _charts(result: DiscoverResult) -> Iterator[Chart]:
 # -- lines for a terminal ---------------------------------------------------------------------------------------------
 
 
-def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
+def discovery_lines(result: DiscoverResult) -> list[str]:
     """Held-out error by step, accepted effects, alternatives, invisible effects and verdict of each arm."""
     lines: list[str] = []
     for name, arm in result.arms.items():
         lines += [f"Arm {name}", "  held-out rms [mm] after each step"]
         for what, gap in [*gap_steps(arm), (noise_floor_words(arm), noise_floor(arm))]:
             if gap is not None:
-                lines += _hanging(f"  {gap:9.4f}  ", what, width)
-        lines += _accepted_lines(arm.accepted, width)
+                lines += _hanging(f"  {gap:9.4f}  ", what)
+        lines += _accepted_lines(arm.accepted)
         for found in arm.accepted:
             if found.indistinguishable:
                 words = f"of {found.effect}: {' or '.join(found.indistinguishable)}: these data cannot distinguish them"
-                lines += _hanging("  or instead   ", words, width)
+                lines += _hanging("  or instead   ", words)
         possible = also_possible(arm)
         if possible:
-            lines += _hanging("  possible too ", possible, width)
+            lines += _hanging("  possible too ", possible)
         for place, entry in enumerate(arm.invisible):
             line = f"{entry.effect}: {short_reason(entry.reason)}"
-            lines.append(_cut(f"  {'' if place else 'not visible':11}  {line}", width))
+            lines.append(_cut(f"  {'' if place else 'not visible':11}  {line}"))
         if arm.structure is not None:
-            lines += _hanging("  remainder    ", arm.structure.sentence, width)
-        lines += _hanging("  verdict      ", f"{arm.verdict}: {verdict_sentence(name, arm)}", width)
+            lines += _hanging("  remainder    ", arm.structure.sentence)
+        lines += _hanging("  verdict      ", f"{arm.verdict}: {verdict_sentence(name, arm)}")
         lines.append("")
     for note in result.notes or ():
-        lines += _hanging("Note  ", note, width)
+        lines += _hanging("Note  ", note)
     return lines
 
 
-def _accepted_lines(accepted: Sequence[AcceptedEffect], width: int) -> list[str]:
+def _accepted_lines(accepted: Sequence[AcceptedEffect]) -> list[str]:
     """One line for each accepted effect; below it the cycles of a periodic error, or the description of a term."""
     if not accepted:
         return []
@@ -84,19 +84,19 @@ def _accepted_lines(accepted: Sequence[AcceptedEffect], width: int) -> list[str]
         place, p = place_words(found.where), f"{found.evidence.corrected_p:.2g}"
         probable = probability_words(found.posterior)
         numbers = f"{probable:>6} {p:>8}  {gap.before:7.4f} -> {gap.after:.4f}"
-        lines.append(_cut(f"  {found.effect:23} {place:16} {numbers}", width))
+        lines.append(_cut(f"  {found.effect:23} {place:16} {numbers}"))
         cycles = cycle_words(found)
         if cycles:
-            lines += _hanging("    cycles/revolution  ", cycles, width)
+            lines += _hanging("    cycles/revolution  ", cycles)
         if found.description is not None:
-            lines += _hanging("    ", found.description.sentence, width)
+            lines += _hanging("    ", found.description.sentence)
         misfit = misfit_words(found)
         if misfit:
-            lines += _hanging("    ", misfit, width)
+            lines += _hanging("    ", misfit)
     return lines
 
 
-def meaning_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
+def meaning_lines(result: DiscoverResult) -> list[str]:
     """Cause, usual size, what to check and what would settle it, of every accepted effect of every arm."""
     lines: list[str] = []
     for name, arm in result.arms.items():
@@ -104,20 +104,20 @@ def meaning_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
         for found in arm.accepted:
             if found.meaning is None:
                 continue
-            lines.append(_cut(f"Arm {name}, {place_words(found.where)}: {found.title}", width))
+            lines.append(_cut(f"Arm {name}, {place_words(found.where)}: {found.title}"))
             again = found.effect in said and found.description is None
-            lines += [f"  as {found.effect} above"] if again else _meaning_lines(found.effect, found.meaning, width)
+            lines += [f"  as {found.effect} above"] if again else _meaning_lines(found.effect, found.meaning)
             lines.append("")
             said.add(found.effect)
     return lines
 
 
-def _meaning_lines(effect: str, meaning: EffectMeaning, width: int) -> list[str]:
-    lines = _hanging("  cause    ", meaning.cause, width)
-    lines += _hanging("  size     ", size_words(meaning), width)
+def _meaning_lines(effect: str, meaning: EffectMeaning) -> list[str]:
+    lines = _hanging("  cause    ", meaning.cause)
+    lines += _hanging("  size     ", size_words(meaning))
     for heading, items in (("check", meaning.check), ("settle", meaning.settle)):
         for place, item in enumerate(items):
-            lines += _hanging(f"  {'' if place else heading:9}- ", item, width)
+            lines += _hanging(f"  {'' if place else heading:9}- ", item)
     return [*lines, f"  more     cellapp docs {effect}"]
 
 
@@ -137,9 +137,9 @@ def explanation_text(result: DiscoverResult) -> str:
     return "\n".join([*remark_lines(result), *meaning_lines(result)])
 
 
-def _hanging(first: str, text: str, width: int) -> list[str]:
-    return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=" " * len(first)) or [first.rstrip()]
+def _hanging(first: str, text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * len(first)) or [first.rstrip()]
 
 
-def _cut(line: str, width: int) -> str:
-    return line if len(line) <= width else line[: width - 3].rstrip() + "..."
+def _cut(line: str) -> str:
+    return line if len(line) <= WIDTH else line[: WIDTH - 3].rstrip() + "..."
