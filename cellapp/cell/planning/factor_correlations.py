@@ -56,9 +56,7 @@ def correlations(
     return tuple(found)
 
 
-def travel_time(
-    profile: Profile, stops: PlannedStops, rng: np.random.Generator, start: Configuration | None = None
-) -> TravelTime:
+def travel_time(profile: Profile, stops: PlannedStops, rng: np.random.Generator) -> TravelTime:
     """Time in motion of a plan, and of the same pairs, approaches and dwells in random order.
 
     In random order too the gate refuses some straight ways: what detours add there is taken from a sample of ways.
@@ -67,8 +65,8 @@ def travel_time(
     random_s = []
     for _ in range(_RANDOM_ORDERS):
         order = straight.take(rng.permutation(len(stops)))
-        random_s.append(float(stop_times_of(profile, order, start).moving_s.sum()) + home_s(profile, order))
-    planned_s = float(stop_times_of(profile, stops, start).moving_s.sum()) + home_s(profile, stops)
+        random_s.append(float(stop_times_of(profile, order).moving_s.sum()) + home_s(profile, order))
+    planned_s = float(stop_times_of(profile, stops).moving_s.sum()) + home_s(profile, stops)
     detours_s = len(stops) * _added_by_a_detour_s(profile, stops, rng)
     return TravelTime(planned_s=planned_s, random_order_s=float(np.mean(random_s)) + detours_s)
 
