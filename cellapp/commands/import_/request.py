@@ -19,6 +19,7 @@ class ImportRequest(Request):
         bool,
         Asked("Rows stand in the order of measurement (with time_s: by time); derive missing approach and step."),
     ] = False
+    distances: Annotated[Path | None, Asked("Known distances between points in sockets.", "FILE")] = None
 
 
 VERB = Verb("import", ImportRequest, chapter="readings")

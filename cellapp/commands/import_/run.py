@@ -15,12 +15,20 @@ from cellapp.ground.profile import Profile
 
 def run(request: ImportRequest, work: Work) -> ImportResult:
     """Make the run."""
-    return import_new_run(load_profile(request.profile), request.csv, request.folder, in_order=request.in_order)
+    return import_new_run(
+        load_profile(request.profile),
+        request.csv,
+        request.folder,
+        in_order=request.in_order,
+        distances=request.distances,
+    )
 
 
-def import_new_run(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> ImportResult:
-    """Make a new run from readings in a CSV file; ``in_order`` and errors are as in ``import_csv``."""
-    with import_csv(profile, csv, folder, in_order=in_order) as run:
+def import_new_run(
+    profile: Profile, csv: Path, folder: Path, *, in_order: bool = False, distances: Path | None = None
+) -> ImportResult:
+    """Make a new run from readings in a CSV file; ``in_order``, ``distances`` and errors are as in ``import_csv``."""
+    with import_csv(profile, csv, folder, in_order=in_order, distances=distances) as run:
         return ImportResult(
             run=str(folder),
             readings={name: len(run.readings(name)) for name in run.arms()},
