@@ -176,7 +176,8 @@ def profile_splits(
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
     """A split for each reading of each arm, the same for all arms at a stop, drawn by the profile's seed; and notes."""
     if any(in_sockets(arm) for arm in readings.values()):
-        return draw_point_splits(readings, profile.seed)
+        positions = {name: smr_positions(nominal_arm(profile.arms[name]), its.q) for name, its in readings.items()}
+        return draw_point_splits(readings, positions, profile.seed)
     splits = profile.splits
     numbers = np.concatenate([arm.configuration for arm in readings.values()])
     validate = None if splits.validate_ == "rest" else splits.validate_

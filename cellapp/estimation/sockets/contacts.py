@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.transforms import Array
 
+_SAME_BLOCK_M = 0.1
+"""Points nearer to each other than this [m] stand in one block: an arm errs alike at both."""
+
 
 def in_sockets(readings: Readings) -> bool:
     """Whether these are readings of a ball in sockets."""
@@ -63,12 +66,14 @@ class Contacts:
         sums = [np.bincount(self.index, weights * axis, minlength=len(self.names)) for axis in computed.T]
         return np.stack(sums, axis=1) / total[:, None]
 
-    def groups(self) -> NDArray[np.intp]:
-        """Number (P,) of the group of each point: points that known distances tie together stand in one block."""
-        group = np.arange(len(self.names), dtype=np.intp)
-        for a, b in self.pairs.tolist():
-            group[group == group[b]] = group[a]
-        return group
+    def placements(self, centres: Array) -> NDArray[np.intp]:
+        """Number (P,) of the placement of each point, from 0: a known distance or a short one (``centres`` (P, 3) [m])
+        between two points says that they stand in one block."""
+        near = np.argwhere(np.linalg.norm(centres[:, None] - centres, axis=2) < _SAME_BLOCK_M)
+        place = np.arange(len(self.names), dtype=np.intp)
+        for a, b in (*self.pairs.tolist(), *near.tolist()):
+            place[place == place[b]] = place[a]
+        return np.asarray(np.unique(place, return_inverse=True)[1], dtype=np.intp)
 
 
 def measured_positions(readings: Readings, computed: Array) -> Array:

@@ -40,6 +40,9 @@ _LEAST_NOISE_M = 1e-9
 LIKE_THE_BASE = ("theta1", "d1")
 """Parameters of the arm that act exactly like a motion of its base."""
 
+OF_THE_TRACKER = frozenset({"tracker_scale", "tracker_distance_offset", "tracker_angle_error", "target_incidence"})
+"""Effects that need a tracker's beam."""
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:

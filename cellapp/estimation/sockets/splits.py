@@ -8,6 +8,7 @@ import numpy as np
 
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets.contacts import Contacts
+from cellapp.robot.kinematics.transforms import Array
 
 _HELD_OUT = 4
 """Every fourth placement is held out, at least one."""
@@ -17,19 +18,19 @@ _FIFTH = 5
 
 
 def draw_point_splits(
-    readings: Mapping[str, Readings], seed: int
+    readings: Mapping[str, Readings], positions: Mapping[str, Array], seed: int
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
     """A split for each reading of each arm, drawn by the seed; and notes.
 
-    Points with a known distance between them stand in one block (a placement) and are held out together: what is
-    evaluated is then a place where the arm has not learnt.
+    ``positions`` (n, 3) [m] are about where the ball was. The points of one placement are held out together: what is
+    evaluated is then a place from which the arm has not learnt.
     """
     words: dict[str, tuple[str | None, ...]] = {}
     notes: list[str] = []
     generator = np.random.default_rng([seed, 0x50C])
     for name, its in readings.items():
         contacts = Contacts.of(its)
-        groups = contacts.groups()[contacts.index]
+        groups = contacts.placements(contacts.centres(positions[name]))[contacts.index]
         placements = generator.permutation(np.unique(groups))
         if len(placements) < _FEWEST:
             held_out = generator.permutation(len(its)) % _FIFTH == 0
