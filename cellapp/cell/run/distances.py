@@ -125,4 +125,7 @@ def with_distances(connection: sqlite3.Connection, readings: Readings) -> Readin
     row = connection.execute("SELECT text FROM result WHERE name = ?", (DISTANCES_RESULT,)).fetchone()
     if row is None:
         return readings
-    return replace(readings, distances=tuple(one for one in (Distance(**d) for d in json.loads(row[0])) if one.point_a in readings.point))
+    return replace(
+        readings,
+        distances=tuple(one for one in (Distance(**d) for d in json.loads(row[0])) if one.point_a in readings.point),
+    )

@@ -68,6 +68,10 @@ def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
         for place, entry in enumerate(arm.invisible):
             line = f"{entry.effect}: {short_reason(entry.reason)}"
             lines.append(_cut(f"  {'' if place else 'not visible':11}  {line}", width))
+        for errors in arm.validate_.values():
+            if (gauge := errors.gauge_mm) is not None:
+                words = f"{gauge.mean:.4f} mm mean error, {gauge.max:.4f} largest, of {gauge.n} held out"
+                lines += _hanging("  distances    ", words, width)
         if arm.structure is not None:
             lines += _hanging("  remainder    ", arm.structure.sentence, width)
         lines += _hanging("  verdict      ", f"{arm.verdict}: {verdict_sentence(name, arm)}", width)

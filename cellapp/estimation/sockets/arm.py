@@ -37,9 +37,7 @@ def base_in_profile(profile: Profile, name: str) -> Array:
     return T_C_B if tracker is None else np.asarray(invert(pose_matrix(tracker)) @ T_C_B)
 
 
-def fit_arm(
-    profile: Profile, name: str, learn: Readings, *, robust: bool
-) -> tuple[Geometry, Fit, dict[str, float]]:
+def fit_arm(profile: Profile, name: str, learn: Readings, *, robust: bool) -> tuple[Geometry, Fit, dict[str, float]]:
     """Where an arm begins, its identification from readings in sockets, and its priors [m, rad].
 
     Raises
@@ -96,7 +94,8 @@ def _scale_words(name: str, fit: Fit, prior_sigma: Mapping[str, float], nominal:
             f" {spread * 100.0:.2f} %, from the priors of the profile; measure a longer known distance"
         )
     return (
-        f"arm '{name}': {count} known distances fix the scale to {spread * 100.0:.2f} %; longer ones would fix it better"
+        f"arm '{name}': {count} known distance{'s fix' if count > 1 else ' fixes'} the scale to {spread * 100.0:.2f} %;"
+        " longer ones would fix it better"
     )
 
 
@@ -106,7 +105,9 @@ def _loose_sockets(name: str, fit: Fit) -> list[str]:
     squares = np.sum(fit.identification.residuals**2, axis=1)
     rms = np.sqrt(np.bincount(contacts.index, squares) / np.bincount(contacts.index))
     typical = float(np.median(rms))
-    loose = [f"'{point}' ({its * 1e3:.2f} mm)" for point, its in zip(contacts.names, rms.tolist()) if its > _LOOSE * typical]
+    loose = [
+        f"'{point}' ({its * 1e3:.2f} mm)" for point, its in zip(contacts.names, rms.tolist()) if its > _LOOSE * typical
+    ]
     if not loose:
         return []
     return [

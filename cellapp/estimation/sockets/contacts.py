@@ -6,7 +6,7 @@ measured minus computed). A known distance is compared with that of the two mean
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,12 @@ def measured_positions(readings: Readings, computed: Array) -> Array:
         return readings.p_M
     contacts = Contacts.of(readings)
     return contacts.centres(computed)[contacts.index]
+
+
+def placed(readings: Readings, computed: Array) -> Readings:
+    """Readings in sockets with the points where ``computed`` ball centres (n, 3) [m] have their means; others as they
+    are."""
+    return replace(readings, p_M=measured_positions(readings, computed)) if in_sockets(readings) else readings
 
 
 def gauge_errors(readings: Readings, computed: Array) -> Array:

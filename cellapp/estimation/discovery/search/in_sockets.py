@@ -1,4 +1,4 @@
-"""Search for effects where the ball's places are unknown: few places, so that laws of any form fit what was learnt from.
+"""Search for effects from a ball in sockets: with few places, laws of any form fit what was learnt from.
 
 Elastic joints come first where they hold: every arm with gears has them, and at few places bending links and the base
 look alike. Another effect is added only if it predicts places that were left out, and most of them: with g the decrease
