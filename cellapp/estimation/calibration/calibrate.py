@@ -22,7 +22,7 @@ from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.sockets import in_sockets
-from cellapp.estimation.sockets.arm import fit_arm, socket_notes
+from cellapp.estimation.sockets.arm import fit_arm, gauge_note, socket_notes
 from cellapp.estimation.sockets.identify import gross_errors_in_sockets
 from cellapp.estimation.sockets.splits import draw_point_splits
 from cellapp.ground.errors import InputError
@@ -279,7 +279,8 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
         notes.append(left_out_note(name, arm))
     notes += [*_hardly_better(name, arm), *fitted.notes]
     if in_sockets(readings):
-        return notes
+        gauge, held_out = arm.validate["geometry"].gauge_mm, readings.take(readings.in_split("validate"))
+        return notes if gauge is None else [*notes, *gauge_note(name, held_out, gauge.mean)]
     moved = station_change(smr_positions(fitted.nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
         notes.append(

@@ -26,6 +26,8 @@ from cellapp.robot.model.nominal import nominal_arm, pose_matrix, prior_sigmas
 
 _SCALE_SEEN = 0.5
 """Share of the priors' spread of the scale below which the distances, and not the priors, determine it."""
+_SCALE_OFF = 2e-3
+"""Share of held-out known distances that they are off by from which the scale is said to be hidden."""
 _LOOSE = 2.5
 """Root mean square residual of a point over that of all points from which its socket seems loose."""
 
@@ -79,6 +81,19 @@ def socket_notes(
         _scale_words(name, fit, prior_sigma, nominal),
     ]
     return (*notes, *_loose_sockets(name, fit))
+
+
+def gauge_note(name: str, held_out: Readings, mean_mm: float) -> list[str]:
+    """A note where held-out known distances are off by more than the fit promises of the scale."""
+    known = Contacts.of(held_out).distance_m
+    share = mean_mm * 1e-3 / float(known.mean())
+    if share < _SCALE_OFF:
+        return []
+    return [
+        f"arm '{name}': {len(known)} known distance{'s' if len(known) > 1 else ''} at held-out points"
+        f" {'are' if len(known) > 1 else 'is'} off by {mean_mm:.3f} mm ({share * 100.0:.2f} %): errors of the arm from"
+        " place to place hide the scale beyond that; measure longer known distances"
+    ]
 
 
 def _scale_words(name: str, fit: Fit, prior_sigma: Mapping[str, float], nominal: Geometry) -> str:

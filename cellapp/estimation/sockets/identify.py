@@ -170,17 +170,16 @@ def gross_errors_in_sockets(start: Geometry, nominal: Geometry, readings: Readin
 
 
 def scale_spread(fit: Fit, prior_sigma: Mapping[str, float], nominal: Geometry) -> tuple[float, float]:
-    """Standard deviation of the common scale of all lengths of the arm, and what priors alone would leave of it.
-
-    The scale is the mean of relative deviations of the lengths, weighed by their priors; both infinite without priors.
-    """
-    estimated = fit.identification.estimated
-    size = len(estimated.columns)
+    """Relative standard deviation of the distance of the two points that are furthest apart, and what priors alone
+    would leave of the common scale of all lengths: infinite without priors."""
+    points, estimated = fit.points, fit.identification.estimated
+    away = np.linalg.norm(points.at[:, None] - points.at, axis=2)
+    a, b = np.unravel_index(int(np.argmax(away)), away.shape)
+    along = np.zeros_like(points.at)
+    along[a], along[b] = points.at[a] - points.at[b], points.at[b] - points.at[a]
+    direction = points.basis.T @ along.ravel() / max(float(away[a, b]) ** 2, 1e-18)
+    covariance = fit.identification.estimated_covariance[len(estimated.columns) :, len(estimated.columns) :]
     lengths = np.where(np.array(estimated.units) == "m", nominal.vector()[list(estimated.columns)], 0.0)
-    precision = prior_sds(estimated, prior_sigma) ** -2.0
-    of_priors = float(lengths**2 @ precision)
-    if of_priors == 0.0:
-        return math.inf, math.inf
-    share: Array = lengths * precision / of_priors
-    covariance = fit.identification.estimated_covariance[:size, :size]
-    return math.sqrt(float(share @ covariance @ share)), of_priors**-0.5
+    of_priors = float(lengths**2 @ prior_sds(estimated, prior_sigma) ** -2.0)
+    spread = math.sqrt(float(direction @ covariance @ direction))
+    return spread, math.inf if of_priors == 0.0 else of_priors**-0.5

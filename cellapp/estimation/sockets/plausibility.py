@@ -35,7 +35,8 @@ def with_ball(geometry: Geometry, readings: Readings, *, unknown: bool) -> Geome
         return geometry
     contacts = Contacts.of(readings)
     rotations, origins = flange_poses(replace(geometry, tool=np.zeros(3)), readings.q)
-    tool, weights = np.zeros(3), np.ones(len(readings))
+    tool: Array = np.zeros(3)
+    weights: Array = np.ones(len(readings))
     for _ in range(_ROUNDS):
         columns = np.stack([_from_centres(contacts, rotations[:, :, axis], weights) for axis in range(3)], axis=2)
         off = _from_centres(contacts, origins, weights)
