@@ -27,7 +27,6 @@ from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets.contacts import Contacts
 from cellapp.estimation.sockets.point_columns import PointColumns
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, parameter_names, smr_positions
-from cellapp.robot.kinematics.transforms import Array
 
 _ROUNDS = 12
 """Rounds of identification, noise and directions of known distances at most; four to six settle."""
