@@ -36,11 +36,7 @@ S = TypeVar("S", bound=Section)
 
 def device_kinds(group: str, what: str, base: type[S], built_in: Sequence[type[S]]) -> Registry[type[S]]:
     """The registry of the settings of some kind of device, by their key ``kind``; see ``drivers.plugins.Registry``."""
-    return Registry(group, what, {_kind(one): one for one in built_in}, _accept(base))
-
-
-def _kind(settings: type[Section]) -> str:
-    return str(settings.model_fields["kind"].default)
+    return Registry(group, what, {str(one.model_fields["kind"].default): one for one in built_in}, _accept(base))
 
 
 def _accept(base: type[S]) -> Callable[[str, object], type[S]]:

@@ -184,7 +184,7 @@ def test_the_modules_are_found() -> None:
     names = {name(path) for path in MODULES}
     assert {"cellapp/interfaces/cli/app.py", "cellapp/robot/kinematics/chain.py", "drivers/plant/plant.py"} <= names
     assert imports_of(ROOT / "cellapp/cell/driving/cell.py", "drivers") != []
-    late = imported(ROOT / "cellapp/interfaces/cli/app.py")
+    late = imported(ROOT / "cellapp/interfaces/cli/top.py")
     assert "cellapp.interfaces.tui" in late, "imports inside functions count"
 
 

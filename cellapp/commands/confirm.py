@@ -11,6 +11,7 @@ import numpy as np
 
 from cellapp.cell.driving.motion import Confirm, Vector
 from cellapp.commands.doctor.run import examine
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import smr_positions
@@ -56,7 +57,7 @@ def confirmation(profile: Profile, ask: Ask | None) -> Confirm | None:
     if failed:
         shown = "; ".join(f"{finding.subject}: {finding.text}" for finding in failed[:_MOST_SHOWN])
         raise CheckFailed(
-            f"doctor: {len(failed)} checks failed, nothing was moved: {shown}; 'cellapp doctor' shows all"
+            f"doctor: {counted(len(failed), 'check')} failed, nothing was moved: {shown}; 'cellapp doctor' shows all"
         )
     return lambda start, targets: ask(first_path_words(profile, start, targets))
 
@@ -79,7 +80,10 @@ def first_path_words(profile: Profile, start: Mapping[str, Vector], targets: Map
     lines += [f"  arm {name}: {_path(profile, name, q, targets.get(name, q))}" for name, q in start.items()]
     slow = profile.collection.slow_start
     if slow.stops and profile.moves_hardware:
-        lines.append(f"  The first {slow.stops} stops are visited at {slow.speed:.0%} of the profile's speed.")
+        lines.append(
+            f"  The first {counted(slow.stops, 'stop is', 'stops are')} visited at {slow.speed:.0%} of the"
+            " profile's speed."
+        )
     return "\n".join(lines)
 
 

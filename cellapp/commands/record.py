@@ -14,19 +14,20 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import Writes
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from cellapp.cell.run import RunFile
-    from cellapp.commands.view.table import Table
+    from cellapp.commands.view.parts import Part
     from cellapp.ground.control import JobControl
     from cellapp.ground.outputs import Outputs
     from cellapp.ground.progress import Listener
@@ -35,16 +36,6 @@ if TYPE_CHECKING:
 
 PASSPHRASE_VARIABLE = "CELLAPP_KEY_PASSPHRASE"
 """Environment variable with the passphrase of a signing key, where nobody can be asked."""
-
-
-class Writes(Enum):
-    """How a path that a field names is written."""
-
-    FILE = "the file itself; looked at before the command begins"
-    FILES = "a file, or several that are named after it; looked at when they are written"
-    FOLDER = "files in a folder; looked at when they are written"
-    STORE = "a store of results, to which is added; never replaced"
-    OWN_FOLDER = "a folder that is new, or is continued; never replaced"
 
 
 @dataclass(frozen=True)
@@ -130,11 +121,12 @@ class Request(BaseModel):
 
 @dataclass(frozen=True)
 class View:
-    """A result for people: tables and sentences in the order in which they are read. Interfaces draw it.
+    """A result for people: sentences, tables and charts in the order in which they are read. Interfaces draw it.
 
     Attributes
     ----------
-    parts : sequence of Table or str
+    parts : sequence of Part
+        Plain text leaves the charts out.
     failed : sequence of str
         What did not hold.
     checks : str
@@ -143,13 +135,16 @@ class View:
         Why nothing was done, where only the work showed that; empty where something was.
     is_json : bool
         Whether the parts are the result's JSON, which is not shown where it is written to a file.
+    held : str
+        What one line says where nothing failed: "the calibration holds"; empty where "done" says it all.
     """
 
-    parts: Sequence[Table | str] = ()
+    parts: Sequence[Part] = ()
     failed: Sequence[str] = ()
     checks: str = ""
     refused: str = ""
     is_json: bool = False
+    held: str = ""
 
 
 def _no_run_page(run: RunFile) -> Path:
@@ -318,8 +313,13 @@ class Verb:
 
     def run(self, request: Request, work: Work) -> Result:
         """Do it."""
-        result: Result = self._part("run").run(request, work)
-        return result
+        do: Callable[[Work], Result] = partial(self._part("run").run, request)
+        if not (self.moves_arms or self.stored):
+            return do(work)
+        from cellapp.commands.notifying import run_notified  # late: it needs these records
+
+        name = request.job_name() or self.name
+        return run_notified(name, request, work, do, lambda result: self.view(result, request).failed)
 
     def view(self, result: Result, request: Request | None = None) -> View:
         """How a result is shown; ``request`` is what was asked for, None for a result that is stored."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 from pydantic import BaseModel, ValidationError
 
@@ -22,6 +22,7 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.rows import StageRow
 from cellapp.commands.basis import Basis, PriorBasis, ReadingsBasis, basis_of, readings_digest, sha256_of
 from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import (
     CALIBRATE,
@@ -267,15 +268,7 @@ def _stage(run: RunFile, row: StageRow) -> StoredStage:
         basis = None if row.basis is None else Basis.model_validate_json(row.basis)
     except ValidationError:
         raise InputError(f"{run.path} is damaged (basis of stage {row.number}); restore it from a copy") from None
-    return StoredStage(
-        number=row.number,
-        name=cast(StageName, row.name),
-        written=row.written,
-        program=row.program,
-        basis=basis,
-        text=row.text,
-        model=row.model,
-    )
+    return StoredStage(**{**vars(row), "basis": basis})
 
 
 def _stored_without_basis(run: RunFile, *, with_model: bool) -> Iterator[StoredStage]:
@@ -382,7 +375,7 @@ def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
 def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, ReadingsBasis]) -> list[str]:
     before, after = (sum(arm.n for arm in arms.values()) for arms in (then, now))
     if after > before:
-        return [f"{after - before} readings were added since"]
+        return [f"{counted(after - before, 'reading was', 'readings were')} added since"]
     same = then.keys() == now.keys() and all(now[name].is_same(arm) for name, arm in then.items())
     return [] if same else ["the readings or their splits were changed since"]
 

@@ -1,26 +1,10 @@
-"""The verbs that store results in a run, in the order in which ``show`` names them."""
+"""The records of the verbs that store results in a run."""
 
 from __future__ import annotations
 
-from cellapp.commands.calibrate.request import VERB as CALIBRATE
-from cellapp.commands.certificate.request import VERB as CERTIFICATE
-from cellapp.commands.check.request import VERB as CHECK
-from cellapp.commands.compensate.request import VERB as COMPENSATE
-from cellapp.commands.discover.request import VERB as DISCOVER
-from cellapp.commands.follow.request import VERB as FOLLOW
-from cellapp.commands.iso9283.request import VERB as ISO9283
-from cellapp.commands.locate.request import VERB as LOCATE
-from cellapp.commands.push.request import VERB as PUSH
+from importlib import import_module
+
+from cellapp.commands.folders import STORING as FOLDERS
 from cellapp.commands.record import Verb
 
-STORING: tuple[Verb, ...] = (
-    CALIBRATE,
-    DISCOVER,
-    LOCATE,
-    COMPENSATE,
-    PUSH,
-    FOLLOW,
-    ISO9283,
-    CHECK,
-    CERTIFICATE,
-)
+STORING: tuple[Verb, ...] = tuple(import_module(f"cellapp.commands.{folder}.request").VERB for folder in FOLDERS)

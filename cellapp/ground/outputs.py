@@ -16,6 +16,7 @@ import stat
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import Enum
 from itertools import count
 from pathlib import Path
 from typing import BinaryIO
@@ -37,6 +38,16 @@ _SIGNATURE_SUFFIX = ".minisig"
 _STREAMS = {"/dev/stdin": 0, "/dev/stdout": 1, "/dev/stderr": 2}
 _OPEN_FILE = re.compile(r"/(?:dev|proc/self)/fd/([0-9]{1,6})")
 _numbers = count()
+
+
+class Writes(Enum):
+    """How a path that a field names is written."""
+
+    FILE = "the file itself; looked at before the command begins"
+    FILES = "a file, or several that are named after it; looked at when they are written"
+    FOLDER = "files in a folder; looked at when they are written"
+    STORE = "a store of results, to which is added; never replaced"
+    OWN_FOLDER = "a folder that is new, or is continued; never replaced"
 
 
 @dataclass(frozen=True)

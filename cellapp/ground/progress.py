@@ -328,6 +328,28 @@ def with_eta(listener: Listener, clock: Callable[[], float] = time.monotonic) ->
     return listen
 
 
+_SILENCE_S = 60.0
+"""How long a job without a terminal is silent at most, while it has something to tell."""
+
+
+def in_lines(say: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> Listener:
+    """Return a listener that says in a line how far a long job is, at most once a minute; nothing of a shorter one."""
+    said_s = clock()
+    lock = threading.Lock()
+
+    def listen(event: Progress) -> None:
+        nonlocal said_s
+        with lock:
+            now_s = clock()
+            if now_s - said_s < _SILENCE_S:
+                return
+            said_s = now_s
+        words = (f"{event.done} of {event.total}", event.note, eta_words(event.eta_s))
+        say(f"{event.job}: {', '.join(filter(None, words))}")
+
+    return listen
+
+
 @dataclass
 class _Pace:
     """When the recent steps of a job were done: (steps done, time [s])."""

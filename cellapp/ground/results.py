@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationError, model_serializer
 
@@ -12,15 +12,19 @@ Point = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]
 
 Stage = Literal["nominal", "geometry", "network", "effects"]
-STAGES: tuple[Stage, ...] = ("nominal", "geometry", "network", "effects")
+STAGES: tuple[Stage, ...] = get_args(Stage)
 """Models of one arm in the order in which they are built."""
 
 Method = Literal["nominal", "method_1", "method_2", "proposed", "effects"]
-METHODS: tuple[Method, ...] = ("nominal", "method_1", "method_2", "proposed", "effects")
+METHODS: tuple[Method, ...] = get_args(Method)
 """Models of the pair; method 1, method 2 and proposed are those of Bai et al., ROBOT 45(3), 2023."""
 
 BEST_METHODS: tuple[Method, ...] = ("effects", "proposed", "method_1", "nominal")
 """The first of these that was computed is the pair's best; method_2 is the counter-example of the paper."""
+
+DecisionRule = Literal["guarded", "simple"]
+"""``guarded``: ISO 14253-1; an error conforms if it is inside the tolerance by its expanded uncertainty, and does not
+conform if it is outside by it. ``simple``: the error alone is compared (ISO/IEC Guide 98-4, simple acceptance)."""
 
 Verdict = Literal["explained", "nothing missing", "unknown effect", "ambiguous"]
 
@@ -37,6 +41,8 @@ StageName = Literal[
     "check",
     "certificate",
 ]
+ModelStage = Literal["calibrate", "discover"]
+"""Stages that learn a model from the readings of a run."""
 CALIBRATE: StageName = "calibrate"
 DISCOVER: StageName = "discover"
 LOCATE: StageName = "locate"
@@ -52,19 +58,7 @@ ISO9283: StageName = "iso9283"
 CHECK: StageName = "check"
 """A few stops that show whether the calibration still holds; it measures the cell and changes no model."""
 CERTIFICATE: StageName = "certificate"
-STAGE_NAMES: tuple[StageName, ...] = (
-    CALIBRATE,
-    DISCOVER,
-    LOCATE,
-    COMPENSATE,
-    PUSH,
-    VERIFY,
-    PATH,
-    FOLLOW,
-    ISO9283,
-    CHECK,
-    CERTIFICATE,
-)
+STAGE_NAMES: tuple[StageName, ...] = get_args(StageName)
 """What verbs store in a run, in the order of the work."""
 
 
@@ -81,6 +75,12 @@ class Record(BaseModel):
 
     omitted_when_none: ClassVar[frozenset[str]] = frozenset()
     """Keys that are left out of the JSON object where their value is None."""
+
+    @classmethod
+    def like(cls, source: object, **given: Any) -> Self:
+        """A record of what ``source`` has under the names of the fields; ``given`` are all other fields."""
+        same = {name: getattr(source, name) for name in cls.model_fields if name not in given and hasattr(source, name)}
+        return cls(**same, **given)
 
     @model_serializer(mode="wrap")
     def _without_omitted(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

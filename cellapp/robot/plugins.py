@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import plugins_of_devices
 from cellapp.ground.version import __version__
@@ -16,9 +17,7 @@ from drivers.plugins import Plugin
 
 def in_words(plugins: Iterable[Plugin]) -> dict[str, str]:
     """What each distribution adds, by its name and version: ``"lift 1.0" -> "kind of arm lift, effect belt"``."""
-    added: dict[str, list[str]] = {}
-    for one in plugins:
-        added.setdefault(f"{one.distribution} {one.version}", []).append(f"{one.what} {one.name}")
+    added = grouped((f"{one.distribution} {one.version}", f"{one.what} {one.name}") for one in plugins)
     return {name: ", ".join(words) for name, words in sorted(added.items())}
 
 

@@ -61,7 +61,7 @@ def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:
     elif fault is not None:
         reason = f"{fault['text']}; connect again when the arm may move"
     qd = np.array(answer["qd"], dtype=np.float64)
-    temperatures = answer["temperatures"]
+    temperatures = answer["joints_c"]
     return ArmState(
         q=np.array(answer["q"], dtype=np.float64),
         time_s=float(answer["time_s"]),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,11 @@ from drivers.arms.protocol import (
     WrongRobot,
     stale,
 )
-from drivers.arms.ur_motion import SLIDER_DOWN
 from drivers.arms.ur_probe import UrProbe
+from drivers.arms.ur_rtde_reader import SLIDER_DOWN
 from drivers.arms.ur_safety import safety_error, safety_remedy
+from drivers.findings import Status
 
-Status = Literal["ok", "warning", "failed"]
 JOINTS = 6
 
 _LIMIT_SLACK_RAD = 1e-3

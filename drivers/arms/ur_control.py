@@ -13,7 +13,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, printable
-from drivers.arms.ur_motion import VARIABLES, WorkerSample, read_worker_sample
+from drivers.arms.ur_motion import VARIABLES, read_worker_sample
+from drivers.arms.ur_rtde_reader import UrSample
 from drivers.patience import Patience
 
 _FREQUENCY_HZ = 125.0
@@ -97,7 +98,7 @@ class UrControl:
         """Controller time of the newest state [s]."""
         return float(self._receive.getTimestamp())
 
-    def sample(self) -> WorkerSample:
+    def sample(self) -> UrSample:
         """Return the newest state."""
         return read_worker_sample(self._receive, self._optional)
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
-from drivers.arms.ur_rtde_reader import PROGRAM_STATES, ROBOT_MODES, SAFETY_MODES, mode_name
+from drivers.arms.ur_rtde_reader import PROGRAM_STATES, ROBOT_MODES, SAFETY_MODES, UrSample, mode_name
 
 MAX_SPEED = 3.14
 """Of a joint [rad/s]; the RTDE client accepts no more."""
@@ -19,59 +19,13 @@ MAX_ACCELERATION = 40.0
 DECELERATES_WITHIN_S = 0.02
 """In a stop, time for the control program to decelerate the motion before the program is ended. On emulated controllers
 this reaches the program after 1 to 11 ms; the end of a program after 0.4 ms, but it brakes less hard."""
-SLIDER_DOWN = 0.005
-"""A speed slider below this stands at 0 % on the pendant: the arm does not move."""
 STILL_MOVING = "it is still moving; wait until it rests, or stop it"
 VARIABLES = ("timestamp", "actual_q", "actual_qd", "joint_temperatures", "robot_mode", "safety_mode", "runtime_state")
 OPTIONAL_VARIABLES = ("target_speed_fraction", "payload", "payload_cog")
 """Older software versions lack some of these."""
 
 
-@dataclass(frozen=True)
-class WorkerSample:
-    """One state of the arm; the fields are named as in the worker's answers."""
-
-    time_s: float
-    q: tuple[float, ...]
-    qd: tuple[float, ...]
-    temperatures: tuple[float, ...]
-    robot_mode: str
-    safety_mode: str
-    program: str
-    payload_kg: float | None
-    payload_center_m: tuple[float, ...] | None
-    speed_fraction: float | None
-
-    @property
-    def complete(self) -> bool:
-        """Whether it has six joints."""
-        return len(self.q) == 6 and len(self.qd) == 6
-
-    @property
-    def finite(self) -> bool:
-        """Whether all positions and speeds are finite numbers."""
-        return all(map(math.isfinite, (*self.q, *self.qd)))
-
-    @property
-    def speed(self) -> float:
-        """Speed of the fastest joint [rad/s]."""
-        return max(map(abs, self.qd))
-
-    @property
-    def slider_down(self) -> bool:
-        """Whether the speed slider is at 0 %: the arm stands, whatever its program requests."""
-        return self.speed_fraction is not None and self.speed_fraction < SLIDER_DOWN
-
-    def distance(self, q: Sequence[float]) -> float:
-        """Return the largest difference of a joint from ``q`` [rad]."""
-        return max(abs(a - b) for a, b in zip(self.q, q))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields of an answer."""
-        return asdict(self)
-
-
-def read_worker_sample(receive: Any, optional: Collection[str]) -> WorkerSample:
+def read_worker_sample(receive: Any, optional: Collection[str]) -> UrSample:
     """Read the newest state from an ``RTDEReceiveInterface``, all values from one packet.
 
     ``optional`` are those of ``OPTIONAL_VARIABLES`` that the controller sends.
@@ -85,11 +39,11 @@ def read_worker_sample(receive: Any, optional: Collection[str]) -> WorkerSample:
         modes = receive.getRobotMode(), receive.getSafetyMode(), receive.getRuntimeState()
         if receive.getTimestamp() == stamp:
             break
-    return WorkerSample(
+    return UrSample(
         time_s=stamp,
         q=tuple(q),
         qd=tuple(qd),
-        temperatures=tuple(temperatures),
+        joints_c=tuple(temperatures),
         robot_mode=mode_name(ROBOT_MODES, modes[0]),
         safety_mode=mode_name(SAFETY_MODES, modes[1]),
         program=mode_name(PROGRAM_STATES, modes[2]),
@@ -125,7 +79,7 @@ class Unrest:
         """Note that the motion has ended, was stopped or failed; the arm may still brake."""
         self._from_s, self._still_since_s = now + _STREAMS_APART_S, None
 
-    def look(self, sample: WorkerSample, now: float, rest_speed: float, *, running: bool) -> None:
+    def look(self, sample: UrSample, now: float, rest_speed: float, *, running: bool) -> None:
         """Look at a new state; ``running`` is whether a motion is in progress."""
         if running or now < self._from_s or sample.speed > rest_speed:
             self._still_since_s = None

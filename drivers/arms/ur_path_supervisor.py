@@ -11,7 +11,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from drivers.arms.ur_control import Refusal, UrControl, advised, failed
-from drivers.arms.ur_motion import Motion, RestCriterion, WorkerSample
+from drivers.arms.ur_motion import Motion, RestCriterion
+from drivers.arms.ur_rtde_reader import UrSample
 from drivers.arms.ur_stream import LATE_S, SLIDER_UP, Stream
 from drivers.arms.ur_supervisor import AT_GOAL_RAD, Application, Supervisor
 
@@ -100,7 +101,7 @@ class PathSupervisor(Supervisor):
         super()._meanwhile()
         self.stream()
 
-    def _track_motion(self, motion: Motion, sample: WorkerSample, now: float, news: bool) -> None:
+    def _track_motion(self, motion: Motion, sample: UrSample, now: float, news: bool) -> None:
         """End a stream whose arm has arrived; record that an arm does not follow, or that its slider was moved."""
         stream = self._stream
         if stream is None or not self._streams:

@@ -10,7 +10,8 @@ import math
 import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from drivers.arms.protocol import LinkLost
 from drivers.arms.ur_links import RTDE_PORT, Connection
@@ -64,6 +65,10 @@ ROBOT_MODES = {
 PROGRAM_STATES = {0: "STOPPING", 1: "STOPPED", 2: "PLAYING", 3: "PAUSING", 4: "PAUSED", 5: "RESUMING"}
 
 
+SLIDER_DOWN = 0.005
+"""A speed slider below this stands at 0 % on the pendant: the arm does not move."""
+
+
 @dataclass(frozen=True)
 class UrSample:
     """One state. ``q``, ``qd``, ``joints_c``: six joints [rad, rad/s, degC]; None: not reported by this software.
@@ -85,7 +90,35 @@ class UrSample:
     @property
     def at_rest(self) -> bool:
         """Whether no joint moves faster than the noise of the encoders."""
-        return max(map(abs, self.qd)) < _AT_REST_RAD_S
+        return self.speed < _AT_REST_RAD_S
+
+    @property
+    def complete(self) -> bool:
+        """Whether it has six joints."""
+        return len(self.q) == 6 and len(self.qd) == 6
+
+    @property
+    def finite(self) -> bool:
+        """Whether all positions and speeds are finite numbers."""
+        return all(map(math.isfinite, (*self.q, *self.qd)))
+
+    @property
+    def speed(self) -> float:
+        """Speed of the fastest joint [rad/s]."""
+        return max(map(abs, self.qd))
+
+    @property
+    def slider_down(self) -> bool:
+        """Whether the speed slider is at 0 %: the arm stands, whatever its program requests."""
+        return self.speed_fraction is not None and self.speed_fraction < SLIDER_DOWN
+
+    def distance(self, q: Sequence[float]) -> float:
+        """Return the largest difference of a joint from ``q`` [rad]."""
+        return max(abs(a - b) for a, b in zip(self.q, q))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields of an answer."""
+        return asdict(self)
 
 
 def read_sample(link: Connection, patience: Patience) -> UrSample:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from drivers.arms.ur_control import UrControl
-from drivers.arms.ur_motion import WorkerSample
+from drivers.arms.ur_rtde_reader import UrSample
 from drivers.patience import Patience
 
 SILENT_S = 0.3
@@ -53,7 +53,7 @@ class States:
             self._end("stalled", f"this computer was silent for {self._stall_s:.1f} s (suspended, or too busy): {text}")
         self._end("link", text)
 
-    def newest(self) -> WorkerSample:
+    def newest(self) -> UrSample:
         """Return the newest state."""
         sample = self._control.sample()
         if not sample.complete:
@@ -63,7 +63,7 @@ class States:
             self._end("nonsense", "the controller reports positions or speeds of its joints that are no numbers")
         return sample
 
-    def look(self) -> tuple[WorkerSample, bool]:
+    def look(self) -> tuple[UrSample, bool]:
         """Return the newest state, and whether it is new; end if none has come for too long."""
         self._note_look()
         sample, now = self.newest(), time.monotonic()
@@ -75,7 +75,7 @@ class States:
             self.lost(f"no state came for {SILENT_S:g} s")
         return sample, False
 
-    def next(self, within_s: float = SILENT_S) -> WorkerSample:
+    def next(self, within_s: float = SILENT_S) -> UrSample:
         """Return the first state that the controller sends after this call; end if none comes ``within_s`` [s]."""
         self._note_look()
         before = self._control.time_s

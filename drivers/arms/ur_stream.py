@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.arms.ur_motion import WorkerSample
+from drivers.arms.ur_rtde_reader import UrSample
 
 SLIDER_UP = 0.995
 """A path needs the speed slider at 100 %: a controller that scales time no longer follows the positions."""
@@ -64,12 +64,12 @@ class Stream:
         if self.sent >= len(self.rows) and self.ended_s is None:
             self.ended_s = now
 
-    def note_state(self, sample: WorkerSample) -> None:
+    def note_state(self, sample: UrSample) -> None:
         """Keep a new state of the arm."""
         if self.sent:
             self.trace.append((sample.time_s, sample.q))
 
-    def arrived(self, sample: WorkerSample, now: float, rest_speed: float) -> bool:
+    def arrived(self, sample: UrSample, now: float, rest_speed: float) -> bool:
         """Return whether the arm is at the last position, or has had the time to get there."""
         if self.ended_s is None:
             return False
@@ -77,7 +77,7 @@ class Stream:
         there = there and sample.time_s - self.begun_s >= (len(self.rows) - 1) * self.period_s  # no late old state
         return there or now - self.ended_s > _ARRIVES_WITHIN_S
 
-    def behind(self, sample: WorkerSample) -> str:
+    def behind(self, sample: UrSample) -> str:
         """Return why the arm does not follow, in words; empty if it does."""
         if not self.sent:
             return ""

@@ -16,15 +16,8 @@ from typing import Any, NoReturn, Protocol
 from drivers.arms.protocol import LinkLost, LiveArm
 from drivers.arms.ur_control import Refusal, UrControl, advised, failed
 from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, stop_program
-from drivers.arms.ur_motion import (
-    STILL_MOVING,
-    Kicks,
-    Motion,
-    RestCriterion,
-    Unrest,
-    WorkerSample,
-    leading_rates,
-)
+from drivers.arms.ur_motion import STILL_MOVING, Kicks, Motion, RestCriterion, Unrest, leading_rates
+from drivers.arms.ur_rtde_reader import UrSample
 from drivers.arms.ur_safety import not_ready
 from drivers.arms.ur_states import SILENT_S, States
 from drivers.patience import Patience, RunningTime
@@ -47,11 +40,8 @@ _STOP_WITHIN_S = 1.0
 _LOCAL_WITHIN_S = 0.3
 _REST_WITHIN_S = 3.0
 _RELEASE_WITHIN_S = 0.5
-_KINDS = {
-    "PROTECTIVE_STOP": "protective",
-    "SYSTEM_EMERGENCY_STOP": "emergency",
-    "ROBOT_EMERGENCY_STOP": "emergency",
-}
+_EMERGENCIES = ("SYSTEM_EMERGENCY_STOP", "ROBOT_EMERGENCY_STOP")
+_KINDS = {"PROTECTIVE_STOP": "protective", **dict.fromkeys(_EMERGENCIES, "emergency")}
 _HARMLESS = "stalled"
 """The fault after which a profile may allow to go on without a person."""
 
@@ -92,7 +82,7 @@ class Supervisor:
         self._motion: Motion | None = None
         self._cut_short = False
         self._settle_requests: list[SettleRequest] = []
-        self._resting_since: WorkerSample | None = None
+        self._resting_since: UrSample | None = None
         self._fault: Refusal | None = None
         self._halted = False
         self._program_stopped_s: float | None = None  # since when the program is seen stopped without a brake
@@ -117,12 +107,8 @@ class Supervisor:
     def state(self, within_s: float = SILENT_S) -> dict[str, Any]:
         """Return the next state of the arm, which must come ``within_s`` [s]."""
         state = self._states.next(within_s).as_dict()
-        fault = self._fault
-        return {
-            **state,
-            "moving": self.may_move,
-            "fault": None if fault is None else {"kind": fault.kind, "text": fault.text},
-        }
+        fault = None if self._fault is None else {"kind": self._fault.kind, "text": self._fault.text}
+        return {**state, "moving": self.may_move, "fault": fault}
 
     @property
     def _moves(self) -> bool:
@@ -175,7 +161,7 @@ class Supervisor:
         self._motion = Motion(goal, number, self._now())
         return {}
 
-    def _require_movable(self) -> WorkerSample:
+    def _require_movable(self) -> UrSample:
         """Return the state of an arm that may begin a motion; refuse otherwise."""
         self._require_no_fault()
         self._require_not_braked()
@@ -285,7 +271,7 @@ class Supervisor:
         if self._application.braked and not self._halted:
             self.take_brake()
 
-    def _require_ready(self, sample: WorkerSample) -> None:
+    def _require_ready(self, sample: UrSample) -> None:
         """Raise and record what keeps the arm from moving."""
         problem = not_ready(sample.robot_mode, sample.safety_mode)
         if problem is not None:
@@ -303,7 +289,7 @@ class Supervisor:
         self.take_brake()
         return Refusal("stopped", "its motion was stopped before the goal")
 
-    def _ensure_program_runs(self, sample: WorkerSample) -> None:
+    def _ensure_program_runs(self, sample: UrSample) -> None:
         """Upload the control program again if it was stopped on purpose."""
         if sample.program == "PLAYING" and not self._halted:
             return
@@ -390,7 +376,7 @@ class Supervisor:
         if self._settle_requests:
             self._answer_settle_requests(sample, now, news)
 
-    def _look(self) -> tuple[WorkerSample, bool]:
+    def _look(self) -> tuple[UrSample, bool]:
         """Check what can stop an arm at any time; return its newest state, and whether that is new."""
         unwatched = self._application.check(self._kicks, self.live, watched=self._moves)
         self._states.check_links()
@@ -405,7 +391,7 @@ class Supervisor:
                     self._record_fault(Refusal("stalled", unwatched))
         return sample, news
 
-    def _check_program(self, sample: WorkerSample, now: float) -> None:
+    def _check_program(self, sample: UrSample, now: float) -> None:
         """Record that something else than the application stopped the program."""
         if self._fault is not None:
             return
@@ -418,7 +404,7 @@ class Supervisor:
         elif now - self._program_stopped_s > _STOP_SEEN_WITHIN_S:
             self._program_stopped()
 
-    def _track_motion(self, motion: Motion, sample: WorkerSample, now: float, news: bool) -> None:
+    def _track_motion(self, motion: Motion, sample: UrSample, now: float, news: bool) -> None:
         """Detect the end of a motion; end the process if the client's report contradicts the arm's state."""
         number, running = self._control.operation()
         if number != motion.number_before:
@@ -440,7 +426,7 @@ class Supervisor:
         self._resting_since = None  # delayed positions from before the motion may have looked like rest
         self._unrest.end(now)
 
-    def _update_rest(self, sample: WorkerSample) -> None:
+    def _update_rest(self, sample: UrSample) -> None:
         """Track since when the arm rests."""
         first = self._resting_since
         if sample.speed > self._rest.speed:
@@ -448,7 +434,7 @@ class Supervisor:
         elif first is None or sample.distance(first.q) > self._rest.position:
             self._resting_since = sample
 
-    def _answer_settle_requests(self, sample: WorkerSample, now: float, news: bool) -> None:
+    def _answer_settle_requests(self, sample: UrSample, now: float, news: bool) -> None:
         waiting = []
         for item in self._settle_requests:
             answer = self._settled(sample, now, news)
@@ -461,7 +447,7 @@ class Supervisor:
                 self._application.answer({"id": item.request, **answer})
         self._settle_requests = waiting
 
-    def _settled(self, sample: WorkerSample, now: float, news: bool) -> dict[str, Any] | None:
+    def _settled(self, sample: UrSample, now: float, news: bool) -> dict[str, Any] | None:
         """Return the answer to a settle request if the arm has settled, was stopped or has a fault; else None."""
         if self._fault is not None:
             return {"error": self._fault.kind, "text": self._fault.text}

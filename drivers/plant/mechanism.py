@@ -99,6 +99,8 @@ class Mechanism:
         Payload, in the flange frame.
     smr, smr_normal : arrays, shape (3,)
         In the flange frame.
+    pull : array, shape (3,), or None
+        Force on the origin of the flange, in B [N]; None: nobody pulls.
     """
 
     directions: Array
@@ -112,6 +114,7 @@ class Mechanism:
     smr: Array
     smr_normal: Array
     capsules: Capsules
+    pull: Array | None = None
 
     @cached_property
     def _turns(self) -> Array:
@@ -228,23 +231,42 @@ class Posture:
         return self.mechanism._bodies[1][:, None] + self.load_mass
 
     @cached_property
-    def gravity_torques(self) -> Array:
-        """Torque of gravity about each axis, (n, N) [Nm]; positive if gravity would increase the angle."""
+    def torques(self) -> Array:
+        """Torque of gravity and pull about each axis, (n, N) [Nm]; positive if they would increase the angle."""
         directions, points = self.axes
         arms = np.cumsum(self.first_moments[::-1], axis=0)[::-1]
         arms -= self.masses_beyond[..., None] * points
-        return _torques(directions, arms, self.gravity)
+        return _torques(directions, arms, self.gravity) + self._pull_torques
 
     @cached_property
     def load_torques(self) -> Array:
-        """The part of ``gravity_torques`` that is due to the load, (n, N) [Nm]."""
+        """The part of ``torques`` that is due to load and pull, (n, N) [Nm]."""
         directions, points = self.axes
-        return _torques(directions, self.load_moment - self.load_mass[:, None] * points, self.gravity)
+        weight = _torques(directions, self.load_moment - self.load_mass[:, None] * points, self.gravity)
+        return weight + self._pull_torques
+
+    @cached_property
+    def pull(self) -> Array:
+        """Force on the flange, (3,) [N]."""
+        return np.zeros(3) if self.mechanism.pull is None else self.mechanism.pull
+
+    def pull_moment(self, about: Array) -> Array:
+        """Moment of the pull about points (..., n, 3) or (3,), of their shape (..., n, 3) [Nm]."""
+        flange = carry(self.placements[-1] @ self.mechanism.frames[-1], np.zeros(3))
+        moment: Array = np.cross(flange - about, self.pull)
+        return moment
+
+    @cached_property
+    def _pull_torques(self) -> Array:
+        if self.mechanism.pull is None:
+            return np.zeros_like(self.q)
+        directions, points = self.axes
+        return np.asarray(np.einsum("jnk,jnk->nj", directions, self.pull_moment(points)))
 
     @cached_property
     def base_moment(self) -> Array:
-        """Moment of gravity on all bodies about the origin of B, (n, 3) [Nm]."""
-        return np.cross(self.first_moments.sum(axis=0), self.gravity)
+        """Moment of gravity on all bodies, and of the pull, about the origin of B, (n, 3) [Nm]."""
+        return np.cross(self.first_moments.sum(axis=0), self.gravity) + self.pull_moment(np.zeros(3))
 
     @cached_property
     def flange(self) -> Array:
@@ -347,4 +369,4 @@ def gravity_torques(arm: ArmConfig, q: Array) -> Array:
     Positive if gravity would increase the joint angle; a motor at rest applies the opposite.
     """
     gravity = arm.T_C_B[:3, :3].T @ np.array([0.0, 0.0, -STANDARD_GRAVITY])
-    return Posture(nominal(arm), np.atleast_2d(np.asarray(q, dtype=np.float64)), gravity).gravity_torques
+    return Posture(nominal(arm), np.atleast_2d(np.asarray(q, dtype=np.float64)), gravity).torques

@@ -49,9 +49,8 @@ class Plant:
 
     def __init__(self, config: PlantConfig, *, watch_clearance: bool = False, keep_motions: bool = False) -> None:
         self.config = config
-        self._executed: dict[str, list[Executed]] | None = (
-            {arm.name: [] for arm in config.arms} if keep_motions else None
-        )
+        kept: dict[str, list[Executed]] = {arm.name: [] for arm in config.arms}
+        self._executed = kept if keep_motions else None
         self.clearance = Clearance() if watch_clearance else None
         self.schedule = Schedule()
         self._clock_s = 0.0
@@ -65,8 +64,7 @@ class Plant:
             arm.name: self._true_arm(arm, np.random.SeedSequence([config.seed, 2, number]))
             for number, arm in enumerate(config.arms)
         }
-        if self.clearance is not None:
-            self._watch(np.zeros(1))
+        self._watch(np.zeros(1))
 
     def _true_arm(self, arm: ArmConfig, seed: np.random.SeedSequence) -> TrueArm:
         geometry, base, repeatability, masses = (np.random.default_rng(s) for s in seed.spawn(4))
@@ -120,14 +118,6 @@ class Plant:
     def true_T_M_B(self, name: str) -> Array:
         """True base pose of an arm in the tracker frame, (4, 4)."""
         return self._arm(name).T_M_B.copy()
-
-    def true_T_B_B(self, to: str, of: str) -> Array:
-        """True transform from the base frame of the arm ``of`` to that of the arm ``to``, (4, 4)."""
-        return inverse(self._arm(to).T_C_B) @ self._arm(of).T_C_B
-
-    def true_smr_offset(self, name: str) -> Array:
-        """True SMR centre in the flange frame, (3,) [m]."""
-        return self._arm(name).mechanism.smr.copy()
 
     def _T_B_others(self, arm: TrueArm) -> dict[str, Array]:
         back = inverse(arm.T_C_B)
@@ -311,9 +301,15 @@ class Plant:
 
     def set_payload(self, name: str, mass: float, center: Array) -> None:
         """Set the arm's load: ``mass`` [kg] with its centre at ``center`` (3,) [m] in the flange frame."""
+        center = np.array(center, dtype=float)
+        self.change_mechanism(name, lambda one: replace(one, payload_mass=float(mass), payload_center=center))
+
+    def set_pull(self, name: str, force: Array | None) -> None:
+        """Pull at an arm's flange from now on, with ``force`` (3,) [N] in its base; None: no more."""
         arm = self._arm(name)
         arm.resting = None
-        arm.mechanism = replace(arm.mechanism, payload_mass=float(mass), payload_center=np.array(center, dtype=float))
+        pull = None if force is None else np.array(force, dtype=float)
+        arm.mechanism = replace(arm.mechanism, pull=pull)
 
     def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
         """Start a joint motion to ``q`` (N,) now; the arm must be at rest."""

@@ -34,6 +34,7 @@ from drivers.trackers.protocol import (
     TrackerRefused,
     TrackerTimeout,
     TwoFace,
+    checked_point,
 )
 
 LOG = logging.getLogger(__name__)
@@ -472,10 +473,6 @@ def _new_id() -> str:
 
 def _measure_fields(expected_M: NDArray[np.float64], averaging_s: float) -> dict[str, str]:
     """Return the fields of a measurement under a new id. Raises ``ValueError`` for an invalid point or time."""
-    expected = np.asarray(expected_M, dtype=np.float64)
-    if expected.shape != (3,) or not np.isfinite(expected).all():
-        raise ValueError("tracker: the expected point must be three finite coordinates in metres")
-    if not 0.0 < averaging_s <= _LONGEST_COMMAND_S:
-        raise ValueError(f"tracker: averaging must last longer than 0 s, not {averaging_s!r} s")
+    expected = checked_point(expected_M, averaging_s, _LONGEST_COMMAND_S)
     x, y, z = (wire.number(value) for value in expected)
     return {"id": _new_id(), "x": x, "y": y, "z": z, "averaging": wire.number(averaging_s)}

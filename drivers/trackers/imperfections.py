@@ -5,6 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from drivers.plant.config import Array
+from drivers.plant.lines import carry, rigid
+
 
 @dataclass(frozen=True)
 class Imperfections:
@@ -41,6 +46,20 @@ class Imperfections:
     humidity_percent: float = 50.0
     clock_offset_s: float = 0.0
     clock_rate: float = 0.0
+
+    def pointed(self, p_M: Array, face: int, cold: float) -> Array:
+        """The point (3,) [m] as the head points at it in a face; ``cold`` is the share of the warm-up that is left."""
+        if any(self.warm_up_rad) and cold > 0.0:
+            p_M = carry(rigid(np.array([0.0, 0.0, 0.0, *self.warm_up_rad]) * cold), p_M)
+        if self.collimation_rad or self.index_rad:
+            sign = 1.0 if face == 1 else -1.0
+            flat = math.hypot(p_M[0], p_M[1])
+            distance = math.hypot(flat, p_M[2])
+            azimuth = math.atan2(p_M[1], p_M[0]) + sign * self.collimation_rad * distance / flat
+            elevation = math.atan2(p_M[2], flat) + sign * self.index_rad
+            level, up = distance * math.cos(elevation), distance * math.sin(elevation)
+            p_M = np.array([level * math.cos(azimuth), level * math.sin(azimuth), up])
+        return p_M
 
 
 PERFECT = Imperfections()

@@ -46,6 +46,8 @@ from drivers.trackers.protocol import (
     TwoFace,
     Unstable,
     WrongTarget,
+    checked_point,
+    require_ready,
 )
 
 Vector = NDArray[np.float64]
@@ -152,7 +154,7 @@ class LmfTracker:
             )
         with self._translating_errors("settings"):
             self._apply(tracker, self._preparation)
-        self._subscribe(tracker)
+        self._subscribe(tracker, wanted=True)
 
     def disconnect(self) -> None:
         """Release the tracker; harmless when not connected. A call that hangs is abandoned."""
@@ -168,7 +170,7 @@ class LmfTracker:
 
     def _close(self, tracker: Any) -> None:
         with self._translating_errors("disconnecting"):
-            self._unsubscribe(tracker)
+            self._subscribe(tracker, wanted=False)
             tracker.Disconnect()
 
     def identify(self) -> TrackerIdentity:
@@ -176,9 +178,8 @@ class LmfTracker:
         return self._call("identifying", self._identify)
 
     def _identify(self, tracker: Any) -> TrackerIdentity:
-        model = str(tracker.ProductName or tracker.Name or "tracker")
-        if self._use.simulated:
-            model += " (simulated by LMF)"
+        simulated = " (simulated by LMF)" if self._use.simulated else ""
+        model = f"{tracker.ProductName or tracker.Name or 'tracker'}{simulated}"
         return TrackerIdentity(model, str(tracker.SerialNumber), f"firmware {tracker.InstalledFirmware}")
 
     def notices(self) -> list[str]:
@@ -196,9 +197,8 @@ class LmfTracker:
         return notices + self._air_notices(tracker)
 
     def _air_notices(self, tracker: Any) -> list[str]:
-        if self._preparation.temperature_c is None and not unwrap(tracker.MeteoStation.IsAirSensorConnected):
-            return ["its air sensor is not connected"]
-        return []
+        lacks = self._preparation.temperature_c is None and not unwrap(tracker.MeteoStation.IsAirSensorConnected)
+        return ["its air sensor is not connected"] if lacks else []
 
     def visible_trackers(self) -> str:
         """Return which trackers LMF finds in this computer's networks, as a sentence for a person."""
@@ -229,24 +229,17 @@ class LmfTracker:
         Raises ``NotReady`` with all unmet preconditions, ``ValueError`` for a setting that the tracker does not have.
         """
         self._clear_halt()
-        if self._call("reading the tracker's state", self._needs_initialising):
+        # LMF's number for "not initialised" is not public: any precondition while the laser is ready may be that
+        known = self._call(
+            "reading the tracker's state", lambda its: bool(laser_and_stand(its)) or not self._preconditions(its)
+        )
+        if not known:
             self._call("initialising", lambda tracker: tracker.Initialize(), INITIALISING_S, haltable=True)
         self._call("settings", partial(self._apply, preparation=settings))
         self._preparation = settings
         if self._use.gravity:
             self._call("levelling", self._level, LEVELLING_S, haltable=True)
-        unmet = self.unmet()
-        if unmet:
-            raise NotReady(f"tracker: not ready to measure: {'; '.join(unmet)}")
-
-    def _needs_initialising(self, tracker: Any) -> bool:
-        """Return whether LMF reports any precondition while the laser is ready.
-
-        LMF's number for "not initialised" is not public.
-        """
-        if laser_and_stand(tracker):
-            return False
-        return bool(self._preconditions(tracker))
+        require_ready(self.unmet())
 
     def _apply(self, tracker: Any, preparation: Preparation) -> None:
         assert self._lmf is not None
@@ -260,32 +253,29 @@ class LmfTracker:
 
     # -- events --------------------------------------------------------------------------------------------------------
 
-    def _subscribe(self, tracker: Any) -> None:
-        for name, handler in self._handlers:
-            event = getattr(tracker, name)
-            event += handler
-            setattr(tracker, name, event)
-        self._subscribed = True
-
-    def _unsubscribe(self, tracker: Any) -> None:
-        if not self._subscribed:
+    def _subscribe(self, tracker: Any, *, wanted: bool) -> None:
+        if wanted == self._subscribed:
             return  # pythonnet refuses to remove a handler that was not added
         self._subscribed = False
         for name, handler in self._handlers:
             event = getattr(tracker, name)
-            event -= handler
+            if wanted:
+                event += handler
+            else:
+                event -= handler
             setattr(tracker, name, event)
+        self._subscribed = wanted
 
     @contextlib.contextmanager
     def _no_handlers(self, tracker: Any) -> Iterator[None]:
         """Keep the handlers unsubscribed while settings are written; see the module's docstring."""
         subscribed = self._subscribed
-        self._unsubscribe(tracker)
+        self._subscribe(tracker, wanted=False)
         try:
             yield
         finally:
             if subscribed:
-                self._subscribe(tracker)
+                self._subscribe(tracker, wanted=True)
 
     def _on_disconnected(self, *arguments: Any) -> None:
         cause = arguments[-1] if arguments else None
@@ -339,12 +329,12 @@ class LmfTracker:
 
         The tracker sets the averaging time, unless ``stationary`` is "time".
         """
-        expected = self._checked(expected_M, averaging_s)
+        expected = checked_point(expected_M, averaging_s)
         return self._measure(expected, averaging_s)
 
     def measure_two_face(self, expected_M: Vector, averaging_s: float) -> TwoFace:
         """Measure in face 1, change face, measure in face 2; always return to face 1."""
-        expected = self._checked(expected_M, averaging_s)
+        expected = checked_point(expected_M, averaging_s)
         first = self._measure(expected, averaging_s)
         try:
             self._call(_TURNING, partial(self._change_face, face=2), haltable=True)
@@ -359,24 +349,13 @@ class LmfTracker:
         if calls is not None:
             calls.halt()
 
-    def _checked(self, expected_M: Vector, averaging_s: float) -> Vector:
-        """Check the arguments of a measurement and clear an earlier halt. Raises ``ValueError``."""
-        if not 0.0 < averaging_s < math.inf:
-            raise ValueError(f"tracker: averaging must last longer than 0 s, not {averaging_s!r} s")
-        expected = np.asarray(expected_M, dtype=np.float64)
-        if expected.shape != (3,) or not np.isfinite(expected).all():
-            raise ValueError("tracker: the expected point must be three finite coordinates in metres")
-        self._clear_halt()
-        return expected
-
     def _measure(self, expected: Vector, averaging_s: float) -> Point:
+        self._clear_halt()
         self._call(_POINTING, partial(self._lock, expected=expected, averaging_s=averaging_s), haltable=True)
         return self._average(expected, averaging_s, 1)
 
     def _lock(self, tracker: Any, expected: Vector, averaging_s: float) -> None:
-        unmet = self._unmet(tracker)
-        if unmet:
-            raise NotReady(f"tracker: not ready to measure: {'; '.join(unmet)}")
+        require_ready(self._unmet(tracker))
         if self._use.stationary == "time" and averaging_s != self._averaging_set_s:
             with self._no_handlers(tracker):
                 set_quantity(tracker.Measurement.Profiles.Selected.Time, "time", averaging_s)
@@ -422,7 +401,7 @@ class LmfTracker:
         p_M, precision_M = read_position(self._lmf, result.Position, face)
         precision_m = float(np.linalg.norm(precision_M))
         if precision_m > self._use.shaking:
-            raise Unstable(f"tracker: the SMR moved while it was measured: precision {precision_m * 1e6:.0f} um")
+            raise Unstable(f"tracker: the SMR moved while it was measured: precision {precision_m * 1e6:.0f} µm")
         covariance_M = self._law.covariance(p_M)
         covariance_M *= max(1.0, precision_m**2 / float(np.trace(covariance_M)))  # the SMR shook more than specified
         air, quality = read_air(result)
@@ -444,9 +423,7 @@ class LmfTracker:
 
     def _new_messages(self) -> list[str]:
         """Return the messages that came since the last point, and keep them for ``notices``."""
-        messages = []
-        while self._unreported:
-            messages.append(self._unreported.popleft())
+        messages = [self._unreported.popleft() for _ in range(len(self._unreported))]
         self._messages.extend(messages)
         return messages
 

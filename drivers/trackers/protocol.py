@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
@@ -283,19 +284,19 @@ class StreamingTracker(Protocol):
         """End measuring and return all points. Raises ``TrackerLinkLost``."""
 
 
-def measure_nests(
-    tracker: Tracker, nests: Mapping[str, NDArray[np.float64]], averaging_s: float
-) -> tuple[dict[str, Point], dict[str, TrackerError]]:
-    """Measure the SMRs in fixed nests, name -> (3,) [m] in M; return the points, and the errors of the other nests.
+def checked_point(
+    expected_M: NDArray[np.float64], averaging_s: float, longest_s: float = math.inf
+) -> NDArray[np.float64]:
+    """The point (3,) [m] at which to measure for ``averaging_s``. Raises ``ValueError`` for what cannot be measured."""
+    if not 0.0 < averaging_s < math.inf or averaging_s > longest_s:
+        raise ValueError(f"tracker: averaging must last longer than 0 s, not {averaging_s!r} s")
+    expected = np.asarray(expected_M, dtype=np.float64)
+    if expected.shape != (3,) or not np.isfinite(expected).all():
+        raise ValueError("tracker: the expected point must be three finite coordinates in metres")
+    return expected
 
-    Repeated during a run, nests show whether the tracker has moved. A lost link or a tracker that is not ready is
-    raised.
-    """
-    points: dict[str, Point] = {}
-    missed: dict[str, TrackerError] = {}
-    for name, expected_M in nests.items():
-        try:
-            points[name] = tracker.measure(expected_M, averaging_s)
-        except (TargetLost, WrongTarget, Unstable) as error:
-            missed[name] = error
-    return points, missed
+
+def require_ready(unmet: Sequence[str]) -> None:
+    """Raise ``NotReady`` with all preconditions that are not met, if any."""
+    if unmet:
+        raise NotReady(f"tracker: not ready to measure: {'; '.join(unmet)}")

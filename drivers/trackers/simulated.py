@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.plant import Plant
 from drivers.plant.clearance import segment_distances
-from drivers.plant.lines import carry, rigid
+from drivers.plant.lines import carry
 from drivers.plant.mechanism import Posture, nominal
 from drivers.plant.optics import why_hidden
 from drivers.trackers.imperfections import PERFECT, Imperfections, refractivity
@@ -21,7 +21,6 @@ from drivers.trackers.protocol import (
     Face,
     Halted,
     Inclination,
-    NotReady,
     Point,
     Preparation,
     TargetLost,
@@ -32,6 +31,8 @@ from drivers.trackers.protocol import (
     TwoFace,
     Unstable,
     WrongTarget,
+    checked_point,
+    require_ready,
 )
 
 Vector = NDArray[np.float64]
@@ -214,14 +215,8 @@ class SimulatedTracker:
         return TwoFace(first, second)
 
     def _checked_request(self, expected_M: Vector, averaging_s: float) -> Vector:
-        unmet = self.unmet()
-        if unmet:
-            raise NotReady(f"tracker: not ready to measure: {'; '.join(unmet)}")
-        if not 0.0 < averaging_s < math.inf:
-            raise ValueError(f"tracker: averaging must last longer than 0 s, not {averaging_s!r} s")
-        expected = np.asarray(expected_M, dtype=np.float64)
-        if expected.shape != (3,) or not np.isfinite(expected).all():
-            raise ValueError("tracker: the expected point must be three finite coordinates in metres")
+        require_ready(self.unmet())
+        expected = checked_point(expected_M, averaging_s)
         self._halt.clear()
         return expected
 
@@ -423,20 +418,9 @@ class SimulatedTracker:
         self, p_M: Vector, face: Face, air: tuple[float, float, float], applied: tuple[float, float, float]
     ) -> Vector:
         """Return the point (3,) with the tracker's own errors; exactly ``p_M`` if there are none."""
-        errors = self._errors
-        since_s = self._plant.clock_s - self._switched_on_s
+        errors, since_s = self._errors, self._plant.clock_s - self._switched_on_s
         cold = math.exp(-since_s / errors.warm_up_s)
-        if any(errors.warm_up_rad) and cold > 0.0:
-            p_M = carry(rigid(np.array([0.0, 0.0, 0.0, *errors.warm_up_rad]) * cold), p_M)
-        if errors.collimation_rad or errors.index_rad:
-            sign = 1.0 if face == 1 else -1.0
-            flat = math.hypot(p_M[0], p_M[1])
-            distance = math.hypot(flat, p_M[2])
-            azimuth = math.atan2(p_M[1], p_M[0]) + sign * errors.collimation_rad * distance / flat
-            elevation = math.atan2(p_M[2], flat) + sign * errors.index_rad
-            level = distance * math.cos(elevation)
-            up = distance * math.sin(elevation)
-            p_M = np.array([level * math.cos(azimuth), level * math.sin(azimuth), up])
+        p_M = errors.pointed(p_M, face, cold)
         if applied != air:  # it divides the optical path by the index of the assumed air
             p_M = p_M * ((1.0 + refractivity(*air)) / (1.0 + refractivity(*applied)))
         if errors.warm_up_m and cold > 0.0:

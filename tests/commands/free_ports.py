@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from cellapp.commands.emulate.run import EmulatedArm, emulated_arms
+from cellapp.commands.emulate.result import EmulatedArm
+from cellapp.commands.emulate.run import emulated_arms
 from cellapp.ground.profile import Profile
+
+FREE = ("dashboard_port", "primary_port", "script_port", "rtde_port")
 
 
 def on_free_ports(profile: Profile) -> list[EmulatedArm]:
     """The emulated arms of a profile on free ports."""
-    return [
-        replace(arm, dashboard_port=0, primary_port=0, script_port=0, rtde_port=0) for arm in emulated_arms(profile)
-    ]
+    return [arm.model_copy(update=dict.fromkeys(FREE, 0)) for arm in emulated_arms(profile)]

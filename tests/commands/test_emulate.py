@@ -14,7 +14,6 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -29,7 +28,8 @@ from cellapp.cell.profile import profile_from_json, profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.emulate.run import EmulatedTracker, emulate, emulated_arms
+from cellapp.commands.emulate.result import EmulatedTracker
+from cellapp.commands.emulate.run import emulate, emulated_arms
 from cellapp.commands.push.run import push_run
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -54,7 +54,7 @@ HOSTS, CLI_HOSTS = own_arms(53), own_arms(55)
 def _serve(profile_text: str, pipe: Connection) -> None:
     """The emulators, in a process of their own because the real client holds the interpreter while it connects."""
     profile = profile_from_json(profile_text)
-    arms = [replace(arm, host=HOSTS[arm.arm]) for arm in emulated_arms(profile)]
+    arms = [arm.model_copy(update={"host": HOSTS[arm.arm]}) for arm in emulated_arms(profile)]
     cancel = CancelToken()
 
     def until_told() -> None:
@@ -69,7 +69,7 @@ def _serve(profile_text: str, pipe: Connection) -> None:
         lambda _: pipe.send(ports[0]),
         arms,
         pace=PACE,
-        tracker=EmulatedTracker("127.0.0.1", 0),
+        tracker=EmulatedTracker(host="127.0.0.1", port=0),
         announce_tracker=lambda where: ports.append(where.port),
     )
 

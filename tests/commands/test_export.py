@@ -121,7 +121,8 @@ def test_the_format_of_a_plugin(finished_run: Path, tmp_path: Path) -> None:
         export = calibrated_arms(run, read_stages(run))["right"]
     text = (tmp_path / "arm.m").read_text("utf-8")
     assert text.startswith(
-        "% SerialLink of the Robotics Toolbox (MATLAB), by cellapp-example 1.0, a plug-in of cellapp."
+        "% SerialLink of the Robotics Toolbox (MATLAB), by cellapp-example 1.0, a plug-in of cellapp, of a simulated"
+        " cell."
     )
     rows = re.findall(r"'d', (\S+), 'a', (\S+), 'alpha', (\S+), 'offset', (\S+)\)", text)
     (base,) = re.findall(r"SE3\(\[(.*)\]\)", text)
@@ -144,7 +145,8 @@ def test_names_of_arms_are_only_text(finished_copy: Path, tmp_path: Path, form: 
     with RunFile.open(finished_copy) as run:
         export = replace(calibrated_arms(run, read_stages(run))["left"], name=name)
     plain, hostile = (
-        FORMATS[form].text(one, sentences(FORMATS[form], one)) for one in (replace(export, name="l"), export)
+        FORMATS[form].text(one, sentences(FORMATS[form], one, run.profile))
+        for one in (replace(export, name="l"), export)
     )
     if form == "urdf":
         assert [joint.get("type") for joint in ElementTree.fromstring(hostile).iter("joint")].count("revolute") == 6

@@ -18,14 +18,15 @@ from cellapp.commands.iso9283.run import iso9283_folder, iso9283_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import read_results
+from cellapp.commands.report.sections import report_sections
 from cellapp.commands.stages import read_stages
+from cellapp.commands.view.charts import Chart
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import ISO9283
 from cellapp.interfaces import cli
-from cellapp.interfaces.page.page_parts import page_parts
 from tests.cell.planning.planned_cells import one_arm
 from tests.twin import small_twin
 
@@ -67,7 +68,7 @@ def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) ->
         assert ISO9283 in stages.current
         assert ISO9283 not in stages.out_of_date
         assert read_results(run).iso9283 == result
-        section = page_parts(run, read_report_data(run)).iso9283
+        (section,) = (one for one in report_sections(run, read_report_data(run)) if one.key == "iso9283")
     assert Iso9283Result.from_json(result.to_json(), "test") == result
     assert (result.missing, result.stopped) == ((), "")
     for arm in result.arms.values():
@@ -87,9 +88,8 @@ def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) ->
     message, *others = iso9283_sentences(result)
     assert "as found" in message
     assert "as left" in message
-    assert section is not None
-    assert section.message.lower() == message.lower()
-    assert [figure.caption for figure in section.figures] == [
+    assert section.message.lower() == f"{message.lower()}."
+    assert [part.title for part in section.parts if isinstance(part, Chart)] == [
         "Pose accuracy at the five poses",
         *(f"Arm {name}: error at each visit, calibrated commands" for name in result.arms),
     ]
@@ -126,10 +126,17 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
         ({"speed": float("nan")}, "--speed"),
         ({"also_speeds": (50.0, 0.0)}, "expected shares above 0 % and up to 100 %, got 0 %"),
         ({"also_speeds": (float("nan"),)}, "expected shares above 0 %"),
+        ({"also_loads": (-1.0,)}, "expected loads from 0 to 500 kg, got -1 kg"),
+        ({"also_loads": (float("nan"),)}, "expected loads from 0 to 500 kg"),
+        ({"also_loads": (1e9,)}, "expected loads from 0 to 500 kg, got 1e.09 kg"),
+        ({"also_loads": (2.0,), "tests": ("distance",)}, "other loads are for the pose test; ask for pose too"),
+        ({"also_loads": ("heavy",)}, "--also-load"),
+        ({"forces": (0.0,)}, "expected forces above 0 N and up to 1000 N, got 0 N"),
+        ({"forces": (float("inf"),)}, "expected forces above 0 N and up to 1000 N"),
+        ({"forces": ()}, "at least one force is needed"),
         ({"drift_minutes": 0.0}, "--drift-minutes"),
         ({"tests": ["cooperative"]}, "needs two arms"),
     ],
-    ids=["commands", "arm", "cycles", "speed", "speed nan", "also speed", "also speed nan", "drift", "one arm"],
 )
 def test_bad_options_are_refused_before_anything_moves(
     options: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

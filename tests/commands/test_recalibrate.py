@@ -52,7 +52,7 @@ def test_only_what_is_out_of_date_is_made_again(fleet: Path, tmp_path: Path) -> 
     assert made.because.startswith("calibrate: ")
     assert 0.0 < made.heldout_mm["left"] < 0.1
     assert len(recalibration_table(result).rows) == 1
-    assert recalibration_sentences(result) == ["1 runs computed again, 1 up to date, 0 failed; 1 at the same time"]
+    assert recalibration_sentences(result) == ["1 run computed again, 1 up to date, 0 failed; 1 at the same time"]
     assert RecalibrateResult.from_json(result.to_json(), "here") == result
     assert recalibrate([folder], search=False).made == ()
     forced = recalibrate([folder / "a"], search=False, force=True)
@@ -77,7 +77,7 @@ def test_a_run_that_fails_is_named_and_does_not_stop_the_others(fleet: Path, tmp
         ended = CliRunner().invoke(app, ["recalibrate", str(folder), "--jobs", "1", "--calibration-only"])
     assert isinstance(ended.exception, CheckFailed)
     assert str(ended.exception) == "recalibrate: 2 of 3 runs failed"
-    assert "1 runs computed again, 0 up to date, 2 failed" in ended.output
+    assert "1 run computed again, 0 up to date, 2 failed" in ended.output
     assert "is not a run file" in ended.output
     assert "is in use (a job that runs now)" in ended.output
     assert calibrations(folder / "c") == 2

@@ -14,6 +14,7 @@ from cellapp.commands.registry import VERBS
 from cellapp.commands.schema.results import json_schemas, written_results
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import add_verbs
+from cellapp.interfaces.page.drawn import drawn_parts
 from cellapp.interfaces.tui import offers
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.palette import possible_commands
@@ -47,6 +48,13 @@ def test_a_command_with_its_options_its_output_and_its_json(run: Path) -> None:
     written = json.loads(CliRunner().invoke(app, ["greet", str(run), "--json", "-"]).stdout)
     assert written == {"schema": "toy-greet", "version": 1, "arms": ["left", "right"], "times": 1}
     assert CliRunner().invoke(app, ["greet", str(run), "--times", "4"]).exit_code == 2
+
+
+def test_a_chart_on_the_page() -> None:
+    result = GreetResult(arms=("left", "right"), times=2)
+    (figure,) = drawn_parts(GREET.view(result).parts, "greet").figures
+    assert figure.caption == "Greetings"
+    assert figure.note == "Everybody is greeted as often."
 
 
 def test_a_schema() -> None:

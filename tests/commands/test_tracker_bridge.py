@@ -16,7 +16,8 @@ import pytest
 from cellapp.cell.driving.cell import tracker_driver
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
 from cellapp.commands.doctor.run import examine
-from cellapp.commands.emulate.run import EmulatedTracker, emulate, emulated_arms, emulated_tracker
+from cellapp.commands.emulate.result import EmulatedTracker
+from cellapp.commands.emulate.run import emulate, emulated_arms, emulated_tracker
 from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
 from cellapp.commands.tracker_bridge.run import serve_tracker
 from cellapp.commands.tracker_bridge.view import view
@@ -211,7 +212,7 @@ def test_the_wire_profiles_are_the_twin_behind_the_wire() -> None:
         profile = load_profile(PROFILES / f"{name}.yaml")
         assert [arm.driver.kind for arm in profile.arms.values()] == ["ur", "ur"]
         assert [arm.host for arm in emulated_arms(profile)] == ["127.0.0.2", "127.0.0.3"]
-        assert emulated_tracker(profile) == EmulatedTracker("127.0.0.1", 50960)
+        assert emulated_tracker(profile) == EmulatedTracker(host="127.0.0.1", port=50960)
         local = twin.model_copy(update={"name": name})
         if name == "twin-rtde":
             local = local.model_copy(update={"plan": profile.plan, "splits": profile.splits})
@@ -237,7 +238,7 @@ def test_arms_and_tracker_are_emulated_together() -> None:
         cancel.cancel()
 
     before = threading.active_count()
-    anywhere = EmulatedTracker("127.0.0.1", 0)
+    anywhere = EmulatedTracker(host="127.0.0.1", port=0)
     emulate(
         profile, cancel, announced, on_free_ports(profile), pace=20.0, tracker=anywhere, announce_tracker=where.append
     )

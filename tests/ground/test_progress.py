@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from cellapp.ground.progress import Progress, SharedProgress, StateChange, eta_words, with_eta
+from cellapp.ground.progress import Progress, SharedProgress, StateChange, eta_words, in_lines, with_eta
 
 pytestmark = pytest.mark.fast
 
@@ -80,3 +80,14 @@ def test_times_in_words() -> None:
     assert [eta_words(eta_s) for eta_s in (None, 0.0, 59.0, 90.0, 3700.0)] == [
         "", "0 s left", "59 s left", "2 min left", "1 h 02 min left",
     ]  # fmt: skip
+
+
+def test_a_long_job_without_a_terminal_says_each_minute_how_far_it_is() -> None:
+    now_s, said = [0.0], list[str]()
+    listen = in_lines(said.append, lambda: now_s[0])
+    for step in range(1000):  # 250 s
+        now_s[0] = 0.25 * step
+        listen(Progress("iso9283", step, 1000, f"pose {step}", eta_s=249.75 - now_s[0]))
+    assert said == [f"iso9283: {k} of 1000, pose {k}, {eta_words(249.75 - k / 4)}" for k in (240, 480, 720, 960)]
+    listen(Progress("iso9283", 1000, 1000, "done"))
+    assert len(said) == 4

@@ -31,7 +31,7 @@ def link_bending(scene: Scene) -> Chart:
 
 
 def joint_axis_wobble(scene: Scene) -> Chart:
-    """Height of the SMR over a turn of joint 1: its axis tilts by 15 urad, twice a turn."""
+    """Height of the SMR over a turn of joint 1: its axis tilts by 15 µrad, twice a turn."""
     law = EFFECTS["joint_axis_wobble"].law()
     tilt = {"wobble_x1_cos": 15 * _MICRO}
     series = []
@@ -42,7 +42,7 @@ def joint_axis_wobble(scene: Scene) -> Chart:
 
 
 def joint_axis_runout(scene: Scene) -> Chart:
-    """Displacement over a turn of joint 1: its axis shifts by 20 um along itself once, across twice a turn."""
+    """Displacement over a turn of joint 1: its axis shifts by 20 µm along itself once, across twice a turn."""
     law = EFFECTS["joint_axis_runout"].law()
     series = []
     for label, name in (("axial, 1 cycle", "runout_z1_cos1"), ("radial, 2 cycles", "runout_x1_cos2")):
@@ -61,7 +61,7 @@ def thermal_growth(scene: Scene) -> Chart:
 
 
 def base_drift(scene: Scene) -> Chart:
-    """Displacement over time: 30 um and 5 urad, steadily, with a time constant of 30 minutes, and with a bow."""
+    """Displacement over time: 30 µm and 5 µrad, steadily, with a time constant of 30 minutes, and with a bow."""
     effect, twist = EFFECTS["base_drift"], {"base_drift_x": 30 * _MICRO, "base_drift_turn_z": 5 * _MICRO}
     context = _over_time(scene, scene.stretched(len(_HOURS)))
     laws = (
@@ -76,14 +76,14 @@ def base_drift(scene: Scene) -> Chart:
 
 
 def base_step(scene: Scene) -> Chart:
-    """Displacement over time: the base shifts by 20 um and turns by 20 urad after an hour and a half."""
+    """Displacement over time: the base shifts by 20 µm and turns by 20 µrad after an hour and a half."""
     law = EFFECTS["base_step"].law("onset", {"onset_s": 5400.0})
     twist = {"base_step_x": 20 * _MICRO, "base_step_turn_y": 20 * _MICRO}
     return Chart("The base moves at once", _TIME, _MOVED, _both_poses(scene, "base_step", law, twist))
 
 
 def target_slip(scene: Scene) -> Chart:
-    """Height of the SMR at random poses: it slips by 60 um in the flange after an hour and a half."""
+    """Height of the SMR at random poses: it slips by 60 µm in the flange after an hour and a half."""
     law = EFFECTS["target_slip"].law("onset", {"onset_s": 5400.0})
     shift = smr_shift(_over_time(scene, scene.anywhere(len(_HOURS))), "target_slip", law, {"slip_x": 60 * _MICRO})
     return Chart(
@@ -127,13 +127,13 @@ def tracker_scale(scene: Scene) -> Chart:
 
 
 def tracker_distance_offset(scene: Scene) -> Chart:
-    """Error along the beam over the distance: 10 um."""
+    """Error along the beam over the distance: 10 µm."""
     title = "All distances are off by the same length"
     return _along_beam(scene, "tracker_distance_offset", {"distance_offset": 10 * _MICRO}, title, "10 µm")
 
 
 def tracker_angle_error(scene: Scene) -> Chart:
-    """Error across the beam over the azimuth: 5 urad in the first and in the second order."""
+    """Error across the beam over the azimuth: 5 µrad in the first and in the second order."""
     context = scene.context(scene.anywhere(160))
     law = EFFECTS["tracker_angle_error"].law("orders")
     azimuth, _, horizontal, _ = context.across
@@ -150,7 +150,7 @@ def tracker_angle_error(scene: Scene) -> Chart:
 
 
 def target_incidence(scene: Scene) -> Chart:
-    """Error along and across the beam over the angle of incidence: 20 um and 10 um."""
+    """Error along and across the beam over the angle of incidence: 20 µm and 10 µm."""
     context = scene.context(scene.anywhere(400))
     _, beam = context.beam
     angle = np.degrees(np.arccos(-np.einsum("na,na->n", context.frames[0][-1] @ scene.smr_normal, beam)))

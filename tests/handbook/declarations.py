@@ -8,6 +8,7 @@ from cellapp.commands.docs.effect_parts import declared_part
 from cellapp.commands.registry import VERBS
 from cellapp.commands.schema.results import written_results
 from cellapp.ground.results import Result
+from cellapp.interfaces.tui.keys import KEYS
 from cellapp.robot.effects import EFFECTS
 
 _DECLARED = re.compile(r"<!-- declared: (\w+) -->\n.*?<!-- end -->\n", re.DOTALL)
@@ -15,7 +16,7 @@ _DECLARED = re.compile(r"<!-- declared: (\w+) -->\n.*?<!-- end -->\n", re.DOTALL
 
 def with_declarations(text: str) -> str:
     """The text with the parts that repeat declarations (between markers) renewed: verbs, effects, results as JSON."""
-    lists = {"results": results_part, "verbs": verbs_part}
+    lists = {"results": results_part, "verbs": verbs_part, "keys": keys_part}
     return _DECLARED.sub(
         lambda match: lists[match[1]]() if match[1] in lists else declared_part(EFFECTS[match[1]]), text
     )
@@ -30,6 +31,13 @@ def verbs_part() -> str:
     ]
     head = ["| command | what it does | moves the arms | chapter |", "| --- | --- | --- | --- |"]
     return "\n".join(["<!-- declared: verbs -->", *head, *rows, "<!-- end -->", ""])
+
+
+def keys_part() -> str:
+    """Every meaning of the terminal application with its key: a Markdown table with its markers."""
+    rows = [f"| {key.shown} | {key.meaning} |" for key in KEYS.values()]
+    head = ["| key | what it does, where a screen has it |", "| --- | --- |"]
+    return "\n".join(["<!-- declared: keys -->", *head, *rows, "<!-- end -->", ""])
 
 
 def results_part() -> str:

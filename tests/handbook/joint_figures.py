@@ -53,7 +53,7 @@ def payload_compliance(scene: Scene) -> Chart:
 
 
 def encoder_eccentricity(scene: Scene) -> Chart:
-    """Offset over a turn of joint 1: a disc of 25 mm radius, 2 um off its axis."""
+    """Offset over a turn of joint 1: a disc of 25 mm radius, 2 µm off its axis."""
     context = scene.context(swept(scene.stretched(len(TURN)), 1, TURN))
     law = EFFECTS["encoder_eccentricity"].law()
     offset = joint_offset(context, "encoder_eccentricity", law, {"sin1q1": 80 * _MICRO})
@@ -79,7 +79,7 @@ def transmission_error(scene: Scene) -> Chart:
 
 
 def backlash(scene: Scene) -> Chart:
-    """Offset of joint 2 over its last step: half play of 40 urad, the same after any step or taken up gradually."""
+    """Offset of joint 2 over its last step: half play of 40 µrad, the same after any step or taken up gradually."""
     degrees = np.concatenate([np.linspace(-60.0, -0.5, 60), np.linspace(0.5, 60.0, 60)])
     step = _one_joint(1, np.radians(degrees))
     context = scene.context(scene.stretched(len(degrees)), MeasurementConditions(approach=np.sign(step), step=step))
@@ -97,7 +97,7 @@ def backlash(scene: Scene) -> Chart:
 
 
 def friction_windup(scene: Scene) -> Chart:
-    """Offset of joint 2 over its torque after a motion up and one down: 20 urad dry, 2 urad/Nm under load."""
+    """Offset of joint 2 over its torque after a motion up and one down: 20 µrad dry, 2 µrad/Nm under load."""
     q = scene.anywhere(120)
     law = EFFECTS["friction_windup"].law("both")
     series = []
@@ -122,7 +122,7 @@ def unsettled_measurement(scene: Scene) -> Chart:
 
 
 def joint_drift(scene: Scene) -> Chart:
-    """Offset of joint 2 over time: 40 urad in four hours, steadily or with a time constant of 30 minutes."""
+    """Offset of joint 2 over time: 40 µrad in four hours, steadily or with a time constant of 30 minutes."""
     seconds = 3600.0 * _HOURS
     context = scene.context(scene.stretched(len(_HOURS)), MeasurementConditions(time_s=seconds))
     effect, span = EFFECTS["joint_drift"], {"first_s": 0.0, "last_s": float(seconds[-1])}

@@ -87,7 +87,7 @@ def joint_offset(context: EffectContext, slug: str, law: Law, parameters: Mappin
 
 
 def smr_shift(context: EffectContext, slug: str, law: Law, parameters: Mapping[str, float]) -> Array:
-    """Shift (n, 3) [um] of the SMR in the tracker frame by an effect with these parameters."""
+    """Shift (n, 3) [µm] of the SMR in the tracker frame by an effect with these parameters."""
     return _sum_of_columns(context, slug, law, parameters, lambda column: column.shift_M, "shift the SMR")
 
 

@@ -9,10 +9,10 @@ import yaml
 
 import cellapp.docs
 from cellapp.commands.docs.handbook import chapter_text
+from cellapp.commands.report.sections import SECTIONS
 from cellapp.ground.chromium import find_chromium
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.acceptance import Tolerances
-from cellapp.interfaces.page.page_sections import SECTIONS
 from tests.handbook.chapters import blocks
 from tests.handbook.page_pictures import PICTURES, PagePicture, write_pictures
 

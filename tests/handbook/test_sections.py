@@ -31,7 +31,7 @@ def test_the_sections_of_a_chapter_are_its_text_and_every_link_leads_somewhere(c
 def test_a_picture_is_named_by_its_words_once() -> None:
     backlash = section_at("#backlash", "effects")
     assert backlash is not None
-    words = "Offset of joint 2 over its last step: half play of 40 urad; hysteresis taken up over 11 deg"
+    words = "Offset of joint 2 over its last step: half play of 40 µrad; hysteresis taken up over 11 deg"
     assert backlash.terminal_text.count(words) == 1
     assert f"*Picture: {words}*" in backlash.terminal_text
     assert ("friction_windup", "#friction_windup") in backlash.links

@@ -24,9 +24,9 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_readings
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.record import Writes
 from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
 from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.outputs import Writes
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
 from cellapp.ground.results import Record, Result

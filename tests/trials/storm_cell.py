@@ -16,7 +16,8 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from cellapp.cell.profile import profile_from_json, profile_to_json
-from cellapp.commands.emulate.run import EmulatedArm, EmulatedTracker, emulate
+from cellapp.commands.emulate.result import EmulatedArm, EmulatedTracker
+from cellapp.commands.emulate.run import emulate
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.collection import Collection, SlowStart, Suspend, Suspension

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from cellapp.cell.driving.attendance import SimulatedPerson
 from cellapp.cell.driving.pulse import JobPulse
 from cellapp.cell.driving.together import Together, answers_of_all, in_threads, one_by_one
 from cellapp.cell.driving.tracker_watch import Watch, monitored, unwatched, watched
@@ -48,7 +49,8 @@ class Cell:
     ``air`` is None without a weather station, ``clearance`` None if distances are not observed. ``together`` calls
     functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
     ``gate`` checks every motion; a trial that drives the same plan many times shares its answers. ``tracker_unmet``
-    lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's sign of life.
+    lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's sign of life. ``person``
+    does in a simulated cell what a person does in others, None there.
     """
 
     arms: Mapping[str, Arm]
@@ -61,6 +63,7 @@ class Cell:
     gate: Gate = refuse_motion
     tracker_unmet: tuple[str, ...] = ()
     pulse: JobPulse = field(default_factory=JobPulse)
+    person: SimulatedPerson | None = None
 
     def oldest_data_s(self) -> float:
         """Return the age of the newest state of the arm that was heard last [s]; never blocks."""
@@ -120,7 +123,8 @@ def open_cell(
             yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
         else:
             clock, clearance = SimulatedClock(simulated), simulated.clearance
-            yield Cell(arms, tracker, clock, air, clearance, together, unwatched, tracker_unmet=unmet)
+            person = SimulatedPerson(simulated)
+            yield Cell(arms, tracker, clock, air, clearance, together, unwatched, tracker_unmet=unmet, person=person)
 
 
 def _needs_plant(profile: Profile) -> bool:

@@ -22,6 +22,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.estimation.monitoring.check import SequentialState
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
@@ -64,7 +65,7 @@ class MeasuredStop:
 
     number: int
     found: Mapping[str, FoundPoint]
-    standing: SequentialState
+    state: SequentialState
     time_s: float
 
 
@@ -210,9 +211,9 @@ class _Checking:
         rows = {name: self._reading(name, point) for name, point in found.items()}
         # arms that went to a stop each alone were at two stops: the other one stood at home
         count = len(self.driven.stops)
-        standing = self.test.add({name: row.as_readings(count) for name, row in rows.items()})
-        self.driven.stops.append(MeasuredStop(number, found, standing, self.elapsed_s()))
-        return standing.sure
+        state = self.test.add({name: row.as_readings(count) for name, row in rows.items()})
+        self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
+        return state.sure
 
     def _find(self, name: str, state: ArmState) -> FoundPoint | None:
         """Measure one SMR; an arm whose SMR is missed too often is given up."""
@@ -226,8 +227,8 @@ class _Checking:
         if self._missed[name] >= (_MISSED_LATER if seen else _MISSED_AT_FIRST):
             self.driven.lost.append(name)
             self.driven.notes.append(
-                f"arm {name}: its SMR was not found at {self._missed[name]} stops in a row and is not looked for any"
-                " more: look for a covered or missing SMR"
+                f"arm {name}: its SMR was not found at {counted(self._missed[name], 'stop')} in a row and is not"
+                " looked for any more: look for a covered or missing SMR"
             )
         return None
 

@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from types import MappingProxyType
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.controllers import check_controllers
 from cellapp.cell.driving.motion import Confirm
-from cellapp.cell.driving.session import CollectSession, End
+from cellapp.cell.driving.records import CollectResult, End
+from cellapp.cell.driving.session import CollectSession
 from cellapp.cell.driving.supervision import Opened, opening, reacting
 from cellapp.cell.driving.work import remaining_work
 from cellapp.cell.run import RunFile, SessionEnd
-from cellapp.cell.run.collected import missing_readings
-from cellapp.cell.run.records import MissingReading
+from cellapp.cell.run.collected import missing_readings, missing_share, reference_drifts
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.control import Aborted, JobControl, Stopped
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Listener, ignore
 from drivers.arms.protocol import ArmError
-
-
-@dataclass(frozen=True)
-class CollectSummary:
-    """How a session ended. ``missing`` lists planned readings that the run lacks."""
-
-    outcome: End
-    notes: tuple[str, ...]
-    missing: tuple[MissingReading, ...]
-    standard_error_mm: Mapping[str, float] = field(default_factory=dict)
 
 
 def collect_run(
@@ -42,7 +33,7 @@ def collect_run(
     watch_clearance: bool = False,
     confirm: Confirm | None = None,
     opened: Opened | None = None,
-) -> CollectSummary:
+) -> CollectResult:
     """Collect all planned stops that are not stored yet.
 
     A target that cannot be measured is recorded and its arm's reading left out; the stop counts as done for the other
@@ -63,7 +54,7 @@ def collect_run(
     control = control or JobControl()
     work = remaining_work(run, resume=resume)
     if not work.stops:
-        return CollectSummary("complete", (f"all {work.total} stops were stored already",), missing_readings(run))
+        return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
     bodies = cell_bodies(run.profile)
     with opening(run.profile, control, opened, watch_clearance=watch_clearance) as cell:
         notes = list(check_controllers(run, cell).notes)
@@ -81,7 +72,23 @@ def collect_run(
                 reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
                 raise HardwareError(f"nothing could be measured: {reason}")
             run.end_session(number, outcome, "")
-    return CollectSummary(outcome, tuple(notes), missing_readings(run), session.standard_error_mm)
+    return _collected(run, outcome, notes, session.standard_error_mm)
+
+
+def _collected(
+    run: RunFile, outcome: End, notes: Sequence[str], standard_error_mm: Mapping[str, float] = MappingProxyType({})
+) -> CollectResult:
+    missing = missing_readings(run)
+    return CollectResult(
+        stops=len(run.stops_done()),
+        notes=tuple(notes),
+        outcome=outcome,
+        missing=missing,
+        missing_share=missing_share(run, missing),
+        tolerated_share=run.profile.collection.tolerated,
+        references=reference_drifts(run),
+        standard_error_mm=standard_error_mm,
+    )
 
 
 @contextmanager

@@ -25,6 +25,7 @@ from cellapp.estimation.calibration.station_location import (
     possible_causes,
 )
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
@@ -132,7 +133,7 @@ def _explained(task: LocateTask, measuring: _Measuring) -> tuple[StationFit, tup
     if fit.explains:
         return fit, ()
     measuring.notes.append(
-        f"one motion of the tracker does not explain the {len(measuring.found)} points (probability"
+        f"one motion of the tracker does not explain the {counted(len(measuring.found), 'point')} (probability"
         f" {fit.probability:.1g}, at least {LEAST_PROBABILITY:g} is asked): more were measured to see what does"
     )
     measuring.measure({name: DIAGNOSTIC_POINTS for name in task.candidates})
@@ -172,11 +173,11 @@ class _Measuring:
         """Measure until every arm has its number of points, or has no more to offer; other arms then measure more."""
         total = max(sum(wanted.values()), len(self.found))
         for name, count in wanted.items():
-            self._measure_arm(name, count - self._count(name), total)
+            self._measure_arm(name, count - sum(one.arm == name for one in self.found), total)
         for name in wanted:
             self._measure_arm(name, total - len(self.found), total)
         if len(self.found) < total:
-            self.notes.append(f"{len(self.found)} of {total} points could be measured")
+            self.notes.append(f"{len(self.found)} of {counted(total, 'point')} could be measured")
 
     def fit(self) -> StationFit:
         """The station from the points alone. Raises ``InputError`` if they do not fix it."""
@@ -187,9 +188,6 @@ class _Measuring:
             excess_m=self.task.excess_m,
             seed=(self.task.profile.seed,),
         )
-
-    def _count(self, name: str) -> int:
-        return sum(one.arm == name for one in self.found)
 
     def _measure_arm(self, name: str, count: int, total: int) -> None:
         """Measure so many points of one arm, as long as it can be moved to any that the tracker should see."""

@@ -18,6 +18,7 @@ from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyRes
 from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.robot.model import CellModel
@@ -115,9 +116,7 @@ def _visit_all(
     visit: TargetVisit, judge: Judge, commands: Sequence[Command], visited: Visited, listener: Listener
 ) -> str:
     """Visit all targets in their order; return why some are left out, because measurements contradict the model."""
-    by_target: dict[str, list[Command]] = {}
-    for command in commands:
-        by_target.setdefault(command.target.name, []).append(command)
+    by_target = grouped((command.target.name, command) for command in commands)
     agreement, total = Agreement(), len(by_target)
     for done, (name, own) in enumerate(by_target.items()):
         visit.hold()

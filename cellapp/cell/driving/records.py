@@ -10,7 +10,11 @@ from pydantic import Field
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.records import PlannedTime
 from cellapp.cell.run.records import ArmOrder, MissingReading, ReferenceDrift
+from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result
+
+End = Literal["complete", "accurate enough"]
+"""How collecting ends by itself."""
 
 
 class PlanResult(Result):
@@ -42,7 +46,7 @@ class CollectResult(Result):
     version: Literal[1] = 1
     stops: int
     notes: tuple[str, ...]
-    outcome: Literal["complete", "accurate enough"] = "complete"
+    outcome: End = "complete"
     missing: tuple[MissingReading, ...] = ()
     missing_share: float = 0.0
     tolerated_share: float = 1.0
@@ -119,7 +123,7 @@ class RequestResult(Result):
     schema_: Literal["cellapp-request"] = "cellapp-request"
     version: Literal[1] = 1
     run: str
-    request: Literal["pause", "resume", "stop", "abort"]
+    request: Verb
     answer: str
 
 

@@ -63,7 +63,7 @@ class References:
         """
         limit_m = self.run.profile.collection.reference.drift
         report = self._measured(states, stops_done, began_s)
-        worst = _worst(report)
+        worst = max(report.drift_mm, key=report.drift_mm.__getitem__, default=None)
         if worst is None or report.drift_mm[worst] <= limit_m * 1e3:
             return report
         latest = [report]
@@ -112,8 +112,3 @@ class References:
             except (TargetLost, WrongTarget, Unstable) as error:
                 self.supervisor.record("reference", f"{name}: not measured: {error}")
         return points
-
-
-def _worst(report: ReferenceReport) -> str | None:
-    """Name of the reference that drifted most; None without any."""
-    return max(report.drift_mm, key=report.drift_mm.__getitem__, default=None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from cellapp.cell.driving.cell import Cell, start_tracker
 from cellapp.cell.driving.details import missed_sentence, point_measured, record_sentence, state_of
@@ -14,6 +14,7 @@ from cellapp.cell.driving.measuring import SmrMeasurement
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.practice import AirTemperature, LiveModel
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
+from cellapp.cell.driving.records import End
 from cellapp.cell.driving.references import References
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.cell.driving.travel import Travel
@@ -24,6 +25,7 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.estimation.readings import Reading
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Detail, Listener, LogReport, MeasurementBegun, PointMissed, Progress, Suspicion
 from drivers.arms.protocol import ArmState
@@ -35,7 +37,6 @@ MOST_MISSED_IN_A_ROW = 10
 _HARMLESS = ("pause", "resume", "suspend", "give up", "reference")
 """What is recorded of a session that needs nobody's attention afterwards."""
 
-End = Literal["complete", "accurate enough"]
 T = TypeVar("T")
 
 
@@ -174,7 +175,7 @@ class CollectSession:
 
     def _suspect(self, suspicion: Suspicion) -> None:
         self._emit(suspicion)
-        self._note(f"after {self._queue.finished} stops: {suspicion.kind}: {suspicion.text}")
+        self._note(f"after {counted(self._queue.finished, 'stop')}: {suspicion.kind}: {suspicion.text}")
 
     @property
     def standard_error_mm(self) -> dict[str, float]:
@@ -186,7 +187,7 @@ class CollectSession:
         self._missed = 0 if rows else self._missed + 1
         if self._missed < MOST_MISSED_IN_A_ROW:
             return
-        text = f"the tracker saw no SMR at {self._missed} stops in a row; check tracker and targets"
+        text = f"the tracker saw no SMR at {counted(self._missed, 'stop')} in a row; check tracker and targets"
         if not self._supervisor.hold(text):
             raise HardwareError(text)
         self._missed = 0
@@ -257,7 +258,7 @@ class CollectSession:
             self._travel.home()  # always from the same side: hysteresis of the joints is no drift
             states = self._travel.to_stop(self._reference_stop())
         except MotionRefused as error:
-            self._note(f"after {self._queue.finished} stops: no reference measurements: {error}")
+            self._note(f"after {counted(self._queue.finished, 'stop')}: no reference measurements: {error}")
             return
         began_s = self._begin(self.cell.clock.now_s())
         self._until_reference = 0  # until it is done: a stop of the cell repeats it

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,14 +104,11 @@ class SmrSearch:
         found = self._search(name, state)
         if isinstance(found, FoundPoint):
             self.found.append(found)
-            self._learn(found)
+            # compute the station again, unless it predicted the point well enough already
+            if found.found_off_m > _KNOWN_M or self._reach_m(found.point.p_M) > _REACH_M[0]:
+                fit = fit_station(self.model, self.points(), self.T_new_old, excess_m=self.excess_m, rough=self._rough)
+                self._so_far = fit.T_new_old, fit.covariance
         return found
-
-    def _learn(self, found: FoundPoint) -> None:
-        """Compute the station again, unless it predicted the point well enough already."""
-        if found.found_off_m > _KNOWN_M or self._reach_m(found.point.p_M) > _REACH_M[0]:
-            fit = fit_station(self.model, self.points(), self.T_new_old, excess_m=self.excess_m, rough=self._rough)
-            self._so_far = fit.T_new_old, fit.covariance
 
     def _reach_m(self, p_M: Vector) -> float:
         """How far from a predicted point (3,) [m] its SMR is searched for."""
@@ -121,7 +119,9 @@ class SmrSearch:
     def _search(self, name: str, state: ArmState) -> FoundPoint | str:
         conditions = self._conditions(name, state)
         others = {other: q for other, q in self.mover.positions().items() if other != name}
-        expected = self._expected(name, state.q, conditions, others)
+        # where the SMR of an arm is predicted from the station so far, (3,) [m]
+        own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
+        expected = np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
         reach_m, problem = self._reach_m(expected), ""
         for offset in lattice(reach_m):
             self.checkpoint()
@@ -135,13 +135,6 @@ class SmrSearch:
             repeats_M = np.array([one.p_M for one in points])
             return FoundPoint(name, state.q, mean_point(points), repeats_M, conditions, off_m, others)
         return f"arm {name}: no SMR within {reach_m * 1e3:.0f} mm of its prediction: {problem}"
-
-    def _expected(
-        self, name: str, q: Vector, conditions: MeasurementConditions, others: Mapping[str, Vector]
-    ) -> Vector:
-        """Where the SMR of an arm is predicted from the station so far, (3,) [m]."""
-        own = ArmPoints(q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
-        return np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
 
     def _conditions(self, name: str, state: ArmState) -> MeasurementConditions:
         """What is known of the arm where it came to rest, one row."""
@@ -214,10 +207,6 @@ def _joined(rows: list[MeasurementConditions]) -> MeasurementConditions:
         known = [np.asarray(value, dtype=np.float64) for value in values if value is not None]
         return np.concatenate(known) if len(known) == len(values) else None
 
-    return MeasurementConditions(
-        approach=joined([row.approach for row in rows]),
-        step=joined([row.step for row in rows]),
-        dwell_s=joined([row.dwell_s for row in rows]),
-        payload_kg=joined([row.payload_kg for row in rows]),
-        joints_c=joined([row.joints_c for row in rows]),
-    )
+    names = ("approach", "step", "dwell_s", "payload_kg", "joints_c")
+    known: dict[str, Any] = {name: joined([getattr(row, name) for row in rows]) for name in names}
+    return MeasurementConditions(**known)

@@ -13,6 +13,7 @@ from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
 from cellapp.cell.planning.stored_stops import read_planned_stops
 from cellapp.cell.run import RunFile
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 
 
@@ -78,7 +79,8 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
     done = run.stops_done()
     if done and not resume:
         raise InputError(
-            f"{run.path}: {len(done)} stops are stored already; continue with --resume, or start a new run"
+            f"{run.path}: {counted(len(done), 'stop is', 'stops are')} stored already; continue with --resume, or"
+            " start a new run"
         )
     total = len(route)
     readings = [run.readings(name) for name in run.arms()]

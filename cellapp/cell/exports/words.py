@@ -8,6 +8,7 @@ from typing import Protocol
 from cellapp.cell.exports.arm_export import POSES
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.exports.records import ExportResult, PositionLoss
+from cellapp.ground.counting import counted
 
 
 class Form(Protocol):
@@ -25,11 +26,11 @@ class Form(Protocol):
 _TOGETHER = "all that is not rigid"
 
 
-def form_line(form: Form) -> str:
-    """The first line of every file."""
+def form_line(form: Form, *, simulated: bool) -> str:
+    """The first line of every file; ``simulated`` is the cell, whose numbers must not pass for a real one's."""
     plugin = all_formats().plugin(form.name)
     writer = "cellapp" if plugin is None else f"{plugin.distribution} {plugin.version}, a plug-in of cellapp"
-    return f"{form.what[0].upper()}{form.what[1:]}, by {writer}."
+    return f"{form.what[0].upper()}{form.what[1:]}, by {writer}{', of a simulated cell' if simulated else ''}."
 
 
 def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | None) -> list[str]:
@@ -47,7 +48,7 @@ def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | No
 
 def export_lines(result: ExportResult) -> list[str]:
     """The files that were written and what they do not hold."""
-    lines = [f"arm {name}: {count} readings" for name, count in (result.readings or {}).items()]
+    lines = [f"arm {name}: {counted(count, 'reading')}" for name, count in (result.readings or {}).items()]
     lines += [f"plan written to {result.plan}"] if result.plan is not None else []
     lines += [f"written to {file}" for file in (result.csv, result.geometry) if file is not None]
     for name, rms_mm in (result.ur_lost_rms_mm or {}).items():
@@ -62,7 +63,7 @@ def export_lines(result: ExportResult) -> list[str]:
         ]
     for name, arm_commands in (result.commands or {}).items():
         refused = f", {arm_commands.refused} left out" if arm_commands.refused else ""
-        lines.append(f"arm {name}: {arm_commands.commands} commands written to {arm_commands.file}{refused}")
+        lines.append(f"arm {name}: {counted(arm_commands.commands, 'command')} written to {arm_commands.file}{refused}")
     return [*lines, *result.notes]
 
 

@@ -95,16 +95,12 @@ def arrange(stops: StopSet, blocks: int, repeats: int, rng: np.random.Generator,
         _PAIR_GOAL,
         _PAIR_WEIGHT * stops.usual_step_s,
     )
-    order = best_order(task, _search_steps(n), rng, cancel)
+    order = best_order(task, max(_LEAST_STEPS, _STEPS_PER_STOP * n), rng, cancel)
     ways = [
         np.stack([members[arm, block, order[arm, block, :size]] for arm in range(len(members))])
         for block, size in enumerate(sizes.tolist())
     ]
     return _with_repeats(stops, _best_blocks(stops, ways, rng), repeats, rng)
-
-
-def _search_steps(stops: int) -> int:
-    return max(_LEAST_STEPS, _STEPS_PER_STOP * stops)
 
 
 def _members(block: NDArray[np.intp], sizes: NDArray[np.intp]) -> NDArray[np.intp]:

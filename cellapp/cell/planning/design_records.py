@@ -7,6 +7,8 @@ from typing import Literal
 
 from cellapp.ground.results import Record, Result
 
+ErrorName = Literal["parameters", "mean", "worst"]
+
 
 class ObservabilityIndices(Record):
     """O1 to O5 of the scaled geometry Jacobian of n stops.
@@ -50,7 +52,7 @@ class ArmDesign(Record):
     rejected: Mapping[str, int]
     designed: PlanQuality
     random: PlanQuality
-    equal_to_random: Mapping[Literal["parameters", "mean", "worst"], float]
+    equal_to_random: Mapping[ErrorName, float]
     by_stops: tuple[PlanQuality, ...]
     largest_gap: tuple[float, ...]
 

@@ -15,6 +15,7 @@ from cellapp.cell.planning.sequence import nearest_turns, sequenced
 from cellapp.cell.planning.within_reach import within_reach
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, sample_spacing
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
@@ -117,8 +118,8 @@ def _in_order(
     reached = 0 if stops is None else len(stops)
     if stops is None or reached < wanted - profile.plan.reserve:
         raise InputError(
-            f"plan: only {reached} of {wanted} stops can be reached; ask for fewer stops, a smaller plan.clearance, or"
-            f" move bases, tracker or obstacles{_first_of(given_up)}"
+            f"plan: only {reached} of {counted(wanted, 'stop')} can be reached; ask for fewer stops, a smaller"
+            f" plan.clearance, or move bases, tracker or obstacles{_first_of(given_up)}"
         )
     return stops, tuple(given_up)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.planning.design_records import ConstraintShare
 from cellapp.cell.planning.joint_draws import joint_ranges
 from cellapp.cell.planning.usable import CEILING, FLOOR, MOUNTED, OWN_BEAM, OWN_BODIES, body_margins
 from cellapp.cell.safety.bodies import place
@@ -58,52 +59,22 @@ _ADVICE: Mapping[str, str] = {
 }
 
 
-@dataclass(frozen=True)
-class Exclusion:
-    """What one constraint excludes of random configurations of an arm.
-
-    Attributes
-    ----------
-    constraint : str
-    alone : float
-        Share of configurations that it excludes, whatever the others do.
-    without : float
-        Share that could be measured if this constraint were not there.
-    extent : str
-        What is there against what is allowed, and by how much the nearest misses.
-    """
-
-    constraint: str
-    alone: float
-    without: float
-    extent: str
-
-    @property
-    def subject(self) -> str:
-        """The constraint and its keys in the profile."""
-        return _SUBJECTS.get(self.constraint, self.constraint)
-
-    @property
-    def advice(self) -> str:
-        """What helps."""
-        return _ADVICE.get(self.constraint, f"move the {self.constraint.removesuffix(' in the beam')} or the tracker")
-
-
 def shortage(cell: CellBodies, profile: Profile, name: str, found: int, drawn: int) -> str:
     """One message: how few configurations of an arm are usable, which constraint excludes most, what helps."""
     asked = f", {profile.plan.stops + profile.plan.reserve} are needed" if found else ""
     first, second = exclusions(cell, profile, name)[:2]
+    subject, next_one = (_SUBJECTS.get(one.constraint, one.constraint) for one in (first, second))
     if first.without > 0.0:
         besides = f"Without it {_percent(first.without)} could be measured."
     else:
-        besides = f"No other constraint decides alone; next, {second.subject} excludes {_percent(second.alone)}."
+        besides = f"No other constraint decides alone; next, {next_one} excludes {_percent(second.alone)}."
     return (
         f"plan: arm {name}: {found or 'none'} of {drawn} random configurations can be measured{asked}. Most are"
-        f" excluded by {first.subject} ({_percent(first.alone)}): {first.extent}. {besides} What helps: {first.advice}"
+        f" excluded by {subject} ({_percent(first.alone)}): {first.extent}. {besides} What helps: {first.advice}"
     )
 
 
-def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[Exclusion, ...]:
+def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[ConstraintShare, ...]:
     """What each constraint excludes; that first without which most configurations could be measured.
 
     Raises
@@ -126,7 +97,15 @@ def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[Exclusion
         fails = ~one.holds
         decisive = fails & (failed == 1)
         extent = _extent(cell.field, one, sight, decisive if decisive.any() else fails)
-        found.append(Exclusion(one.name, float(fails.mean()), float((failed == fails).mean()), extent))
+        found.append(
+            ConstraintShare(
+                constraint=one.name,
+                alone=float(fails.mean()),
+                without=float((failed == fails).mean()),
+                extent=extent,
+                advice=_ADVICE.get(one.name, f"move the {one.name.removesuffix(' in the beam')} or the tracker"),
+            )
+        )
     return tuple(sorted(found, key=lambda one: (one.without, one.alone), reverse=True))
 
 

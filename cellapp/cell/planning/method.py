@@ -10,6 +10,7 @@ from cellapp.cell.planning.planned_stops import PlannedStops, joined_after, stra
 from cellapp.cell.planning.stored_stops import write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore
@@ -58,8 +59,8 @@ def make_stops(
     wanted = profile.plan.stops + profile.plan.reserve
     if kept is not None and add is None and len(kept) >= wanted:
         raise InputError(
-            f"plan: {len(kept)} stops are kept, and plan.stops and plan.reserve ask for {wanted}: nothing is left to"
-            " design; ask for more stops, or keep fewer"
+            f"plan: {counted(len(kept), 'stop is', 'stops are')} kept, and plan.stops and plan.reserve ask for"
+            f" {wanted}: nothing is left to design; ask for more stops, or keep fewer"
         )
     count = wanted - (0 if kept is None else len(kept)) if add is None else add
     if profile.plan.method == "random":

@@ -44,7 +44,7 @@ def repair_order(
     Stops stay in their blocks. ``start`` and ``end`` are where the arms are before and after (None: anywhere).
     """
     ways = _Ways(stops, start, end)
-    for place in _between_blocks(arrangement.block):
+    for place in [0, *(np.flatnonzero(np.diff(arrangement.block)) + 1).tolist(), len(arrangement.block)]:
         while (better := _better(ways, arrangement, place, -_LEAST_GAIN_S)) is not None:
             arrangement = better
     limit = _DETOUR_STEPS * stops.usual_step_s
@@ -60,11 +60,6 @@ def repair_order(
         if not refused:
             break
     return arrangement
-
-
-def _between_blocks(block: NDArray[np.intp]) -> list[int]:
-    """Places of stops to which the way leads from another block, or from or to the end of the plan."""
-    return [0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(block)]
 
 
 def _better(ways: _Ways, now: Arrangement, place: int, limit: float) -> Arrangement | None:

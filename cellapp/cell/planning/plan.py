@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cellapp.cell.planning.candidates import random_configurations
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible, visible_stops
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
@@ -95,8 +96,8 @@ def draw_stops(
         if number == count:
             return found
     raise InputError(
-        f"plan: only {number} of {count} stops were found at which all arms are visible and keep their clearance;"
-        " ask for a smaller plan.clearance, or move bases or tracker"
+        f"plan: only {number} of {counted(count, 'stop was', 'stops were')} found at which all arms are visible and"
+        " keep their clearance; ask for a smaller plan.clearance, or move bases or tracker"
     )
 
 

@@ -12,13 +12,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cellapp.cell.planning.candidates import CandidatePool, random_configurations
-from cellapp.cell.planning.design_records import ArmDesign, ObservabilityIndices, PlanQuality
+from cellapp.cell.planning.design_records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
 from cellapp.cell.planning.information import InformationModel, drawn_conditions, information_model
 from cellapp.cell.planning.workspace import workspace_configurations
 from cellapp.cell.safety.cell_bodies import cell_bodies
@@ -31,8 +31,7 @@ from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 
-ErrorName = Literal["parameters", "mean", "worst"]
-ERROR_NAMES: tuple[ErrorName, ...] = ("parameters", "mean", "worst")
+ERROR_NAMES: tuple[ErrorName, ...] = get_args(ErrorName)
 
 _POINTS = 600
 """Configurations at which predictions are judged: the mean is then known to 2 %."""

@@ -67,7 +67,7 @@ def _select(
     cancel: CancelToken,
 ) -> Rows:
     """Candidates of one arm; ``pools`` are the configurations of all arms."""
-    q, others = pools[name], _others(pools, name)
+    q, others = pools[name], {other: q for other, q in pools.items() if other != name}
     if not count or not len(q):
         return np.arange(0)
     conditions = even_conditions(profile, name, q, others, rng)
@@ -84,7 +84,3 @@ def _select(
     limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
     chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, cancel)
     return most_informative_first(candidates, chosen, criterion)
-
-
-def _others(pools: Mapping[str, Array], name: str) -> dict[str, Array]:
-    return {other: q for other, q in pools.items() if other != name}

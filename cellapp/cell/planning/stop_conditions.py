@@ -70,11 +70,6 @@ def proposed_stops(conditions: Mapping[int, Mapping[str, StopConditions]]) -> fr
     return frozenset(stop for stop, arms in conditions.items() if any(one.proposed for one in arms.values()))
 
 
-def write_stop_conditions(run: RunFile, conditions: Mapping[int, Mapping[str, StopConditions]]) -> None:
-    """Store the conditions of all stops in place of those stored before."""
-    run.write_result(STOP_CONDITIONS_RESULT, stop_conditions_json(conditions))
-
-
 def stop_conditions_json(conditions: Mapping[int, Mapping[str, StopConditions]]) -> str:
     """The document."""
     stored = {stop: {arm: _stored(one) for arm, one in arms.items()} for stop, arms in conditions.items()}

@@ -88,7 +88,16 @@ def write_planned_stops(
     """
     documents = {
         STOP_CONDITIONS_RESULT: stop_conditions_json(conditions_of(stops, proposed)),
-        PLANNED_STOPS_RESULT: _stored(stops).model_dump_json(exclude_defaults=True),
+        PLANNED_STOPS_RESULT: _Stored(
+            legs={
+                stop: tuple({name: tuple(q.tolist()) for name, q in leg.items()} for leg in legs)
+                for stop, legs in enumerate(stops.legs)
+                if legs
+            },
+            block=tuple(stops.block.tolist()),
+            repeat_of={stop: source for stop, source in enumerate(stops.repeat_of.tolist()) if source >= 0},
+            frozen=tuple(np.flatnonzero(stops.frozen).tolist()),
+        ).model_dump_json(exclude_defaults=True),
     }
     if design is not None:
         documents[PLAN_DESIGN_RESULT] = design.to_json()
@@ -113,19 +122,6 @@ def conditions_of(stops: PlannedStops, proposed: Collection[int] = ()) -> dict[i
         if stop in proposed or starts or any(one.dwell_s > 0.0 for one in of_stop.values()):
             found[stop] = of_stop
     return found
-
-
-def _stored(stops: PlannedStops) -> _Stored:
-    return _Stored(
-        legs={
-            stop: tuple({name: tuple(q.tolist()) for name, q in leg.items()} for leg in legs)
-            for stop, legs in enumerate(stops.legs)
-            if legs
-        },
-        block=tuple(stops.block.tolist()),
-        repeat_of={stop: source for stop, source in enumerate(stops.repeat_of.tolist()) if source >= 0},
-        frozen=tuple(np.flatnonzero(stops.frozen).tolist()),
-    )
 
 
 def _with_stored(stops: PlannedStops, stored: _Stored) -> PlannedStops:

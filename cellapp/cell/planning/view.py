@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.design_records import ArmView, ConstraintShare, SeenCell, ViewChange, ViewResult
+from cellapp.cell.planning.design_records import ArmView, SeenCell, ViewChange, ViewResult
 from cellapp.cell.planning.exclusions import exclusions
 from cellapp.cell.planning.joint_draws import draw_joints, joint_ranges
 from cellapp.cell.planning.usable import usable
@@ -92,12 +92,7 @@ def arm_view(cell: CellBodies, profile: Profile, name: str, cancel: CancelToken)
         small_incidence=small,
         facing_at_random=0.5 * (1.0 - math.cos(usable_acceptance(arm.acceptance))),
         lost={constraint: count / drawn for constraint, count in rejected.items()},
-        constraints=tuple(
-            ConstraintShare(
-                constraint=one.constraint, alone=one.alone, without=one.without, extent=one.extent, advice=one.advice
-            )
-            for one in exclusions(cell, profile, name)
-        ),
+        constraints=exclusions(cell, profile, name),
         changes=tuple(_changes(cell, cell.field, name, ranges, cancel)),
         edge_m=cubes.edge,
         cells=tuple(one for one in cubes.cells(reachable, seen) if cell.floor < one.centre_C[2] < cell.ceiling),

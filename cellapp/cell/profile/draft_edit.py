@@ -165,7 +165,7 @@ def _set(document: CommentedMap, path: KeyPath, form: FormField, text: str) -> N
     if not text:
         section.pop(last, None)
         return
-    value = _node(form, text)
+    value = _yaml().load(yaml_value(form.shape, text))
     old = section.get(last)
     if last not in section:
         _add(section, str(last), value)
@@ -189,11 +189,6 @@ def _add(section: CommentedMap, key: str, value: Any) -> None:
     """Add a key before the last one: comments behind the last one belong to what follows the section."""
     block = section.fa.flow_style() is not True
     section.insert(len(section) - 1 if block and len(section) > 1 else len(section), key, value)
-
-
-def _node(form: FormField, text: str) -> Any:
-    """Return a field's text as a node: lists on one line, texts with a unit in double quotes."""
-    return _yaml().load(yaml_value(form.shape, text))
 
 
 def _load(text: str, path: Path) -> CommentedMap:

@@ -18,6 +18,7 @@ from cellapp.cell.profile.draft import (
 from cellapp.cell.profile.draft_check import Checked, check_draft, check_text, wrong_names
 from cellapp.cell.profile.files import path_exists, write_new, write_text
 from cellapp.cell.profile.starters import arm_type_files, copies
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 
 
@@ -110,7 +111,9 @@ def before_saving(opened: OpenProfile, new: NewText, *, changed: bool) -> tuple[
     elif opened.text is not None:
         lines = list(difflib.ndiff(opened.text.splitlines(), new.text.splitlines()))
         added, taken = (sum(line.startswith(mark) for line in lines) for mark in "+-")
-        sentences.append(f"Saving changes {opened.path}: {_lines(taken)} taken out, {_lines(added)} put in.")
+        sentences.append(
+            f"Saving changes {opened.path}: {counted(taken, 'line')} taken out, {counted(added, 'line')} put in."
+        )
     if new.lost_comments:
         sentences.append(f"Comments that go with keys that are no longer there: {'; '.join(new.lost_comments)}.")
     if new.checked.problems:
@@ -154,10 +157,6 @@ def save_new(folder: Path, draft: ProfileDraft, name: str) -> Path:
         raise InputError(f"{opened.path} exists already; nothing was written. Give another name, or move it away")
     save(opened, draft, new)
     return opened.path
-
-
-def _lines(count: int) -> str:
-    return f"{count} line" if count == 1 else f"{count} lines"
 
 
 def _text(path: Path) -> str | None:

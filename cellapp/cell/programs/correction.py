@@ -33,7 +33,7 @@ _MARGIN = np.radians(2.0)
 """A posture [rad] beside the outermost readings is still theirs: what a model adds to its chain varies over tens of
 degrees, and a correction alone may lead a program's posture past the last reading."""
 _TWIN = 1e-6
-"""Solutions that agree to 1 urad in every joint are one."""
+"""Solutions that agree to 1 µrad in every joint are one."""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from cellapp.cell.programs.targets import TargetKind
 from cellapp.ground.results import Record, Result
 
 Numbers = tuple[float, float, float, float, float, float]
@@ -26,7 +27,7 @@ class CorrectedTarget(Record):
     q_new : six numbers or None
         Joint positions that a plain controller computes for ``new`` [rad].
     uncertainty_mm, uncertainty_mrad : float or None
-        Standard uncertainties of a coordinate of the SMR and of the flange's orientation there, by the model; None
+        Standard uncertainties of a coordinate of the TCP and of the flange's orientation there, by the model; None
         where it states none.
     nearest_to : str
         What selected among the solutions of a pose: ``qnear``, a line, or ``home``; empty for joint positions.
@@ -36,7 +37,7 @@ class CorrectedTarget(Record):
 
     line: int
     command: str
-    kind: Literal["pose", "joints"]
+    kind: TargetKind
     old: Numbers
     new: Numbers | None = None
     correction_mm: float | None = None

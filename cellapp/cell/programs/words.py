@@ -10,6 +10,7 @@ from cellapp.cell.programs.correction import moved_by, true_flange
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
 from cellapp.cell.programs.solving import Workplace
 from cellapp.cell.programs.targets import ReadProgram
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.effects.law import DriverVariable
@@ -23,6 +24,13 @@ _UNKNOWN = {
     DriverVariable.OTHER_ARM: "without the other arm's load",
     DriverVariable.DWELL: "after a long rest",
 }
+
+SIZES = (
+    "moves and turns: by how much the pose of the TCP is corrected; sigma: standard uncertainty of a coordinate of the"
+    " corrected TCP by the calibrated model, so that a corrected target is within 2 sigma in each coordinate with 95 %"
+    " probability"
+)
+"""What the numbers of the table are."""
 
 
 def assumptions(
@@ -60,7 +68,7 @@ def correct_lines(result: CorrectResult) -> list[str]:
     """What was written, what was assumed and what was refused."""
     done = sum(not one.reason for one in result.targets)
     refused = result.refused
-    lines = [f"arm {result.arm}: {done} targets corrected, {len(refused)} not"]
+    lines = [SIZES, f"arm {result.arm}: {counted(done, 'target')} corrected, {len(refused)} not"]
     lines += [f"  assumed {line}" for line in result.assumptions]
     lines += [f"{result.program}:{line}: {command}: {reason}" for line, command, reason in refused]
     lines += [

@@ -27,7 +27,7 @@ def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
             if outcome is None:
                 missing.append(MissingReading(stop=stop, arm=name, kind="not tried", reason="the session ended before"))
             else:
-                missing.append(MissingReading(stop=stop, arm=name, kind=outcome.kind, reason=outcome.reason))
+                missing.append(MissingReading.like(outcome))
     return tuple(missing)
 
 

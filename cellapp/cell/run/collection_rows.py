@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.schema import schema_version
+from cellapp.ground.grouping import grouped
 
 SessionEnd = Literal["complete", "accurate enough", "stopped", "aborted", "failed"]
 """How a collecting session ended; "accurate enough": the asked standard errors were reached early."""
@@ -98,9 +99,10 @@ def select_sessions(connection: sqlite3.Connection) -> list[Session]:
     """All sessions, oldest first; none in a file of an older schema."""
     if schema_version(connection) < _SINCE:
         return []
-    requests: dict[int, list[tuple[str, str, str]]] = {}
-    for session, *request in connection.execute("SELECT session, written, kind, reason FROM request ORDER BY rowid"):
-        requests.setdefault(session, []).append((request[0], request[1], request[2]))
+    requests = grouped(
+        (session, (request[0], request[1], request[2]))
+        for session, *request in connection.execute("SELECT session, written, kind, reason FROM request ORDER BY rowid")
+    )
     rows = connection.execute("SELECT number, began, ended, outcome, reason FROM session ORDER BY number")
     return [
         Session(number, began, ended, outcome, reason, tuple(requests.get(number, ())))

@@ -43,6 +43,7 @@ from cellapp.cell.run.readings_table import (
     insert_readings,
     mean_temperatures,
     select_readings,
+    update_splits,
 )
 from cellapp.cell.run.rows import Document, Event, StageRow, insert_document, utc_now
 from cellapp.cell.run.schema import SCHEMA_VERSION, create_tables, read_meta, schema_version, upgrade
@@ -308,15 +309,7 @@ class RunFile:
         self._check_arm(arm)
         check_splits(names)
         with self._transaction() as connection:
-            stops = connection.execute(
-                "SELECT configuration FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
-            ).fetchall()
-            if len(stops) != len(names):
-                raise ValueError(f"{len(names)} splits for the {len(stops)} readings of arm {arm}")
-            connection.executemany(
-                "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
-                ((name, arm, stop) for name, (stop,) in zip(names, stops, strict=True)),
-            )
+            update_splits(connection, arm, names)
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.readings_table import vectors_from_json
+from cellapp.ground.grouping import grouped
 
 Plan = Mapping[str, NDArray[np.float64]]
 """Arm -> q (n, N) [rad]; row k of all arms is stop k."""
@@ -37,9 +38,7 @@ def changed_stops(before: Plan, after: Plan) -> set[int]:
 
 def select_plan(connection: sqlite3.Connection, arms: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """The plan of those of ``arms`` that have one."""
-    texts: dict[str, list[str]] = {}
-    for arm, text in connection.execute("SELECT arm, q FROM plan ORDER BY arm, stop"):
-        texts.setdefault(arm, []).append(text)
+    texts = grouped((arm, text) for arm, text in connection.execute("SELECT arm, q FROM plan ORDER BY arm, stop"))
     return {arm: vectors_from_json(texts[arm]) for arm in arms if arm in texts}
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cellapp.cell.run.schema import schema_version
 from cellapp.estimation.readings.columns import COLUMNS, MEASURED_POINT, SPLITS, Column, Values
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
+from cellapp.ground.counting import counted
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
@@ -92,6 +93,19 @@ def check_splits(words: Sequence[str | None]) -> None:
     for word in words:
         if word is not None and word not in SPLITS:
             raise ValueError(f"'{word}' is not a split; splits are {', '.join(SPLITS)}")
+
+
+def update_splits(connection: sqlite3.Connection, arm: str, names: Sequence[str | None]) -> None:
+    """Store the split of each reading of an arm, in the order of ``select_readings``."""
+    stops = connection.execute(
+        "SELECT configuration FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
+    ).fetchall()
+    if len(stops) != len(names):
+        raise ValueError(f"{len(names)} splits for the {counted(len(stops), 'reading')} of arm {arm}")
+    connection.executemany(
+        "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
+        ((name, arm, stop) for name, (stop,) in zip(names, stops, strict=True)),
+    )
 
 
 def vectors_from_json(texts: Sequence[str]) -> NDArray[np.float64]:

@@ -105,11 +105,11 @@ def _check_obstacles(profile: Profile, cell: CellBodies) -> None:
                     " inside it or touches it, so that every beam would end there; correct one of them"
                 )
     homes = {name: q for name, q in home_positions(profile).items() if q.shape == (cell.arms[name].geometry.joints,)}
-    for standing in obstacle_clearances(cell, homes):
-        if standing.moving < 0.0:
+    for one in obstacle_clearances(cell, homes):
+        if one.moving < 0.0:
             raise InputError(
-                f"profile {profile.name}: obstacles.{standing.obstacle}.pose: arm {standing.arm} at home reaches"
-                f" {-1e3 * standing.moving:.0f} mm into it; correct its pose or size, arms.{standing.arm}.home or .base"
+                f"profile {profile.name}: obstacles.{one.obstacle}.pose: arm {one.arm} at home reaches"
+                f" {-1e3 * one.moving:.0f} mm into it; correct its pose or size, arms.{one.arm}.home or .base"
             )
 
 

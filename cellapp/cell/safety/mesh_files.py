@@ -55,7 +55,7 @@ def _loaded(file: str, scale: float, _changed_ns: int, _bytes: int) -> tuple[Mes
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # else it writes tracebacks of bad files to stderr
     try:
         data = Path(file).read_bytes()
-        if len(data) != _binary_length(data):
+        if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little"):
             data.decode()  # then it must be text
         with np.errstate(invalid="ignore", over="ignore"):  # numbers of bad files are looked at below
             read = trimesh.load_mesh(io.BytesIO(data), file_type="stl")
@@ -78,8 +78,3 @@ def _loaded(file: str, scale: float, _changed_ns: int, _bytes: int) -> tuple[Mes
         )
     centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     return Mesh(vertices - centre, np.asarray(read.faces, dtype=np.int64)), centre
-
-
-def _binary_length(data: bytes) -> int:
-    """Length of a binary STL file by its header: 80 bytes, the number of triangles, 50 bytes for each."""
-    return 84 + 50 * int.from_bytes(data[80:84], "little")

@@ -21,7 +21,7 @@ from cellapp.robot.kinematics.sampled_inverse import sampled_configurations
 from cellapp.robot.kinematics.transforms import Array
 
 _TIE_DECIMALS = 6
-"""Motions that agree to 1 urad are equal: mirrored branches often tie, and rounding errors must not choose."""
+"""Motions that agree to 1 µrad are equal: mirrored branches often tie, and rounding errors must not choose."""
 LARGEST_CORRECTION = 0.2
 """A calibrated solution that is further than this from its nominal one in a joint [rad] was thrown there by a
 singularity: joint zeros are identified to some 0.02 rad, and away from singularities a pose takes no more."""

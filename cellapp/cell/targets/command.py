@@ -113,22 +113,14 @@ def command_record(command: Command) -> TargetCommand:
     """A command as result."""
     target, found = command.target, command.prediction
     judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "cannot say"
-    return TargetCommand(
+    return TargetCommand.like(
+        command,
         **dict(target_record(target, command.arm)),
-        refusal=command.refusal,
         q_nominal=None if command.q_nominal is None else tuple(command.q_nominal.tolist()),
         q_compensated=None if command.q_compensated is None else tuple(command.q_compensated.tolist()),
-        branches=command.branches,
-        visible=command.visible,
-        residual_um=command.residual_um,
-        residual_urad=command.residual_urad,
-        note=command.note,
-        uncertainty_mm=command.uncertainty_mm,
         parts=None if found is None else found.parts,
-        within_mm=None if found is None else found.within_mm,
         unknown=() if found is None else found.unknown,
         approach=command.side,
-        payload_kg=command.payload_kg,
         holds_for="" if command.q_compensated is None else _holds_for(command),
         verdict=judged if found is None else found.verdict,
     )

@@ -27,6 +27,7 @@ from cellapp.cell.targets.sides import sided_commands
 from cellapp.cell.targets.targets import Target
 from cellapp.cell.targets.working_conditions import beside, conditions_payload, stated_conditions
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.branches import all_branches
@@ -67,9 +68,7 @@ def compensate(
     _check_arms(profile, model)
     cell, homes = cell_bodies(profile, model), home_positions(profile)
     commands: dict[tuple[int, str], Command] = {}
-    groups: dict[tuple[str, ...], list[int]] = {}
-    for number, target in enumerate(targets):
-        groups.setdefault(target.arms, []).append(number)
+    groups = grouped((target.arms, number) for number, target in enumerate(targets))
     for names, numbers in groups.items():
         of_group = _Group.of(profile, model, cell, homes, names, [targets[number] for number in numbers], ranges or {})
         for name, of_arm in _commands(of_group).items():

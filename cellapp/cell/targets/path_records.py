@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from cellapp.estimation.uncertainty.records import ToleranceVerdict
-from cellapp.ground.results import ErrorSummary, Record, Result
+from cellapp.ground.results import DecisionRule, ErrorSummary, Record, Result
 
 PathSource = Literal["", "moving", "at rest"]
 
@@ -74,7 +74,7 @@ class DrivenPath(Record):
     lag: PathLag | None = None
     rehearsed: bool = False
     expanded_mm: float | None = None
-    rule: Literal["guarded", "simple"] = "simple"
+    rule: DecisionRule = "simple"
     verdict: ToleranceVerdict = ""
     judged: PathSource = ""
     note: str = ""

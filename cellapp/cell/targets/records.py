@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
-from cellapp.ground.results import ErrorSummary, Record, Result
+from cellapp.ground.results import DecisionRule, ErrorSummary, Record, Result
 
 _MOST_NAMED = 5
 """Targets that a complaint names; further ones are counted."""
@@ -210,7 +210,7 @@ class VerifyResult(Result):
     pairs: tuple[MeasuredPair, ...] = ()
     cooperative: ArmVerification | None = None
     stopped: str = ""
-    rule: Literal["guarded", "simple"] = "simple"
+    rule: DecisionRule = "simple"
     not_given: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

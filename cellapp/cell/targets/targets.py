@@ -296,16 +296,7 @@ def same_target(target: Target, stored: TargetRecord) -> bool:
 
 def target_record(target: Target, arm: str) -> TargetRecord:
     """What a result about one arm's part in a target keeps of the target."""
-    return TargetRecord(
-        name=target.name,
-        arm=arm,
-        position=target.position,
-        rpy=target.rpy,
-        tolerance_mm=target.tolerance_mm,
-        frame=target.frame,
-        partner=partner_of(target, arm),
-        definition=definition(target),
-    )
+    return TargetRecord.like(target, arm=arm, partner=partner_of(target, arm), definition=definition(target))
 
 
 def partner_of(target: Target, arm: str) -> str:

@@ -87,7 +87,7 @@ class Sides:
         """
         sided = np.any(signs != 0.0, axis=1)
         taken = 2.0 * signs[:, :, None] * self.vectors  # from where a joint comes to where it would come from
-        away = np.einsum("sj,njc->nsc", _subsets(taken.shape[1]), taken)
+        away = np.einsum("sj,njc->nsc", np.array(list(product((0.0, 1.0), repeat=taken.shape[1]))), taken)
         largest = np.linalg.norm(away, axis=2).max(axis=1)
         covariance = np.where(sided[:, None, None], 0.0, _second_moment(self.vectors))
         return OneUnknown("approach", self.effects, np.where(sided, largest, _largest_sum(self.vectors)), covariance)
@@ -272,11 +272,6 @@ def _largest_sum(vectors: Array) -> Array:
     """Largest length (n,) of the sum of vectors (n, N, 3), each with either sign."""
     signs = np.array([(1.0, *rest) for rest in product((1.0, -1.0), repeat=vectors.shape[1] - 1)])
     return np.asarray(np.linalg.norm(np.einsum("sj,njc->nsc", signs, vectors), axis=2).max(axis=1))
-
-
-def _subsets(joints: int) -> Array:
-    """All choices of some of the joints (2^N, N), as zeros and ones."""
-    return np.array(list(product((0.0, 1.0), repeat=joints)))
 
 
 def _second_moment(vectors: Array) -> Array:

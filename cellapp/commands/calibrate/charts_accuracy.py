@@ -30,6 +30,7 @@ from cellapp.commands.view.charts import (
 )
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, PairHeldOut
+from cellapp.ground.counting import counted
 from cellapp.ground.results import STAGES, Method
 from cellapp.robot.kinematics.transforms import Array
 
@@ -155,7 +156,9 @@ def _stop_errors(
     first, last = next(iter(errors_mm)), list(errors_mm)[-1]
     before, after = errors_mm[first], errors_mm[last]
     worst = int(np.argmax(after))
-    message = f"The largest of {len(stops)} errors is {mm(float(after[worst]))} ({words[last]}), at {stops[worst]}"
+    message = (
+        f"The largest of {counted(len(stops), 'error')} is {mm(float(after[worst]))} ({words[last]}), at {stops[worst]}"
+    )
     if last != first:
         message += f"; it was {mm(float(before.max()))} ({words[first]})"
     return Chart(title, x, y, drawn, f"{message}.", noise_limit(floor_mm), by_stage=True)

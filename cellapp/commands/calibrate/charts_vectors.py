@@ -9,6 +9,7 @@ import numpy as np
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.view.camera import evenly_spread
 from cellapp.commands.view.charts import SMALLEST_MM, STAGE_STYLES, Array, Axis, Chart, mm, series
+from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import apply, invert
 
@@ -23,20 +24,17 @@ _OTHER_STYLE = 5
 
 
 def vector_charts(name: str, held_out: HeldOutArm) -> Iterator[Chart]:
-    """Residuals of the identified geometry of one arm, in the tracker frame and in its base frame."""
+    """Residuals of the identified geometry of one arm: from above in the tracker frame, two views in its base frame."""
     readings, geometry = held_out.readings, held_out.calibrated.geometry
     shown = readings.take(evenly_spread(len(readings), _MOST_ARROWS))
     residual_M = shown.p_M - smr_positions(geometry, shown.q)
     T_B_M = invert(geometry.T_M_B())
     stops = shown.configuration.tolist()
-    in_frames = {
-        "the tracker frame": (shown.p_M, residual_M),
-        "its base frame": (apply(T_B_M, shown.p_M), residual_M @ T_B_M[:3, :3].T),
-    }
-    for frame, (points, vectors) in in_frames.items():
-        for up, view in ((1, "from above"), (2, "from the side")):
-            title = f"Arm {name}: residuals of the geometry in {frame}, {view}"
-            yield vector_chart(title, stops, points, vectors, up)
+    title = f"Arm {name}: residuals of the geometry in"
+    yield vector_chart(f"{title} the tracker frame, from above", stops, shown.p_M, residual_M, 1)
+    points_B, residual_B = apply(T_B_M, shown.p_M), residual_M @ T_B_M[:3, :3].T
+    yield vector_chart(f"{title} its base frame, from above", stops, points_B, residual_B, 1)
+    yield vector_chart(f"{title} its base frame, from the side", stops, points_B, residual_B, 2)
 
 
 def vector_chart(title: str, stops: list[int], points: Array, vectors: Array, up: int) -> Chart:
@@ -68,7 +66,8 @@ def _message(points: Array, vectors: Array) -> str:
     x, y, z = points[worst]
     direction = "they point in all directions" if common < 0.5 * float(lengths.mean()) else "most point the same way"
     return (
-        f"Residuals at {len(vectors)} held-out stops are {mm(float(lengths.mean()))} long on average, the longest"
+        f"Residuals at {counted(len(vectors), 'held-out stop')} are"
+        f" {mm(float(lengths.mean()))} long on average, the longest"
         f" {mm(float(lengths[worst]))} at ({x:.2f}, {y:.2f}, {z:.2f}) m; {direction} (mean vector {mm(common)})."
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from cellapp.estimation.calibration.records import ArmPriorResult, CalibrateResu
 from cellapp.estimation.prior.belief import Belief
 from cellapp.estimation.prior.earlier import Earlier, believed
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import CALIBRATE
+from cellapp.ground.results import CALIBRATE, ModelStage
 from cellapp.ground.times import day_of
 from cellapp.robot.model.nominal import nominal_arm
 
@@ -100,7 +100,7 @@ def _earlier(run: RunFile, stage: StoredStage, name: str, notes: tuple[str, ...]
     return Earlier(
         belief=belief,
         run=run.folder.resolve(),
-        stage=cast(Literal["calibrate", "discover"], stage.name),
+        stage=cast(ModelStage, stage.name),
         digest=earlier_digest(run, name),
         since=day_of(run.created or stage.written),
         readings=count,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.commands.view.words import display_unit
 from cellapp.estimation.calibration.records import ArmPriorResult, CalibrateResult, PartDrift
+from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS
 
 
@@ -28,7 +29,7 @@ def prior_sentences(result: CalibrateResult) -> list[str]:
         effects = ", ".join(EFFECTS[slug].title for slug in prior.effects if slug in EFFECTS)
         left = ", ".join(EFFECTS[slug].title for slug in prior.left_behind if slug in EFFECTS)
         said.append(
-            f"arm {name}: {prior.run} ({prior.since}, {prior.readings} readings) is the prior; carried over:"
+            f"arm {name}: {prior.run} ({prior.since}, {counted(prior.readings, 'reading')}) is the prior; carried over:"
             f" geometry{f', {effects}' if effects else ''}"
             + (f"; of the earlier installation, not carried over: {left}" if left else "")
         )
@@ -56,7 +57,7 @@ def _drift(one: PartDrift) -> tuple[Cell, Cell]:
     if one.drift is None:
         return None, ""
     if one.unit == "m, rad":
-        return one.drift * 1e6, "um, urad"
+        return one.drift * 1e6, "µm, µrad"
     return one.drift * 100.0, f"% {one.unit}"
 
 

@@ -39,21 +39,17 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
     """Calibration of one arm."""
     found = arm.identification
     estimates = zip(found.names, found.values.tolist(), found.standard_errors.tolist(), found.units, strict=True)
-    return ArmCalibrationResult(
+    return ArmCalibrationResult.like(
+        found,
         identified={
             name: Estimate(value=value, standard_error=error, unit=unit) for name, value, error, unit in estimates
         },
         rank=len(found.parameter_set.columns),
         parameter_set=found.parameter_set.name,
         merged=found.parameter_set.merged,
-        iterations=found.iterations,
-        converged=found.converged,
-        message=found.message,
         condition=found.condition if math.isfinite(found.condition) else None,
-        observability=found.observability,
         scatter=Scatter(value=found.scale, meaning=_SCATTER),
         excess_mm=arm.excess_m * 1e3,
-        degrees_of_freedom=found.degrees_of_freedom,
         splits=arm.counts,
         tracker_mm=arm.tracker_mm,
         repeatability_mm=arm.repeatability,

@@ -9,8 +9,9 @@ from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column
-from cellapp.commands.view.words import geometry_unit
+from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult
+from cellapp.ground.counting import counted
 from cellapp.ground.results import METHODS, STAGES, ErrorSummary
 
 MM = ".4f"
@@ -49,7 +50,9 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
         tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *ERROR_COLUMNS), tuple(rows)))
     if result.pair:
         rows = [
-            (method, *error_cells(result.pair[method].cooperative_mm)) for method in METHODS if method in result.pair
+            (METHOD_WORDS[method], *error_cells(result.pair[method].cooperative_mm))
+            for method in METHODS
+            if method in result.pair
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *ERROR_COLUMNS), tuple(rows)))
     return [*tables, *gauge_tables(result), *prior_tables(result)]
@@ -84,7 +87,9 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
     if result.pair:
         noise = cooperative_noise_mm(result)
         summaries = {method: result.pair[method].cooperative_mm for method in METHODS if method in result.pair}
-        rows = [(method, *_detailed_cells(errors), _ratio(errors, noise)) for method, errors in summaries.items()]
+        rows = [
+            (METHOD_WORDS[key], *_detailed_cells(errors), _ratio(errors, noise)) for key, errors in summaries.items()
+        ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
     return [*tables, *gauge_tables(result), *prior_tables(result)]
 
@@ -92,7 +97,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
 def transform_tables(result: CalibrateResult) -> list[Table]:
     """Cooperative errors with either inter-base transform on the same held-out stops; empty without a pair."""
     rows = [
-        (f"{method}, by {_TRANSFORMS[transform]}", *_detailed_cells(summary))
+        (f"{METHOD_WORDS[method]}, by {_TRANSFORMS[transform]}", *_detailed_cells(summary))
         for method in METHODS
         if method in result.pair
         for transform, summary in result.pair[method].by_transform_mm.items()
@@ -167,7 +172,9 @@ def cooperative_noise_mm(result: CalibrateResult) -> float | None:
 
 
 def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
-    return f"Arm {name}: held-out errors [mm] ({arm.rank} parameters, {arm.iterations} iterations)"
+    return (
+        f"Arm {name}: held-out errors [mm] ({counted(arm.rank, 'parameter')}, {counted(arm.iterations, 'iteration')})"
+    )
 
 
 def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSummary]]:

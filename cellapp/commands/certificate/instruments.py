@@ -39,13 +39,11 @@ def used_instruments(profile: Profile, measured: Sequence[str]) -> tuple[Certifi
         *stated.instruments.items(),
     ]
     return tuple(
-        CertifiedInstrument(
+        CertifiedInstrument.like(
+            one,
             role=role,
-            model=one.model,
-            serial=one.serial,
             calibrated="" if one.calibrated is None else one.calibrated.isoformat(),
             due="" if one.due is None else one.due.isoformat(),
-            certificate=one.certificate,
             note=_note(one, days),
         )
         for role, one in listed

@@ -10,6 +10,7 @@ from cellapp.estimation.iso9283.norm import ISO_COMMANDS, NORM_CYCLES, NORM_DRIF
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PairIso9283
 from cellapp.estimation.uncertainty.decision import conformity
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.ground.counting import counted
 from cellapp.ground.profile.acceptance import Tolerances
 
 
@@ -75,7 +76,7 @@ def _judged(
 
 
 def _source(worst: _Found, kind: IsoCommands, n: int, norm: int, *, enough: bool) -> str:
-    cycles = f"{n} cycles" if n >= norm else f"{n} of {norm} cycles"
+    cycles = counted(n, "cycle") if n >= norm else f"{n} of {counted(norm, 'cycle')}"
     short = "" if enough else ", too few to judge"
     return f"ISO 9283, {worst.at}, {kind} commands, {cycles}{short}"
 

@@ -26,6 +26,8 @@ from cellapp.estimation.uncertainty.budget import distance_budget, expanded_mm, 
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.decision import conformity
 from cellapp.estimation.uncertainty.records import Characteristic, Judgement, UncertaintyContribution
+from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Tolerances
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName
@@ -101,7 +103,7 @@ def _distance(results: StageResults, arm: str, budget: Budget) -> _Measured:
     if verify is None or not len(errors):
         return _Measured("distance", arm, (), _unverified(results, "distance", _held_out(results, arm, "distance_mm")))
     points = sum(one.measured_M is not None for one in targets)
-    source = f"{_verified(verify, points, len(targets), 'targets')}, {len(errors)} distances between them"
+    source = f"{_verified(verify, points, len(targets), 'targets')}, {counted(len(errors), 'distance')} between them"
     return _Measured("distance", arm, errors, source, distance_budget(budget))
 
 
@@ -109,10 +111,7 @@ def _cooperative(tolerances: Tolerances, results: StageResults, budgets: Mapping
     """Every pair of arms that has verified cooperative targets; the only two arms of a cell also without."""
     verify = held_verification(results)
     pairs = () if verify is None else verify.pairs
-    found: dict[tuple[str, str], list[float]] = {}
-    for pair in pairs:
-        if pair.final_mm is not None:
-            found.setdefault(pair.arms, []).append(pair.final_mm)
+    found = grouped((pair.arms, pair.final_mm) for pair in pairs if pair.final_mm is not None)
     if verify is not None and found:
         return [
             _Measured(

@@ -8,7 +8,8 @@ from typing import Annotated
 from pydantic import SecretStr
 
 from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Stored, Verb, Writes
+from cellapp.commands.record import Asked, Request, Stored, Verb
+from cellapp.ground.outputs import Writes
 
 
 class CertificateRequest(Request):

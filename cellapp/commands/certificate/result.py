@@ -122,6 +122,10 @@ class CertifiedData(Record):
     data_file: str | None = None
 
 
+SIMULATED = "simulated cell"
+"""How the warning begins that says so: it must not pass for a real one."""
+
+
 class CertificateResult(Result):
     """``certificate``: what was found and left, measured with what, judged how.
 
@@ -186,6 +190,11 @@ class CertificateResult(Result):
     documents: Mapping[str, str] = {}
     key_id: str = ""
     omitted_when_none = frozenset({"iso9283"})
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether nothing real was measured."""
+        return any(one.startswith(SIMULATED) for one in self.warnings)
 
     @property
     def signed(self) -> bool:

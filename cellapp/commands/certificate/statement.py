@@ -10,6 +10,7 @@ from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.certificate.instruments import missing_data, used_instruments
 from cellapp.commands.certificate.judgements import held_verification, judge_run
 from cellapp.commands.certificate.result import (
+    SIMULATED,
     CertificateResult,
     CertifiedArm,
     CertifiedCharacteristic,
@@ -24,6 +25,7 @@ from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import expanded_mm, position_budget
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.records import Characteristic
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, CERTIFICATE, COMPENSATE, ISO9283, VERIFY
 
@@ -80,13 +82,9 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
     }
     arms = {arm: _arm(given, arm, expanded_mm(budget)) for arm, budget in budgets.items()}
     lines = [one.model_copy(update={"where": arm}) for arm, budget in budgets.items() for one in budget]
-    return CertificateResult(
-        number=given.number,
-        run=given.run,
+    return CertificateResult.like(
+        given,
         profile=profile.name,
-        issued=given.issued,
-        measured=given.measured,
-        program=given.program,
         organisation=stated.organisation,
         location=stated.location,
         operator=stated.operator,
@@ -105,14 +103,11 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
         limits=tuple(_limits(results, held_verification(results))),
         missing=missing_data(profile, instruments, arms, given.conditions, given.measured, lines),
         warnings=(
-            *_simulated(profile),
+            *([f"{SIMULATED}: no real arm and no real tracker was measured"] if profile.is_simulated else []),
             *_unverified(profile, results),
             *(f"{one.role}: {one.note}" for one in instruments if one.note),
         ),
         out_of_date=tuple(f"{name}: {why}" for name, why in results.out_of_date.items() if name != CERTIFICATE),
-        data=given.data,
-        files=given.files,
-        key_id=given.key_id,
     )
 
 
@@ -123,20 +118,16 @@ def _arm(given: CertificateInput, arm: str, expanded: float | None) -> Certified
     stated = given.profile.traceability.arms.get(arm)
     controller = given.controllers.get(arm, Controller())
     conditions = given.conditions.get(arm, MeasuredConditions(readings=0))
-    return CertifiedArm(
+    return CertifiedArm.like(
+        conditions,
         type=given.profile.arms[arm].type.model,
         serial="" if stated is None else stated.serial,
         asset="" if stated is None else stated.asset,
         controller_model=controller.model,
         controller_serial=controller.serial,
         controller_software=controller.software,
-        readings=conditions.readings,
         errors=_errors(given.results, arm),
         expanded_mm=expanded,
-        payload_kg=conditions.payload_kg,
-        air_c=conditions.air_c,
-        joints_c=conditions.joints_c,
-        distance_m=conditions.distance_m,
     )
 
 
@@ -190,14 +181,7 @@ def _tests(results: StageResults) -> CertifiedTests | None:
         return None
     return CertifiedTests(
         characteristics=tuple(
-            CertifiedCharacteristic(
-                where=name,
-                characteristic=characteristic,
-                commands=kind,
-                value_mm=largest.value_mm,
-                expanded_mm=largest.expanded_mm,
-                n=largest.n,
-            )
+            CertifiedCharacteristic.like(largest, where=name, characteristic=characteristic, commands=kind)
             for name, arm in tested.arms.items()
             for kind, made in arm.tests.items()
             for characteristic, largest in _largest(made).items()
@@ -231,12 +215,6 @@ def _calibration(results: StageResults) -> CalibrateResult | None:
 # -- words ------------------------------------------------------------------------------------------------------------
 
 
-def _simulated(profile: Profile) -> list[str]:
-    """A simulated cell must not pass for a real one."""
-    kinds = {arm.driver.kind for arm in profile.arms.values()} | {profile.tracker.driver.kind}
-    return ["simulated cell: no real arm and no real tracker was measured"] if "simulated" in kinds else []
-
-
 def _unverified(profile: Profile, results: StageResults) -> list[str]:
     if VERIFY in results.out_of_date:
         why = results.out_of_date[VERIFY]
@@ -263,7 +241,10 @@ def _limits(results: StageResults, verify: VerifyResult | None) -> list[str]:
         sentences += _not_measured(arm, [target.name for target in own if target.final_mm is None], len(own))
         corrected = sum(target.corrected_mm is not None for target in own)
         if corrected:
-            sentences.append(f"Arm {arm}: {corrected} of {len(own)} targets were corrected by measuring them.")
+            sentences.append(
+                f"Arm {arm}: {corrected} of {counted(len(own), 'target was', 'targets were')} corrected by"
+                " measuring them."
+            )
         sentences += _conditions(results, arm)
     return sentences
 
@@ -272,7 +253,10 @@ def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
     if not names:
         return []
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return [f"Arm {arm}: {len(names)} of {count} targets were not measured: {', '.join(names[:_MOST_NAMED])}{more}."]
+    return [
+        f"Arm {arm}: {len(names)} of {counted(count, 'target was', 'targets were')} not measured:"
+        f" {', '.join(names[:_MOST_NAMED])}{more}."
+    ]
 
 
 def _conditions(results: StageResults, arm: str) -> list[str]:

@@ -24,6 +24,7 @@ from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import ErrorSummary
 
 NOT_GIVEN = "not given"
@@ -43,8 +44,11 @@ def view(result: CertificateResult, request: CertificateRequest | None = None) -
     """What is certified, where it was written, and with ``strict`` what does not confirm conformity."""
     written = [] if request is None else [f"written: {request.out or request.folder}"]
     strict = request is not None and request.strict
+    doubts = "; it does not confirm conformity" if result.complaints() else ""
     return View(
-        (*certificate_tables(result), *certificate_sentences(result), *written), result.complaints() if strict else ()
+        (*certificate_tables(result), *certificate_sentences(result), *written),
+        result.complaints() if strict else (),
+        held=f"certificate {result.number} was written{doubts}",
     )
 
 
@@ -176,9 +180,7 @@ def iso_sentence(tests: CertifiedTests) -> str:
 
 def budget_table(result: CertificateResult) -> Table:
     """Standard uncertainties of a position error by arm [mm], combined and expanded by the GUM."""
-    by_arm: dict[str, list[UncertaintyContribution]] = {}
-    for one in result.contributions:
-        by_arm.setdefault(one.where, []).append(one)
+    by_arm = grouped((one.where, one) for one in result.contributions)
     sources = dict.fromkeys(one.source for one in result.contributions)
     rows: list[tuple[Cell, ...]] = [_budget_row(source, by_arm) for source in sources]
     combined = {arm: combined_mm(lines) for arm, lines in by_arm.items()}

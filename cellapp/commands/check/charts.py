@@ -6,6 +6,7 @@ import numpy as np
 
 from cellapp.commands.view.charts import Axis, Chart, Limit, mm, series
 from cellapp.estimation.monitoring.check.records import CheckResult
+from cellapp.ground.counting import counted
 
 _STOP = Axis("stop")
 _CHANGE, _NONE = 3, 1
@@ -63,4 +64,6 @@ def _evidence_message(result: CheckResult) -> str:
             ("of no visible change", last.log_valid, result.sure_valid),
         )
     ]
-    return f"Evidence after {len(result.stops)} stops: {', '.join(words)}; the verdict is '{result.verdict}'."
+    return (
+        f"Evidence after {counted(len(result.stops), 'stop')}: {', '.join(words)}; the verdict is '{result.verdict}'."
+    )

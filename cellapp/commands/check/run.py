@@ -211,24 +211,16 @@ def _stops(profile: Profile, checked: _Checked, count: int) -> list[dict[str, Ar
 
 def _result(run: RunFile, checked: _Checked, planned: int, driven: DrivenCheck, found: Conclusion) -> CheckResult:
     verdict = _verdict(run.profile, checked, driven, found)
-    return CheckResult(
+    return CheckResult.like(
+        found,
         verdict=verdict,
         model=checked.used.name,
         planned=planned,
-        sure_after=found.sure_after,
-        p_value=found.p_value,
         false_alarm=FALSE_ALARM,
         miss=MISS,
         sure_change=-math.log(SPENT_EARLY * FALSE_ALARM),
         sure_valid=-math.log(SPENT_EARLY * MISS),
-        arms=found.arms,
-        changes=found.changes,
-        weak=tuple(
-            WeakChange(arm=one.arm, what=one.what, moved_mm=one.moved_mm, detected=one.detected, unit=one.unit)
-            for one in found.weak
-        ),
-        station_shift_mm=found.station_shift_mm,
-        station_turn_deg=found.station_turn_deg,
+        weak=tuple(map(WeakChange.like, found.weak)),
         T_new_old=None if found.T_new_old is None else rows_of(found.T_new_old),
         moved_bases={name: rows_of(T) for name, T in found.moved_bases.items()},
         smr_offsets_F={name: xyz_of(offset) for name, offset in found.smr_offsets_F.items()},
@@ -255,8 +247,8 @@ def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: Co
 def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
     points = points_of(list(stop.found.values()))
     expected = predicted_points(model, points)
-    standing = stop.standing
-    return CheckedStop(
+    return CheckedStop.like(
+        stop.state,
         points={
             name: CheckedPoint(
                 q=tuple(own.q[0].tolist()),
@@ -265,9 +257,6 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
             )
             for name, own in points.items()
         },
-        log_evidence=standing.log_evidence,
-        log_valid=standing.log_valid,
-        p_value=standing.p_value,
         time_s=stop.time_s,
     )
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from cellapp.commands.check.charts import check_charts
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
+from cellapp.commands.view.parts import Part
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.monitoring.check.records import TRACKER, CheckResult, FoundChange, WeakChange
+from cellapp.ground.counting import counted
 
 _VERDICTS = {
     "valid": "the calibration still holds",
@@ -24,9 +27,10 @@ _LEAST_CHANCE = 1e-12
 
 
 def view(result: CheckResult, request: CheckRequest | None = None) -> View:
-    """What was measured, the verdict, and why the calibration does not hold."""
+    """What was measured, the verdict, the evidence, and why the calibration does not hold."""
     strict = request is not None and request.strict
-    return View((*check_tables(result), *check_sentences(result)), result.complaints(strict=strict))
+    parts: tuple[Part, ...] = (*check_tables(result), *check_sentences(result), *check_charts(result))
+    return View(parts, result.complaints(strict=strict), held="the calibration holds")
 
 
 def check_tables(result: CheckResult) -> list[Table]:
@@ -41,7 +45,12 @@ def check_sentences(result: CheckResult) -> list[str]:
         evidence_sentence(result),
         *_station_sentences(result),
         *(change_sentence(one) for one in result.changes),
-        *_left_sentences(result),
+        *[
+            f"arm {name}: predictions of the stored model are off by {arm.left_mm:.3f} mm rms over the calibration's"
+            " readings, without the noise of measuring"
+            for name, arm in result.arms.items()
+            if arm.left_mm is not None
+        ],
         *(["the hidden physics of another profile was simulated for this check"] if result.simulated else []),
         *([f"next: {result.next_step}"] if result.next_step else []),
         *result.notes,
@@ -53,7 +62,10 @@ def verdict_sentence(result: CheckResult) -> str:
     took = "" if result.seconds is None else f" in {result.seconds:.0f} s"
     what = ", ".join(one.words for one in result.changes if one.words != TRACKER)
     found = f" ({what})" if what else ""
-    return f"{_VERDICTS[result.verdict]}{found}: {len(result.stops)} of {result.planned} stops were measured{took}"
+    return (
+        f"{_VERDICTS[result.verdict]}{found}: {len(result.stops)} of"
+        f" {counted(result.planned, 'stop was', 'stops were')} measured{took}"
+    )
 
 
 def evidence_sentence(result: CheckResult) -> str:
@@ -102,15 +114,6 @@ def _station_sentences(result: CheckResult) -> list[str]:
     if result.verdict != "tracker moved" or result.station_shift_mm is None or result.station_turn_deg is None:
         return []
     return [f"it stands {result.station_shift_mm:.3f} mm and {result.station_turn_deg:.4f} deg from where it was"]
-
-
-def _left_sentences(result: CheckResult) -> list[str]:
-    return [
-        f"arm {name}: predictions of the stored model are off by {arm.left_mm:.3f} mm rms over the calibration's"
-        " readings, without the noise of measuring"
-        for name, arm in result.arms.items()
-        if arm.left_mm is not None
-    ]
 
 
 def _arm_table(result: CheckResult) -> Table:

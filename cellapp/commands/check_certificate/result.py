@@ -10,6 +10,9 @@ from cellapp.ground.results import Result
 DocumentState = Literal["as certified", "changed", "not here"]
 
 
+SignatureState = Literal["valid", "wrong", "missing", "other key", "not checked"]
+
+
 class CertificateCheckResult(Result):
     """``check-certificate``: whether signature and data are those that were signed; ``problems`` is empty if so.
 
@@ -22,7 +25,7 @@ class CertificateCheckResult(Result):
     version: Literal[1] = 1
     certificate: str
     number: str = ""
-    signature: Literal["valid", "wrong", "missing", "other key", "not checked"]
+    signature: SignatureState
     key_id: str = ""
     comment: str = ""
     documents: Mapping[str, DocumentState] = {}

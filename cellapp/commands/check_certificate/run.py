@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from cellapp.cell.profile.files import path_exists
 from cellapp.cell.run import RunFile
@@ -24,7 +23,7 @@ from cellapp.commands.certificate.run import (
     issued,
 )
 from cellapp.commands.check_certificate.request import CheckCertificateRequest
-from cellapp.commands.check_certificate.result import CertificateCheckResult, DocumentState
+from cellapp.commands.check_certificate.result import CertificateCheckResult, DocumentState, SignatureState
 from cellapp.commands.out_of_date import CERTIFICATE_FILE
 from cellapp.commands.record import Work
 from cellapp.commands.sign_key.keys import load_public_key
@@ -89,7 +88,7 @@ def check_certificate(
 class _Checked:
     """What the signature file says of the certificate; ``problem`` is empty if it holds."""
 
-    state: Literal["valid", "wrong", "missing", "other key", "not checked"]
+    state: SignatureState
     key_id: str = ""
     comment: str = ""
     problem: str = ""

@@ -11,7 +11,7 @@ def view(result: CertificateCheckResult, request: CheckCertificateRequest | None
     """What of a certificate holds, and every problem."""
     file = result.certificate if request is None else request.file
     failed = f"{file} does not hold: {'; '.join(result.problems)}"
-    return View(check_sentences(result), [failed] if result.problems else ())
+    return View(check_sentences(result), [failed] if result.problems else (), held=f"signature {result.signature}")
 
 
 def check_sentences(result: CertificateCheckResult) -> list[str]:

@@ -7,20 +7,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series, styles
+from cellapp.ground.grouping import grouped
 from cellapp.ground.progress import ReferenceReport, StopReport
 
-NO_READINGS = "No readings yet: collect first."
+NO_READINGS = "No stop was reported."
 NO_REFERENCES = "No reference was measured yet."
 _STOP = Axis("stop")
 
 
-def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = ()) -> Chart:
+def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:
     """Residual of each stop from the model that was refitted with it, by arm.
 
-    ``arms`` fixes the order of the arms, and with it their colours and marks, before all have reported.
+    ``arms`` fixes the order of the arms, and with it their colours and marks, before all have reported;
+    ``nothing`` is said where there is no report.
     """
     by_arm = _by_arm(reports, arms)
-    message = NO_READINGS
+    message = nothing
     if reports:
         latest = [
             f"{name} {mm(rows[-1].residual_mm)} at stop {rows[-1].stop + 1}"
@@ -33,10 +35,10 @@ def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = ())
     return Chart("Residual of each stop", _STOP, Axis("residual", "mm"), drawn, message)
 
 
-def standard_error_chart(reports: Sequence[StopReport], arms: Sequence[str] = ()) -> Chart:
-    """Standard error of a predicted SMR position over the stops, by arm; ``arms`` as in ``live_residual_chart``."""
+def standard_error_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:
+    """Standard error of a predicted SMR position over the stops, by arm; ``arms`` and ``nothing`` as above."""
     by_arm = _by_arm(reports, arms)
-    message = NO_READINGS
+    message = nothing
     if reports:
         changes = [
             f"{name} {mm(rows[-1].standard_error_mm)} (at stop {rows[0].stop + 1}: {mm(rows[0].standard_error_mm)})"
@@ -69,10 +71,7 @@ def _arm_series(
 
 def drift_by_reference(references: Iterable[ReferenceDrift]) -> dict[str, list[tuple[int, float]]]:
     """Stops done and drift [mm] of each reference, in the order of measurement."""
-    drift_mm: dict[str, list[tuple[int, float]]] = {}
-    for row in references:
-        drift_mm.setdefault(row.name, []).append((row.stops_done, row.drift_mm))
-    return drift_mm
+    return grouped((row.name, (row.stops_done, row.drift_mm)) for row in references)
 
 
 def drift_chart(references: Iterable[ReferenceDrift], limit_mm: float) -> Chart:
@@ -82,10 +81,11 @@ def drift_chart(references: Iterable[ReferenceDrift], limit_mm: float) -> Chart:
 
 def live_drift_chart(reports: Sequence[ReferenceReport]) -> Chart:
     """The same from the events of a running collection, which count reference measurements from 1."""
-    drift_mm: dict[str, list[tuple[int, float]]] = {}
-    for number, report in enumerate(reports, start=1):
-        for name, drift in report.drift_mm.items():
-            drift_mm.setdefault(name, []).append((number, drift))
+    drift_mm = grouped(
+        (name, (number, drift))
+        for number, report in enumerate(reports, start=1)
+        for name, drift in report.drift_mm.items()
+    )
     limit_mm = reports[-1].limit_mm if reports else None
     return _drift_chart(drift_mm, limit_mm, Axis("reference measurement"))
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from cellapp.commands.view.charts import Axis, Chart, Limit, mm, series
+from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array
 
 _BLOCK, _MOST_BLOCKS, _FEWEST = 20, 24, 3
@@ -40,7 +41,7 @@ def residual_drift_chart(name: str, time_s: Array, residuals_M: Array) -> Chart:
     sizes = np.array([len(rows) for rows in blocks])
     scatter = np.array([residuals_M[rows].std(axis=0, ddof=1) for rows in blocks]) * 1e3
     band = _TWO_SIDED * scatter / np.sqrt(sizes)[:, None]
-    hints = [f"{size} stops" for size in sizes.tolist()]
+    hints = [counted(size, "stop") for size in sizes.tolist()]
     drawn = tuple(
         series(f"along {axis}", middle, mean[:, k], band=band[:, k], style=k, hints=hints)
         for k, axis in enumerate("xyz")
@@ -55,8 +56,8 @@ def _message(name: str, mean: Array, band: Array) -> str:
     verdict = "drift" if drifts else "do not drift"
     return (
         f"Residuals of arm {name} {verdict}: means of {len(mean)} successive blocks of stops stay within"
-        f" {mm(float(np.abs(mean).max()))}, and {outside} of {total} bands (95 %) leave zero out, where chance alone"
-        f" makes about {_EXPECTED * total:.0f}."
+        f" {mm(float(np.abs(mean).max()))}, and {outside} of {counted(total, 'band')} (95 %) leave zero out, where"
+        f" chance alone makes about {_EXPECTED * total:.0f}."
     )
 
 

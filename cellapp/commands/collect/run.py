@@ -6,7 +6,6 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.collected import missing_share, reference_drifts
 from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import refuse_second_station
@@ -61,14 +60,4 @@ def collect_planned(
     confirm = confirmation(run.profile, ask)
     report = with_eta(listener)
     with one_blas_thread():
-        summary = collect_run(run, report, control, resume=resume, accept_drift=accept_drift, confirm=confirm)
-    return CollectResult(
-        stops=len(run.stops_done()),
-        notes=summary.notes,
-        outcome=summary.outcome,
-        missing=summary.missing,
-        missing_share=missing_share(run, summary.missing),
-        tolerated_share=run.profile.collection.tolerated,
-        references=reference_drifts(run),
-        standard_error_mm=summary.standard_error_mm,
-    )
+        return collect_run(run, report, control, resume=resume, accept_drift=accept_drift, confirm=confirm)

@@ -22,12 +22,8 @@ def collection_state(run: RunFile) -> CollectionResult | None:
     return CollectionResult(
         run=str(run.folder),
         sessions=tuple(
-            SessionRecord(
-                number=session.number,
-                began=session.began,
-                ended=session.ended,
-                outcome=session.outcome,
-                reason=session.reason,
+            SessionRecord.like(
+                session,
                 requests=tuple(
                     SessionRequest(written=written, kind=kind, reason=reason)
                     for written, kind, reason in session.requests

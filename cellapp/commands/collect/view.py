@@ -6,8 +6,12 @@ from collections.abc import Sequence
 
 from cellapp.cell.driving.records import CollectionResult, CollectResult
 from cellapp.cell.run.records import MissingReading
+from cellapp.commands.collect.charts import drift_by_reference, drift_chart
 from cellapp.commands.record import Request, View
+from cellapp.commands.view.charts import Chart, mm
+from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.counting import counted
 from cellapp.ground.times import second_of
 
 _MOST_LISTED = 10
@@ -19,12 +23,40 @@ def view(result: CollectResult, request: Request | None = None) -> View:
     return View((*collect_lines(result), *other_notes(result, result.notes)), result.complaints())
 
 
+def stored_view(state: CollectionResult) -> View:
+    """How a run was collected so far, and how far its references moved."""
+    return View((*collection_tables(state), *_drift_charts(state)))
+
+
+def collection_section(state: CollectionResult) -> Section:
+    """How a run was collected, with sessions, missing readings and drift in one sentence."""
+    count, missing = len(state.sessions), len(state.missing)
+    words = [counted(count, "session"), f"{counted(missing, 'planned reading')} missing"]
+    drifts = [reference.drift_mm for reference in state.references]
+    if drifts:
+        words.append(f"references moved by at most {mm(max(drifts))}, limit {mm(state.drift_limit_mm)}")
+    return section_of(
+        "",
+        stored_view(state).parts,
+        message="; ".join(words),
+        about="How the readings were collected: sessions, what persons asked and what interrupted them, planned"
+        " readings that are missing, and how far the repeated reference measurements moved. The standard error is that"
+        " of a predicted SMR position from the identified parameters alone.",
+    )
+
+
+def _drift_charts(state: CollectionResult) -> list[Chart]:
+    """Reference drift over the run with its limit; empty if nothing was measured twice."""
+    twice = any(len(rows) > 1 for rows in drift_by_reference(state.references).values())
+    return [drift_chart(state.references, state.drift_limit_mm)] if twice else []
+
+
 def collect_lines(result: CollectResult) -> list[str]:
     """How many stops are stored, how the session ended, which readings are missing."""
-    lines = [f"{result.stops} stops stored: {result.outcome}"]
+    lines = [f"{counted(result.stops, 'stop')} stored: {result.outcome}"]
     if result.missing:
         share = f"{result.missing_share:.1%}, tolerated {result.tolerated_share:.1%}"
-        lines.append(f"{len(result.missing)} planned readings are missing ({share}):")
+        lines.append(f"{counted(len(result.missing), 'planned reading is', 'planned readings are')} missing ({share}):")
         groups = _grouped(result.missing)
         lines += [f"  stop {stops}, arm {arm}: {kind}: {reason}" for stops, arm, kind, reason in groups[:_MOST_LISTED]]
         if len(groups) > _MOST_LISTED:

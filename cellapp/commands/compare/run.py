@@ -30,6 +30,7 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect
 from cellapp.estimation.monitoring.fleet.records import FleetResult
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, METHODS, STAGES, ErrorSummary, Estimate
 
@@ -117,9 +118,7 @@ def _missing(results: RunResults) -> Iterator[str]:
     for name, words in _MISSING.items():
         if getattr(results, name) is None and name not in results.out_of_date:
             yield f"{results.run} {words}"
-    reasons: dict[str, list[str]] = {}
-    for stage, reason in results.out_of_date.items():
-        reasons.setdefault(reason, []).append(stage)
+    reasons = grouped((reason, stage) for stage, reason in results.out_of_date.items())
     for reason, stages in reasons.items():
         yield f"{results.run}: out of date: {', '.join(stages)} ({reason})"
 

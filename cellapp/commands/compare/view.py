@@ -15,8 +15,9 @@ from cellapp.commands.runs.result import (
     ValueComparison,
 )
 from cellapp.commands.view.table import Cell, Column, Table, number_column
-from cellapp.commands.view.words import display_unit, geometry_unit, place_words
+from cellapp.commands.view.words import METHOD_WORDS, display_unit, geometry_unit, place_words
 from cellapp.estimation.monitoring.fleet.records import FleetResult
+from cellapp.ground.counting import counted
 
 _MM = ".4f"
 _MISSING = "-"
@@ -44,9 +45,10 @@ def comparison_tables(result: RunComparison) -> list[Table]:
     for name, arm in result.arms.items():
         tables += _arm_tables(name, arm)
     if result.pair is not None:
-        tables += _error_tables("Pair: held-out cooperative errors [mm]", "method", result.pair.cooperative_mm.items())
-        method = result.pair.method
-        tables += _value_tables(f"Pair: inter-base transform, method '{method}'", result.pair.parameters, geometry_unit)
+        by_method = [(METHOD_WORDS[key], errors) for key, errors in result.pair.cooperative_mm.items()]
+        tables += _error_tables("Pair: held-out cooperative errors [mm]", "method", by_method)
+        method = "" if result.pair.method is None else f", {METHOD_WORDS[result.pair.method]}"
+        tables += _value_tables(f"Pair: inter-base transform{method}", result.pair.parameters, geometry_unit)
     return tables
 
 
@@ -125,8 +127,8 @@ def _differing(subject: str, values: Sequence[ValueComparison]) -> Iterator[str]
     differing = [value.name for value in judged if value.differs]
     if differing:
         yield (
-            f"{subject}: {len(differing)} of {len(judged)} parameters differ by more than {MOST_Z:g} combined standard"
-            f" uncertainties: {', '.join(differing)}"
+            f"{subject}: {len(differing)} of {counted(len(judged), 'parameter differs', 'parameters differ')} by"
+            f" more than {MOST_Z:g} combined standard uncertainties: {', '.join(differing)}"
         )
     elif judged:
         yield f"{subject}: no parameter differs by more than {MOST_Z:g} combined standard uncertainties"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellapp.cell.targets.records import VerifyResult
+from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.compensate.tables import measured_targets
 from cellapp.commands.compensate.words import PART_WORDS, Measured, bounds_and_errors, promise_words
 from cellapp.commands.view.charts import (
@@ -21,6 +21,8 @@ from cellapp.commands.view.charts import (
     styles,
 )
 from cellapp.estimation.uncertainty.records import UncertaintyParts
+from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 
 _BEFORE, _AFTER = STAGE_STYLES["nominal"], STAGE_STYLES["effects"]
 _CORRECTED, _OUT = STAGE_STYLES["network"], 5
@@ -89,8 +91,17 @@ def rounds_chart(verify: VerifyResult) -> Chart:
         series("largest", number, drawable_mm(largest), style=_BEFORE),
         series("mean", number, drawable_mm(mean), style=_AFTER),
     )
-    message = f"Mean error at {len(corrected)} targets: {mm(mean[0])} by the model alone, {mm(mean[-1])} in the end."
+    message = (
+        f"Mean error at {counted(len(corrected), 'target')}: {mm(mean[0])} by the model alone, {mm(mean[-1])} in"
+        " the end."
+    )
     return Chart(title, x, y, drawn, message, by_stage=True)
+
+
+def parts_charts(result: CompensateResult) -> list[Chart]:
+    """What the uncertainty at the targets of each arm is made of; without arms whose commands state none."""
+    by_arm = grouped((command.arm, command.parts) for command in result.targets if command.parts is not None)
+    return [parts_chart(f"Arm {name}: uncertainty at its targets by sources", parts) for name, parts in by_arm.items()]
 
 
 def parts_chart(title: str, parts: Sequence[UncertaintyParts]) -> Chart:
@@ -129,7 +140,8 @@ def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: floa
     better = int(np.sum(last < before))
     by_measuring = f", {mm(float(last.mean()))} corrected by measuring" if corrected.any() else ""
     message = (
-        f"Mean error at {len(measured)} targets: {mm(float(before.mean()))} uncompensated, {mm(float(after.mean()))}"
+        f"Mean error at {counted(len(measured), 'target')}: {mm(float(before.mean()))} uncompensated,"
+        f" {mm(float(after.mean()))}"
         f" compensated{by_measuring}; {'all' if better == len(measured) else better} became better."
     )
     return Chart(title, x, y, tuple(drawn), message, noise_limit(floor_mm), by_stage=True)

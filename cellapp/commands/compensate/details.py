@@ -15,6 +15,7 @@ from cellapp.commands.compensate.words import advice, shown_tolerance, unknown_l
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.view.charts import Chart, enumerated
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.counting import counted
 
 R = TypeVar("R", bound=TargetRecord)
 Point = tuple[float, float, float]
@@ -116,7 +117,7 @@ def _command_lines(command: TargetCommand) -> Iterator[str]:
     if command.visible is not None:
         yield f"{arm}: the tracker {'sees' if command.visible else 'does not see'} the SMR there"
     if command.residual_um is not None and command.residual_urad is not None:
-        residual = f"{command.residual_um:.3f} um and {command.residual_urad:.3f} urad"
+        residual = f"{command.residual_um:.3f} µm and {command.residual_urad:.3f} µrad"
         yield f"{arm}: the model meets the target within {residual}"
     if command.holds_for:
         yield f"{arm}: the command holds for {command.holds_for}"
@@ -220,7 +221,10 @@ def _frame_words(target: Target) -> str:
 
         rms_mm = work_frame_pose(frame)[1] * 1e3
         parent = "the tracker frame" if frame.parent == "tracker" else f"the base of arm {frame.parent}"
-        return f"in work frame {frame.name}: {len(frame.points)} points measured in {parent}, {rms_mm:.3f} mm rms"
+        return (
+            f"in work frame {frame.name}: {counted(len(frame.points), 'point')} measured in {parent}, {rms_mm:.3f}"
+            " mm rms"
+        )
     if target.frame == "tracker":
         return "in the tracker frame"
     return f"in the base of arm {target.arm if target.frame == 'base' else target.frame}"

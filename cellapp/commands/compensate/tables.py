@@ -11,6 +11,7 @@ from cellapp.cell.targets.records import CompensateResult, MeasuredTarget, Targe
 from cellapp.commands.calibrate.view import ERROR_COLUMNS, MM, error_cells
 from cellapp.commands.compensate.words import (
     PART_WORDS,
+    Measured,
     advice,
     all_measured,
     arms_words,
@@ -21,10 +22,12 @@ from cellapp.commands.view.table import (
     MOST_ROWS,
     Cell,
     Column,
+    Field,
     Table,
     most_urgent,
     number_column,
     part_table,
+    table_of,
     without_empty,
 )
 
@@ -33,7 +36,21 @@ _PAIRS = "between arms"
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
 _YES_NO = {True: "yes", False: "no", None: ""}
-_TARGET = (Column("target"), Column("arm"))
+_TARGET: tuple[Field, ...] = (("target", "name"), ("arm", "arm"))
+_BOUND: Field = ("95 % bound", "within_mm", MM)
+_TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.tolerance_mm), "g")
+_NUMBERED: tuple[Field, ...] = (("number", lambda row: str(row[0])), ("target", lambda row: row[1].name))
+"""Of rows of a number and what was measured, as the next ones."""
+_ERRORS: tuple[Field, ...] = (
+    ("before", lambda row: row[1].nominal_mm, MM),
+    ("after", lambda row: row[1].compensated_mm, MM),
+    ("corrected", lambda row: row[1].final_mm if len(row[1].rounds_mm) > 1 else None, MM),
+)
+_MET: tuple[Field, ...] = (
+    ("tolerance", lambda row: shown_tolerance(row[1].tolerance_mm), "g"),
+    ("U", lambda row: row[1].expanded_mm if row[1].verdict else None, MM),
+    ("met", lambda row: row[1].verdict),
+)
 
 
 def stored_tables(result: CompensateResult) -> list[Table]:
@@ -61,80 +78,59 @@ def command_tables(result: CompensateResult) -> list[Table]:
 def predicted_tables(result: CompensateResult) -> list[Table]:
     """Whether commands are expected to meet the tolerances; empty if no target has one."""
     judged = [target for target in result.targets if target.tolerance_mm is not None]
-    if not judged:
-        return []
-    columns = (
+    table = table_of(
+        "Predicted: targets with a tolerance [mm]",
+        most_urgent(judged, _prediction_urgency),
         *_TARGET,
-        number_column("standard uncertainty", MM),
-        number_column("95 % bound", MM),
-        number_column("tolerance", "g"),
-        Column("tolerance met"),
+        ("standard uncertainty", "uncertainty_mm", MM),
+        _BOUND,
+        _TOLERANCE,
+        ("tolerance met", lambda target: target.refusal or target.verdict),
+        count=len(judged),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            target.name,
-            target.arm,
-            target.uncertainty_mm,
-            target.within_mm,
-            shown_tolerance(target.tolerance_mm),
-            target.refusal or target.verdict,
-        )
-        for target in most_urgent(judged, _prediction_urgency)
-    ]
-    return [part_table("Predicted: targets with a tolerance [mm]", columns, rows, len(judged))]
+    return [table] if judged else []
 
 
 def uncertainty_tables(result: CompensateResult) -> list[Table]:
     """Standard uncertainty of a coordinate at each command by its sources, and the 95 % bound; empty without parts."""
     known = [target for target in result.targets if target.parts is not None]
-    if not known:
-        return []
-    columns = (
+    table = table_of(
+        "Standard uncertainty of a coordinate by its sources [mm]",
+        most_urgent(known, lambda target: target.within_mm or 0.0),
         *_TARGET,
-        *(number_column(word, MM) for word in PART_WORDS.values()),
-        number_column("together", MM),
-        number_column("95 % bound", MM),
-        number_column("branches", "d"),
-        Column("tracker sees it"),
+        *((word, f"parts.{part}", MM) for part, word in PART_WORDS.items()),
+        ("together", "uncertainty_mm", MM),
+        _BOUND,
+        ("branches", "branches", "d"),
+        ("tracker sees it", lambda target: _YES_NO[target.visible]),
+        count=len(known),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            target.name,
-            target.arm,
-            *(getattr(target.parts, part) for part in PART_WORDS),
-            target.uncertainty_mm,
-            target.within_mm,
-            target.branches,
-            _YES_NO[target.visible],
-        )
-        for target in most_urgent(known, lambda target: target.within_mm or 0.0)
-    ]
-    return [part_table("Standard uncertainty of a coordinate by its sources [mm]", columns, rows, len(known))]
+    return [table] if known else []
 
 
 def unknown_tables(result: CompensateResult) -> list[Table]:
     """Conditions that nobody stated, by how much each moves the SMR, and where one states it."""
-    rows: list[tuple[Cell, ...]] = [
-        (one.condition, ", ".join(one.effects), one.mm, one.worst, one.targets, advice(one.condition))
-        for one in unknown_conditions(result.targets)
-    ]
-    columns = (
-        Column("not stated"),
-        Column("effects"),
-        number_column("up to", MM, "mm"),
-        Column("at"),
-        number_column("targets", "d"),
-        Column("what to do"),
+    table = table_of(
+        "Working conditions that nobody stated",
+        unknown_conditions(result.targets),
+        ("not stated", "condition"),
+        ("effects", lambda one: ", ".join(one.effects)),
+        ("up to", "mm", MM, "mm"),
+        ("at", "worst"),
+        ("targets", "targets", "d"),
+        ("what to do", lambda one: advice(one.condition)),
     )
-    return [Table("Working conditions that nobody stated", columns, tuple(rows))] if rows else []
+    return [table] if table.rows else []
 
 
 def refusal_tables(result: CompensateResult) -> list[Table]:
     """Targets that are not commanded, the reason, and what to do about it; empty if there are none."""
     refused = [target for target in result.targets if target.refusal]
-    rows = [(target.name, target.arm, target.refusal, advice(target.refusal)) for target in refused[:MOST_ROWS]]
-    columns = (*_TARGET, Column("refused because"), Column("what to do"))
-    return [part_table("Refused targets", columns, rows, len(refused))] if refused else []
+    reasons: tuple[Field, ...] = (
+        ("refused because", "refusal"),
+        ("what to do", lambda target: advice(target.refusal)),
+    )
+    return [table_of("Refused targets", refused[:MOST_ROWS], *_TARGET, *reasons, count=len(refused))] if refused else []
 
 
 # -- measured ---------------------------------------------------------------------------------------------------------
@@ -157,78 +153,43 @@ def all_measured_tables(verify: VerifyResult) -> list[Table]:
 
 def pair_tables(verify: VerifyResult) -> list[Table]:
     """Cooperative targets: by how much the distance between both SMRs was off; empty without them."""
-    columns = (
-        Column("number"),
-        Column("target"),
-        Column("arms"),
-        number_column("distance", ".3f"),
-        number_column("before", MM),
-        number_column("after", MM),
-        number_column("corrected", MM),
-        number_column("tolerance", "g"),
-        number_column("U", MM),
-        Column("met"),
-    )
     measured = [pair for pair in verify.pairs if pair.compensated_mm is not None]
-    rows: list[tuple[Cell, ...]] = [
-        (
-            str(number),
-            pair.name,
-            arms_words(pair.arms),
-            pair.wanted_mm,
-            pair.nominal_mm,
-            pair.compensated_mm,
-            pair.final_mm if len(pair.rounds_mm) > 1 else None,
-            shown_tolerance(pair.tolerance_mm),
-            pair.expanded_mm if pair.verdict else None,
-            pair.verdict,
-        )
-        for number, pair in enumerate(measured, start=1)
-    ]
-    title = "Cooperative targets: error of the distance between both SMRs [mm]"
-    return [without_empty(part_table(title, columns, rows[:MOST_ROWS], len(rows)))] if rows else []
+    table = table_of(
+        "Cooperative targets: error of the distance between both SMRs [mm]",
+        list(enumerate(measured, start=1))[:MOST_ROWS],
+        *_NUMBERED,
+        ("arms", lambda row: arms_words(row[1].arms)),
+        ("distance", lambda row: row[1].wanted_mm, ".3f"),
+        *_ERRORS,
+        *_MET,
+        count=len(measured),
+    )
+    return [without_empty(table)] if measured else []
 
 
 def not_measured_tables(verify: VerifyResult) -> list[Table]:
     """Targets, single and cooperative, that have no measurement, and why."""
-    rows = [(target.name, target.arm, target.note) for target in verify.targets if target.note]
-    rows += [(pair.name, arms_words(pair.arms), pair.note) for pair in verify.pairs if pair.note]
-    columns = (*_TARGET, Column("reason"))
-    return [part_table("Targets that were not measured", columns, rows[:MOST_ROWS], len(rows))] if rows else []
+    without = [one for one in all_measured(verify) if one.note]
+    fields: tuple[Field, ...] = (("target", "name"), ("arm", _arms), ("reason", "note"))
+    table = table_of("Targets that were not measured", without[:MOST_ROWS], *fields, count=len(without))
+    return [table] if without else []
 
 
 def _arm_tables(verify: VerifyResult) -> list[Table]:
-    columns = (
-        Column("number"),
-        Column("target"),
-        Column("frame"),
-        number_column("before", MM),
-        number_column("after", MM),
-        number_column("corrected", MM),
-        number_column("95 % bound", MM),
-        number_column("tolerance", "g"),
-        number_column("U", MM),
-        Column("met"),
-    )
     tables = []
     for arm in verify.arms:
         measured = list(enumerate(measured_targets(verify, arm), start=1))
-        rows: list[tuple[Cell, ...]] = [
-            (
-                str(number),
-                target.name,
-                "" if target.frame == "base" else target.frame,
-                target.nominal_mm,
-                target.compensated_mm,
-                target.final_mm if len(target.rounds_mm) > 1 else None,
-                target.within_mm,
-                shown_tolerance(target.tolerance_mm),
-                target.expanded_mm if target.verdict else None,
-                target.verdict,
-            )
-            for number, target in most_urgent(measured, lambda row: row[1].final_mm or 0.0)
-        ]
-        tables.append(without_empty(part_table(f"Arm {arm}: each target [mm]", columns, rows, len(measured))))
+        table = table_of(
+            f"Arm {arm}: each target [mm]",
+            most_urgent(measured, lambda row: row[1].final_mm or 0.0),
+            *_NUMBERED,
+            ("frame", lambda row: "" if row[1].frame == "base" else row[1].frame),
+            *_ERRORS,
+            ("95 % bound", lambda row: row[1].within_mm, MM),
+            *_MET,
+            count=len(measured),
+        )
+        tables.append(without_empty(table))
     return tables
 
 
@@ -266,21 +227,18 @@ def verification_tables(result: VerifyResult) -> list[Table]:
 def _tolerance_tables(result: VerifyResult) -> list[Table]:
     """Single and cooperative targets with a tolerance; where these are many, those with the largest share of it."""
     judged = [one for one in all_measured(result) if one.tolerance_mm is not None]
-    rows: list[tuple[Cell, ...]] = [
-        (
-            one.name,
-            one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms),
-            one.final_mm,
-            shown_tolerance(one.tolerance_mm),
-            one.verdict,
-        )
-        for one in most_urgent(judged, lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf))
-    ]
-    columns = (
-        Column("target"),
-        Column("arm"),
-        number_column("compensated", MM),
-        number_column("tolerance", "g"),
-        Column("tolerance met"),
+    table = table_of(
+        "Targets with a tolerance [mm]",
+        most_urgent(judged, lambda one: (one.final_mm or 0.0) / (one.tolerance_mm or math.inf)),
+        ("target", "name"),
+        ("arm", _arms),
+        ("compensated", "final_mm", MM),
+        _TOLERANCE,
+        ("tolerance met", "verdict"),
+        count=len(judged),
     )
-    return [part_table("Targets with a tolerance [mm]", columns, rows, len(judged))] if rows else []
+    return [table] if judged else []
+
+
+def _arms(one: Measured) -> str:
+    return one.arm if isinstance(one, MeasuredTarget) else arms_words(one.arms)

@@ -13,9 +13,13 @@ from cellapp.commands.compensate.words import Measured, arms_words, shown_tolera
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.stages import change_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.estimation.uncertainty.decision import target_verdict
+from cellapp.ground.grouping import grouped
+from cellapp.ground.profile.acceptance import DecisionRule
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE
 
 R = TypeVar("R", bound=TargetRecord)
+J = TypeVar("J", MeasuredTarget, MeasuredPair)
 
 _COLUMNS = (
     Column("target"),
@@ -97,22 +101,31 @@ def target_state(target: Target, results: StageResults | None) -> TargetState:
 def target_states(targets: Sequence[Target], results: StageResults | None) -> list[TargetState]:
     """What the run says about each target. A result counts while the target is as it was when the result was made.
 
+    A measurement counts for another tolerance, too, and is then judged by that one: where the SMR went does not depend
+    on it.
+
     Of measurements and motions the last measurement counts; without one, the last motion.
     """
     if results is None:
         return [TargetState()] * len(targets)
     commands = {} if results.compensate is None else _by_name(results.compensate.targets)
     pushes = [
-        (_by_name(pushed.targets), {pair.name: pair for pair in pushed.pairs})
+        (_by_name(pushed.targets), {pair.name: pair for pair in pushed.pairs}, pushed.rule)
         for pushed in (results.verify, results.push)
         if pushed is not None
     ]
     states = []
     for target in targets:
         state = TargetState(_about(target, commands))
-        for measured, pairs in pushes:
-            if not state.measured and (found := _about(target, measured)):
-                state = replace(state, measured=found, pair=pairs.get(target.name))
+        for measured, pairs, rule in pushes:
+            found = tuple(
+                one for one in measured.get(target.name, ()) if same_target(_with_tolerance(target, one), one)
+            )
+            if not state.measured and found:
+                found = tuple(_judged(one, target.tolerance_mm, rule) for one in found)
+                pair = pairs.get(target.name)
+                judged = None if pair is None else _judged(pair, target.tolerance_mm, rule)
+                state = replace(state, measured=found, pair=judged)
         states.append(state)
     return states
 
@@ -234,10 +247,23 @@ def _short_state(state: TargetState) -> str:
 
 
 def _by_name(stored: Sequence[R]) -> dict[str, list[R]]:
-    found: dict[str, list[R]] = {}
-    for entry in stored:
-        found.setdefault(entry.name, []).append(entry)
-    return found
+    return grouped((entry.name, entry) for entry in stored)
+
+
+def _with_tolerance(target: Target, stored: TargetRecord) -> Target:
+    """The target with the tolerance that it had when a result was made."""
+    if stored.tolerance_mm == target.tolerance_mm:
+        return target
+    then = None if stored.tolerance_mm is None else round(stored.tolerance_mm * 1e-3, 12)
+    return target.model_copy(update={"tolerance": then})
+
+
+def _judged(one: J, tolerance_mm: float | None, rule: DecisionRule) -> J:
+    """A measurement judged by another tolerance; as it is where that is the same."""
+    if one.tolerance_mm == tolerance_mm:
+        return one
+    verdict = target_verdict(one.final_mm, one.expanded_mm, tolerance_mm, rule)
+    return one.model_copy(update={"tolerance_mm": tolerance_mm, "verdict": verdict})
 
 
 def _about(target: Target, stored: Mapping[str, Sequence[R]]) -> tuple[R, ...]:

@@ -9,6 +9,8 @@ import numpy as np
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredPair, MeasuredTarget, TargetCommand, VerifyResult
 from cellapp.commands.view.acceptance_words import RULE_WORDS, undecided_words
+from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 
 PART_WORDS: Mapping[str, str] = {
     "parameters": "geometry",
@@ -74,10 +76,7 @@ def arms_words(arms: Iterable[str]) -> str:
 
 def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
     """Conditions that nobody stated, the most important first."""
-    found: dict[str, list[tuple[float, str, tuple[str, ...]]]] = {}
-    for target in targets:
-        for one in target.unknown:
-            found.setdefault(one.condition, []).append((one.mm, target.name, one.effects))
+    found = grouped((one.condition, (one.mm, target.name, one.effects)) for target in targets for one in target.unknown)
     summaries = []
     for condition, entries in found.items():
         mm, worst, _ = max(entries, key=lambda entry: entry[0])
@@ -114,7 +113,7 @@ def refusal_lines(result: CompensateResult) -> list[str]:
 def note_lines(targets: Sequence[TargetCommand]) -> list[str]:
     """What to know about commands that are not refused; of many, the first ones."""
     lines = [f"target {target.name}, arm {target.arm}: {target.note}" for target in targets if target.note]
-    more = [f"and {len(lines) - _MOST_NOTES} more notes on targets"] if len(lines) > _MOST_NOTES else []
+    more = [f"and {counted(len(lines) - _MOST_NOTES, 'more note')} on targets"] if len(lines) > _MOST_NOTES else []
     return [*lines[:_MOST_NOTES], *more]
 
 
@@ -135,11 +134,11 @@ def unknown_lines(targets: Sequence[TargetCommand]) -> list[str]:
 
 
 def _count_words(result: CompensateResult) -> str:
-    commands = by_name(result.targets)
+    commands = grouped((command.name, command) for command in result.targets)
     refused = sum(any(command.refusal for command in of_target) for of_target in commands.values())
     pairs = sum(len(of_target) > 1 for of_target in commands.values())
     cooperative = f", {pairs} of them cooperative" if pairs else ""
-    return f"{len(commands) - refused} of {len(commands)} targets compensated{cooperative}" + (
+    return f"{len(commands) - refused} of {counted(len(commands), 'target')} compensated{cooperative}" + (
         f", {refused} refused" if refused else ""
     )
 
@@ -181,7 +180,7 @@ def verify_message(verify: VerifyResult) -> str:
     before = [target.nominal_mm for target in verify.targets if target.nominal_mm is not None]
     after = [mm for target in verify.targets if (mm := target.final_mm) is not None]
     if before and after:
-        parts.append(f"mean error {np.mean(before):.2f} -> {np.mean(after):.3f} mm at {len(after)} targets")
+        parts.append(f"mean error {np.mean(before):.2f} -> {np.mean(after):.3f} mm at {counted(len(after), 'target')}")
     pairs = [pair for pair in verify.pairs if pair.nominal_mm is not None and pair.final_mm is not None]
     if pairs:
         nominal = np.mean([pair.nominal_mm for pair in pairs if pair.nominal_mm is not None])
@@ -197,7 +196,7 @@ def push_lines(pushed: VerifyResult) -> list[str]:
     notes = {target.name: target.note for target in reversed(pushed.targets) if target.note}
     count = len({target.name for target in pushed.targets})
     missing = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
-    return [f"{count - len(notes)} of {count} targets reached", *dict.fromkeys([*missing, *pushed.notes])]
+    return [f"{count - len(notes)} of {counted(count, 'target')} reached", *dict.fromkeys([*missing, *pushed.notes])]
 
 
 def verify_lines(verify: VerifyResult) -> list[str]:
@@ -227,17 +226,17 @@ def rounds_words(verify: VerifyResult) -> list[str]:
         asked = sum(bool(one.rounds_mm) for one in measured)
         if asked:
             lines.append(
-                f"corrected by measuring{what}: {len(corrected)} of {asked} targets; the error of the others is not"
-                " significant, or no correction made it significantly smaller"
+                f"corrected by measuring{what}: {len(corrected)} of {counted(asked, 'target')}; the error of the"
+                " others is not significant, or no correction made it significantly smaller"
             )
         if corrected:
             alone = np.mean([one.rounds_mm[0] for one in corrected])
             last = np.mean([mm for one in corrected if (mm := one.final_mm) is not None])
             rounds = max(len(one.rounds_mm) for one in corrected) - 1
-            times = "1 correction" if rounds == 1 else f"up to {rounds} corrections"
+            times = f"{'up to ' if rounds > 1 else ''}{counted(rounds, 'correction')}"
             lines.append(
                 f"the model alone came to {alone:.4f} mm in the mean{what};"
-                f" {times} by measuring brought it to {last:.4f} mm ({len(corrected)} targets)"
+                f" {times} by measuring brought it to {last:.4f} mm ({counted(len(corrected), 'target')})"
             )
     return lines
 
@@ -255,7 +254,9 @@ def promise_words(verify: VerifyResult) -> list[str]:
     if not known:
         return []
     kept = sum(error <= bound for bound, error in known)
-    return [f"{kept} of {len(known)} measured errors are within the predicted 95 % bound"]
+    return [
+        f"{kept} of {counted(len(known), 'measured error is', 'measured errors are')} within the predicted 95 % bound"
+    ]
 
 
 def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tuple[float, float]]:
@@ -265,14 +266,6 @@ def bounds_and_errors(verify: VerifyResult, arm: str | None = None) -> list[tupl
         for target in verify.targets
         if arm in (None, target.arm) and target.within_mm is not None and (error := target.compensated_mm) is not None
     ]
-
-
-def by_name(commands: Sequence[TargetCommand]) -> dict[str, list[TargetCommand]]:
-    """The commands of each target: one, or one for each arm of a cooperative target."""
-    found: dict[str, list[TargetCommand]] = {}
-    for command in commands:
-        found.setdefault(command.name, []).append(command)
-    return found
 
 
 def named_few(names: Sequence[str]) -> str:
@@ -289,6 +282,6 @@ def _tolerance_message(verify: VerifyResult) -> str:
     judged = _judged(verify)
     out = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "out"]
     unsure = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "cannot say"]
-    within = f"{len(judged) - len(out) - len(unsure)} of {len(judged)} measurements within tolerance"
+    within = f"{len(judged) - len(out) - len(unsure)} of {counted(len(judged), 'measurement')} within tolerance"
     within += f", {len(out)} out: {named_few(out)}" if out else ""
     return within + (f", {len(unsure)} not decided: {named_few(unsure)}" if unsure else "")

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb, Writes
+from cellapp.commands.record import Asked, Request, Verb
+from cellapp.ground.outputs import Writes
 
 ENDINGS = (".script", ".urp")
 

@@ -100,9 +100,7 @@ def correct_run(
         out=str(out),
         arm=name,
         targets=tuple(corrected),
-        left=tuple(
-            LeftLine(line=one.line, command=one.command, reason=one.reason, refused=one.refused) for one in read.left
-        ),
+        left=tuple(map(LeftLine.like, read.left)),
         assumptions=tuple(assumptions(place, settings, read, corrected)),
         notes=(
             *([f"the model was used although {stale}"] if stale else []),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellapp.commands.discover.tables import gap_steps, noise_floor, noise_floor_words
-from cellapp.commands.discover.view import gap_sentences, size_sentence
+from cellapp.commands.discover.words import gap_sentences, size_sentence
 from cellapp.commands.view.charts import Axis, Chart, bar_chart, drawable_mm, enumerated, mm, noise_limit, series
 from cellapp.commands.view.words import probability_words
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, Picture

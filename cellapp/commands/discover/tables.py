@@ -201,9 +201,9 @@ def _curve_row(where: str, band: CycleBand, moves_mm: float | None) -> tuple[Cel
 
 
 def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Dominant cycles per turn of the periodic error of each joint; None if there is no periodic error."""
+    """Dominant cycles per revolution of the periodic error of each joint; None if there is no periodic error."""
     rows = [
-        (joint, _band_cell(band), band.peak, band.rms_urad)
+        (joint, band.first if band.first == band.last else Interval(band.first, band.last), band.peak, band.rms_urad)
         for found in arm.accepted
         for joint, band in (found.cycles or {}).items()
     ]
@@ -211,15 +211,11 @@ def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
         return None
     columns = (
         Column("joint"),
-        number_column("cycles per turn, middle 80 % of the power", "d"),
+        number_column("cycles per revolution, middle 80 % of the power", "d"),
         number_column("strongest", "d"),
         number_column("rms over a whole turn", ".0f", "µrad"),
     )
-    return Table(f"Arm {name}: periodic error by cycles per turn", columns, tuple(rows))
-
-
-def _band_cell(band: CycleBand) -> Cell:
-    return band.first if band.first == band.last else Interval(band.first, band.last)
+    return Table(f"Arm {name}: periodic error by cycles per revolution", columns, tuple(rows))
 
 
 def candidates_table(name: str, arm: ArmDiscoveryResult) -> Table | None:

@@ -7,7 +7,8 @@ from typing import Annotated, Self
 
 from pydantic import model_validator
 
-from cellapp.commands.record import Asked, Request, Verb, Writes
+from cellapp.commands.record import Asked, Request, Verb
+from cellapp.ground.outputs import Writes
 
 SCREENS = "screens"
 """The topic that draws into a folder."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from cellapp.cell.safety.covers import cover
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.cell.safety.obstacle_clearance import ObstacleClearance, obstacle_clearances
+from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array
 from drivers.findings import Finding
 
@@ -23,7 +24,7 @@ def obstacle_findings(cell: CellBodies, homes: Mapping[str, Array]) -> Iterator[
             text = f"on the flange of arm {name}"
             if capsules.excess > 0.0:
                 text += (
-                    f"; checks use {count} {'capsule' if count == 1 else 'capsules'} around it, which reach up to"
+                    f"; checks use {counted(count, 'capsule')} around it, which reach up to"
                     f" {1e3 * capsules.excess:.0f} mm out of it"
                 )
             yield Finding(f"obstacle {obstacle.name}", "ok", text)

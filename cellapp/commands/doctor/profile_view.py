@@ -6,6 +6,7 @@ import math
 
 from cellapp.commands.doctor.result import DoctorResult, Finding
 from cellapp.commands.view.table import Column, Table
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm, Pose, Profile
 from cellapp.ground.profile.obstacles import (
     AnyObstacle,
@@ -101,12 +102,11 @@ def constraint_words(profile: Profile) -> list[tuple[str, str]]:
 def doctor_verdict(result: DoctorResult) -> str:
     """What the doctor found, in one line."""
     warnings = sum(finding.status == "warning" for finding in result.findings)
-    more = f" ({warnings} warnings)" if warnings else ""
+    more = f" ({counted(warnings, 'warning')})" if warnings else ""
     if not result.failed:
         return f"Ready: nothing would be refused{more}."
     names = ", ".join(finding.subject for finding in result.failed)
-    checks = "check" if len(result.failed) == 1 else "checks"
-    return f"{len(result.failed)} {checks} failed{more}: {names}."
+    return f"{counted(len(result.failed), 'check')} failed{more}: {names}."
 
 
 def device_words(finding: Finding) -> tuple[str, str, str, str]:

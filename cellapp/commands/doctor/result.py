@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from cellapp.ground.results import Record, Result
+from drivers.findings import Status
 
 
 class DeviceReport(Record):
@@ -27,7 +28,7 @@ class Finding(Record):
     """One check of the doctor; ``device`` is with the finding about a device as a whole."""
 
     subject: str
-    status: Literal["ok", "warning", "failed"]
+    status: Status
     text: str
     device: DeviceReport | None = None
     omitted_when_none = frozenset({"device"})

@@ -7,7 +7,7 @@ import platform
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -118,8 +118,7 @@ def _found(profile: Profile, probes: _Probes) -> list[Finding]:
 
 
 def _result(finding: Finding) -> ResultFinding:
-    device = None if finding.device is None else DeviceReport(**asdict(finding.device))
-    return ResultFinding(subject=finding.subject, status=finding.status, text=finding.text, device=device)
+    return ResultFinding.like(finding, device=None if finding.device is None else DeviceReport.like(finding.device))
 
 
 def _of(device: str, findings: Sequence[Finding]) -> list[Finding]:

@@ -5,30 +5,24 @@ from __future__ import annotations
 from typing import Literal
 
 from cellapp.ground.results import Record, Result
-
-
-class EmulatedController(Record):
-    """The UR controller that is emulated; ``rows`` are its D-H rows theta, d, a, alpha [rad, m, m, rad]."""
-
-    series: str
-    model: str
-    serial: str
-    rows: tuple[tuple[float, float, float, float], ...]
-    checksums: tuple[int, ...]
-    calibration_status: int
+from drivers.emulators.ur_controller.personality import STANDARD_PORTS, Personality
 
 
 class EmulatedArm(Record):
-    """An emulated arm: its controller and where that listens; ``control_port`` on 127.0.0.1 takes faults on command."""
+    """An emulated arm: its controller and where that listens.
+
+    ``control_port`` on 127.0.0.1 accepts commands for faults and for the operator's actions; see
+    ``drivers/emulators/ur_controller/control.py``.
+    """
 
     arm: str
-    controller: EmulatedController
+    controller: Personality
     host: str
-    dashboard_port: int
-    primary_port: int
-    script_port: int
-    rtde_port: int
-    control_port: int
+    dashboard_port: int = STANDARD_PORTS["dashboard"]
+    primary_port: int = STANDARD_PORTS["primary"]
+    script_port: int = STANDARD_PORTS["script"]
+    rtde_port: int = STANDARD_PORTS["rtde"]
+    control_port: int = 0
 
 
 class EmulatedTracker(Record):

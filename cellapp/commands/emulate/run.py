@@ -5,12 +5,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.commands.emulate.request import EmulateRequest
-from cellapp.commands.emulate.result import EmulateResult
+from cellapp.commands.emulate.result import EmulatedArm, EmulatedTracker, EmulateResult
 from cellapp.commands.record import Work
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm, Profile
@@ -19,7 +18,6 @@ from drivers.arms.settings import EmulatedController
 from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
 from drivers.emulators.ur_controller import (
     REAL_TIME,
-    STANDARD_PORTS,
     Addresses,
     ControllerConfig,
     Personality,
@@ -36,41 +34,14 @@ _JOINTS = 6
 """Of every UR arm."""
 
 
-@dataclass(frozen=True)
-class EmulatedArm:
-    """An arm whose controller is emulated, and where that listens.
-
-    ``control_port`` on 127.0.0.1 accepts commands for faults and for the operator's actions; see
-    ``drivers/emulators/ur_controller/control.py``.
-    """
-
-    arm: str
-    controller: Personality
-    host: str
-    dashboard_port: int = STANDARD_PORTS["dashboard"]
-    primary_port: int = STANDARD_PORTS["primary"]
-    script_port: int = STANDARD_PORTS["script"]
-    rtde_port: int = STANDARD_PORTS["rtde"]
-    control_port: int = 0
-
-
-@dataclass(frozen=True)
-class EmulatedTracker:
-    """Address at which the tracker of the simulated cell is served over the bridge protocol."""
-
-    host: str
-    port: int
-
-
 def run(request: EmulateRequest, work: Work) -> EmulateResult:
     """Emulate the cell until the work is stopped; what is served is announced when it is."""
     trackers: list[EmulatedTracker] = []
     served: list[EmulateResult] = []
 
     def announce(arms: Sequence[EmulatedArm]) -> None:
-        tracker = asdict(trackers[0]) if trackers else None
-        found = {"pace": request.pace, "arms": [asdict(arm) for arm in arms], "tracker": tracker}
-        served.append(EmulateResult.model_validate(found))
+        tracker = trackers[0] if trackers else None
+        served.append(EmulateResult(pace=request.pace, arms=tuple(arms), tracker=tracker))
         work.announce(served[0])
 
     emulate(load_profile(request.profile), work.control, announce, pace=request.pace, announce_tracker=trackers.append)
@@ -80,7 +51,7 @@ def run(request: EmulateRequest, work: Work) -> EmulateResult:
 def emulated_tracker(profile: Profile) -> EmulatedTracker | None:
     """Return where the tracker of a profile can be emulated; None without a simulated cell or a loopback address."""
     bridge = profile.tracker.driver.emulated_bridge()
-    return None if profile.plant is None or bridge is None else EmulatedTracker(bridge.host, bridge.port)
+    return None if profile.plant is None or bridge is None else EmulatedTracker(host=bridge.host, port=bridge.port)
 
 
 def _serve_tracker(
@@ -99,7 +70,7 @@ def _serve_tracker(
     except OSError as error:
         raise HardwareError(f"tracker: {error.strerror}; see whether another bridge runs here") from error
     assert bridge.port is not None
-    return EmulatedTracker(bridge.host, bridge.port)
+    return EmulatedTracker(host=bridge.host, port=bridge.port)
 
 
 def emulated_arms(profile: Profile) -> list[EmulatedArm]:
@@ -122,7 +93,7 @@ def emulated_arms(profile: Profile) -> list[EmulatedArm]:
         )
     hosts = _hosts(controllers)
     return [
-        EmulatedArm(name, _personality(name, arm, controllers[name].serial, number), hosts[name])
+        EmulatedArm(arm=name, controller=_personality(name, arm, controllers[name].serial, number), host=hosts[name])
         for number, (name, arm) in enumerate(profile.arms.items(), start=1)
         if name in controllers
     ]
@@ -219,15 +190,8 @@ def _check(server: UrControllerServer) -> None:
 
 
 def _listening(arm: EmulatedArm, addresses: Addresses) -> EmulatedArm:
-    ports = {name: number for name, (_, number) in addresses.arms[arm.arm].items()}
-    return replace(
-        arm,
-        dashboard_port=ports["dashboard"],
-        primary_port=ports["primary"],
-        script_port=ports["script"],
-        rtde_port=ports["rtde"],
-        control_port=addresses.control[1],
-    )
+    ports = {f"{name}_port": number for name, (_, number) in addresses.arms[arm.arm].items()}
+    return arm.model_copy(update={**ports, "control_port": addresses.control[1]})
 
 
 def _config(emulated: EmulatedArm, arm: Arm) -> ControllerConfig:

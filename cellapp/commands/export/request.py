@@ -8,7 +8,8 @@ from typing import Annotated, Self
 from pydantic import model_validator
 
 from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb, Writes
+from cellapp.commands.record import Asked, Request, Verb
+from cellapp.ground.outputs import Writes
 
 _FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe, parameters, urdf-cell, commands or urscript."
 """For the help, which must not load the formats; a test compares them."""

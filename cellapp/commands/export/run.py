@@ -23,6 +23,7 @@ from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
@@ -94,7 +95,7 @@ def _export_arms(
         raise InputError(f"export: {run.path} has no calibrated arm '{arm}'; arms are {', '.join(exports)}")
     chosen = {name: export for name, export in exports.items() if arm in (None, name)}
     files = files_of_arms(out, list(chosen))
-    texts = {files[name]: form.text(export, sentences(form, export)) for name, export in chosen.items()}
+    texts = {files[name]: form.text(export, sentences(form, export, run.profile)) for name, export in chosen.items()}
     notes = (*_stale_notes(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
     write_new(texts, outputs)
     return ExportResult(
@@ -120,7 +121,8 @@ def _export_cell(
         raise InputError(f"export: --as {form.name} writes all arms in one file; leave --arm out, or take --as urdf")
     check_out(out)
     exports = calibrated_arms(run, stages, stage_name)
-    lines = [form_line(form), *(line for export in exports.values() for line in _arm_sentences(export))]
+    arms = (line for export in exports.values() for line in _arm_sentences(export))
+    lines = [form_line(form, simulated=run.profile.is_simulated), *arms]
     notes = (*_stale_notes(stages.stale_model()), *_rigid_notes(run, stages, exports))
     write_new({out: form.text(exports, lines)}, outputs)
     return ExportResult(
@@ -194,9 +196,9 @@ def lost_by_arm(run: RunFile) -> list[str]:
     return lines
 
 
-def sentences(form: ExportFormat, export: ArmExport) -> list[str]:
+def sentences(form: ExportFormat, export: ArmExport, profile: Profile) -> list[str]:
     """What stands at the top of every file: the arm, where it is from, what the file does not hold."""
-    return [form_line(form), *_arm_sentences(export)]
+    return [form_line(form, simulated=profile.is_simulated), *_arm_sentences(export)]
 
 
 def _arm_sentences(export: ArmExport) -> list[str]:

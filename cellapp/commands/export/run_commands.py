@@ -20,7 +20,7 @@ from cellapp.commands.stages import RunStages, StoredStage
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.profile import Arm
+from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.results import COMPENSATE, VERIFY
 
 
@@ -55,7 +55,7 @@ def export_commands(
     chosen = [arm] if arm is not None else names
     files = files_of_arms(out, chosen)
     commands = {name: _of_arm(run, stages, stage, records, name) for name in chosen}
-    texts = {files[name]: form.text(of_arm, _sentences(form, of_arm)) for name, of_arm in commands.items()}
+    texts = {files[name]: form.text(of_arm, _sentences(form, of_arm, run.profile)) for name, of_arm in commands.items()}
     write_new(texts, outputs)
     return ExportResult(
         format=form.name,
@@ -121,6 +121,9 @@ def _rates(run: RunFile, arm: Arm) -> tuple[float, float]:
     return float(speeds.min() * share), float(accelerations.min() * share)
 
 
-def _sentences(form: CommandFormat, commands: ArmCommands) -> list[str]:
-    lines = [form_line(form), f"Arm '{commands.name}' ({commands.arm.type.model}), {commands.source}."]
+def _sentences(form: CommandFormat, commands: ArmCommands, profile: Profile) -> list[str]:
+    lines = [
+        form_line(form, simulated=profile.is_simulated),
+        f"Arm '{commands.name}' ({commands.arm.type.model}), {commands.source}.",
+    ]
     return [" ".join(line.splitlines()) for line in lines]  # a name must not end the comment

@@ -205,14 +205,7 @@ class _Dated:
 
     def iso9283(self, arm: str) -> tuple[IsoPoint, ...]:
         return tuple(
-            IsoPoint(
-                run=self.run,
-                time=time,
-                characteristic=judgement.characteristic,
-                value_mm=judgement.value_mm,
-                tolerance_mm=judgement.tolerance_mm,
-                conformity=judgement.conformity,
-            )
+            IsoPoint.like(judgement, run=self.run, time=time)
             for time, one in self.tested
             for judgement in one.judgements
             if judgement.where == arm
@@ -344,15 +337,7 @@ def levers(arm: Arm, names: list[str]) -> dict[str, float]:
 def _accepted(one: AcceptedPart, n: int) -> EffectRecord:
     removed = one.evidence.heldout_mm.before**2 - one.evidence.heldout_mm.after**2
     free = one.description is not None or one.where.channel is not None
-    return EffectRecord(
-        effect=one.effect,
-        title=one.title,
-        where=one.where,
-        parameters={} if free else one.parameters,
-        size_mm=math.sqrt(max(removed, 0.0)),
-        n=n,
-        answer_set=one.answer_set,
-    )
+    return EffectRecord.like(one, parameters={} if free else one.parameters, size_mm=math.sqrt(max(removed, 0.0)), n=n)
 
 
 def _carried_over(model: ModelArm) -> tuple[EffectRecord, ...]:
@@ -381,10 +366,7 @@ def _transforms(calibrated: Calibrated | None, searched: Searched | None) -> dic
         **({} if searched is None else searched.pair),
     }
     return {
-        method: {
-            name: Estimate(value=one.value, standard_error=one.standard_error, unit=one.unit)
-            for name, one in pair.identified.items()
-        }
+        method: {name: Estimate.like(one) for name, one in pair.identified.items()}
         for method, pair in pairs.items()
         if pair.identified
     }

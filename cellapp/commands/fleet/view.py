@@ -20,6 +20,7 @@ from cellapp.estimation.monitoring.fleet.records import (
     ParameterHistory,
     Trend,
 )
+from cellapp.ground.counting import counted
 from cellapp.ground.times import day_of
 
 _MM = ".3f"
@@ -39,7 +40,7 @@ def view(result: FleetResult, request: Request | None = None) -> View:
     asked = request if isinstance(request, FleetRequest) else None
     page = [f"page: {asked.page}"] if asked is not None and asked.page is not None else []
     complaints = result.complaints() if asked is not None and asked.strict else []
-    failed = [f"{len(complaints)} of {len(result.arms)} arms: {'; '.join(complaints)}"] if complaints else []
+    failed = [f"{len(complaints)} of {counted(len(result.arms), 'arm')}: {'; '.join(complaints)}"] if complaints else []
     return View((*fleet_tables(result), *fleet_sentences(result), *page), failed)
 
 
@@ -62,7 +63,9 @@ def fleet_sentences(result: FleetResult) -> list[str]:
     sentences += [run.problem for run in result.runs if run.problem]
     sentences += [f"{run.run}: {note}" for run in result.runs for note in run.notes]
     if left_out := len(result.arms) - len(_detailed(result)):
-        sentences.append(f"tables of {left_out} arms without a finding are left out; --page and --json have all")
+        sentences.append(
+            f"tables of {counted(left_out, 'arm')} without a finding are left out; --page and --json have all"
+        )
     if result.comparisons or result.trends_tested:
         sentences.append(certainty_sentence(result))
     return [*sentences, *result.notes]
@@ -79,14 +82,14 @@ def certainty_sentence(result: FleetResult) -> str:
     """The false alarm rate and what shares it."""
     return (
         f"false alarm: if nothing had changed in the whole fleet, anything would be named with a chance of at most"
-        f" {100.0 * result.false_alarm:g} %; {result.comparisons} differences from the first runs share one half,"
-        f" {result.trends_tested} trends the other"
+        f" {100.0 * result.false_alarm:g} %; {counted(result.comparisons, 'difference')} from the first runs share"
+        f" one half, {counted(result.trends_tested, 'trend')} the other"
     )
 
 
 def arm_sentences(name: str, arm: ArmHistory) -> list[str]:
     """Condition, reasons and trends of one arm."""
-    runs = f"{len(arm.runs)} run{'s' if len(arm.runs) > 1 else ''}"
+    runs = counted(len(arm.runs), "run")
     trends = {drift_words(trend) for trend in arm.trends if leads_away(trend)}
     return [
         f"{name}: {arm.condition} ({runs}; known by the {_KNOWN_BY[arm.known_by]})",

@@ -6,13 +6,29 @@ from cellapp.cell.targets.path_records import PathRecord, PathResult
 from cellapp.commands.record import Request, View
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.view.acceptance_words import RULE_WORDS
+from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Cell, Column, Table, number_column
-from cellapp.ground.results import FOLLOW, PATH, ErrorSummary
+from cellapp.ground.results import FOLLOW, PATH
 
 
 def view(result: PathResult, request: Request | None = None) -> View:
     """The paths, what limits them, and why following did not succeed."""
     return View((*path_tables(result), *path_sentences(result)), result.complaints())
+
+
+def paths_section(result: PathResult) -> Section:
+    """Paths of a run, with how many of them can be driven and were."""
+    refused = sum(bool(path.refusal) for path in result.paths)
+    driven = sum(path.driven is not None for path in result.paths)
+    words = f"{len(result.paths) - refused} of {len(result.paths)} paths can be driven"
+    return section_of(
+        "",
+        view(result).parts,
+        message=f"{words}; {driven} were driven." if driven else f"{words}.",
+        about="Lines and arcs with speeds, as joint paths of the calibrated model: distances of the measured SMR from"
+        " the wanted path, moving and at rest, and on the path of the published geometry. `cellapp docs paths` explains"
+        " them.",
+    )
 
 
 def stored_paths(results: StageResults) -> PathResult | None:
@@ -131,14 +147,8 @@ def _distances(paths: list[PathRecord]) -> Table:
             if errors is not None:
                 decides = by == "model" and how == driven.judged
                 expanded, verdict = (driven.expanded_mm, driven.verdict) if decides else (None, "")
-                rows.append(_distance_row(path.name, by, how, errors, expanded, verdict))
+                rows.append((path.name, by, how, errors.n, errors.mean, errors.p95, errors.max, expanded, verdict))
     return Table("Distance of measured points from the path", columns, tuple(rows))
-
-
-def _distance_row(
-    name: str, by: str, how: str, errors: ErrorSummary, expanded_mm: float | None, verdict: str
-) -> tuple[Cell, ...]:
-    return (name, by, how, errors.n, errors.mean, errors.p95, errors.max, expanded_mm, verdict)
 
 
 def _measured(path: PathRecord) -> bool:

@@ -17,6 +17,7 @@ from cellapp.cell.run.csv_text import table_text
 from cellapp.cell.run.recorded_csv import AngleUnit, LengthUnit, Recorded, converted, read_recorded
 from cellapp.commands.init.dh_rows import arm_type_text
 from cellapp.estimation.calibration.conventions import Explained, better_reading, explained
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile.schema import ArmType
@@ -260,8 +261,8 @@ def _preview(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tupl
     others = [one.name for one in recorded.columns if not one.quantity]
     first = "; ".join(" ".join(row[: len(recorded.columns)]) for row in recorded.rows[:_PREVIEWED])
     return (
-        f"{recorded.path}: {len(recorded.rows)} rows, {recorded.joints} joints, separated by {recorded.separator}"
-        f"{decimals}; joint positions in {_UNITS[angles]}, points in {_UNITS[lengths]}",
+        f"{recorded.path}: {counted(len(recorded.rows), 'row')}, {recorded.joints} joints, separated by"
+        f" {recorded.separator}{decimals}; joint positions in {_UNITS[angles]}, points in {_UNITS[lengths]}",
         f"first rows: {first}",
         *([f"columns: {', '.join(known)}"] if known else []),
         *([f"not used: {', '.join(others)}"] if others else []),

@@ -9,13 +9,16 @@ import numpy as np
 from cellapp.commands.view.charts import Axis, Chart, Limit, Series, mm, series
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
+from cellapp.ground.counting import counted
 
 
-def iso9283_charts(result: Iso9283Result, pose_tolerance_mm: float | None = None) -> list[Chart]:
+def iso9283_charts(result: Iso9283Result) -> list[Chart]:
     """Accuracy at the poses, errors over the cycles of each arm with its last commands, the drift; without empty ones.
 
-    ``pose_tolerance_mm`` is the tolerance of AP, drawn as a line.
+    The tolerance of AP, where it is judged, is a line.
     """
+    tolerances_mm = (one.tolerance_mm for one in result.judgements if one.characteristic == "pose_accuracy")
+    pose_tolerance_mm = next(tolerances_mm, None)
     charts = [accuracy_chart(result, pose_tolerance_mm)]
     for name, arm in result.arms.items():
         for kind in reversed(ISO_COMMANDS):
@@ -66,7 +69,7 @@ def cycle_chart(name: str, kind: IsoCommands, tests: CommandedTests, tolerance_m
         Axis("error", "mm"),
         tuple(drawn),
         f"Largest pose accuracy AP {mm(worst.accuracy.value_mm)} at {worst.pose}, largest repeatability RP"
-        f" {mm(max(pose.repeatability.value_mm for pose in tests.pose))}, {worst.accuracy.n} cycles.",
+        f" {mm(max(pose.repeatability.value_mm for pose in tests.pose))}, {counted(worst.accuracy.n, 'cycle')}.",
         _limits(tolerance_mm),
     )
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_stage_results
 from cellapp.estimation.iso9283.exchange import exchanged
 from cellapp.estimation.iso9283.records import ArmIso9283, IsoCube
 from cellapp.ground.errors import InputError
@@ -46,7 +46,7 @@ def other_test(folder: Path | None, profile: Profile, arms: tuple[str, ...]) -> 
     if folder is None:
         return None
     with RunFile.open(folder) as run:
-        result, theirs = read_results(run).iso9283, run.profile
+        result, theirs = read_stage_results(run).iso9283, run.profile
     if result is None:
         raise InputError(f"--with-run: {folder} holds no test by ISO 9283; make one there first")
     usable = {}

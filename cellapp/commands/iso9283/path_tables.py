@@ -12,7 +12,7 @@ from cellapp.estimation.iso9283.records import Iso9283Result, PathCharacteristic
 
 def path_tables(result: Iso9283Result) -> list[Table]:
     """What was measured along paths and at the end of motions."""
-    return [_paths(result), _velocities(result), _corners(result), _settling(result)]
+    return [_paths(result), _velocities(result), _corners(result), _weaving(result), _settling(result)]
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -102,6 +102,40 @@ def _corners(result: Iso9283Result) -> Table:
         if corner.rounding is not None and corner.overshoot is not None
     ]
     return Table("Cornering deviations: rounding CR and overshoot CO [mm]", columns, tuple(rows))
+
+
+def _weaving(result: Iso9283Result) -> Table:
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        number_column("speed", ".0f", "mm/s"),
+        number_column("stroke", ".1f", "mm"),
+        number_column("frequency", ".2f", "Hz"),
+        number_column("WS", ".2f", "%"),
+        number_column("U(WS)", ".2f", "%"),
+        number_column("WF", ".2f", "%"),
+        number_column("U(WF)", ".2f", "%"),
+        number_column("n", "d"),
+        Column("programme"),
+    )
+    rows: list[tuple[Cell, ...]] = [
+        (
+            name,
+            kind,
+            one.speed_mm_s,
+            one.stroke_mm,
+            one.frequency_hz,
+            one.stroke_percent,
+            one.stroke_expanded_percent,
+            one.frequency_percent,
+            one.frequency_expanded_percent,
+            one.n,
+            one.slowed or "keeps the speed",
+        )
+        for name, kind, tests in tests_of(result)
+        if (one := tests.weaving) is not None
+    ]
+    return Table("Weaving deviations: stroke WS, frequency WF", columns, tuple(rows))
 
 
 def _settling(result: Iso9283Result) -> Table:

@@ -18,10 +18,12 @@ def write_points(folder: Path, found: IsoFindings) -> tuple[str, str]:
 
     Raises ``InputError`` if it cannot be written.
     """
-    tracks = [*(runs.tracks for runs in found.paths), *(runs.tracks for runs in found.settling)]
+    tracks = [runs.tracks for runs in (*found.paths, *found.settling, *found.weaving)]
     if not found.measured.visits and not any(tracks):
         return "", ""
-    data = table_text(HEADER, raw_rows(found.programmes, found.measured, found.paths, found.settling)).encode()
+    data = table_text(
+        HEADER, raw_rows(found.programmes, found.measured, found.paths, found.settling, found.weaving)
+    ).encode()
     path = _unused(folder)
     NEW_ONLY.write(path, data)
     return path.name, hashlib.sha256(data).hexdigest()

@@ -10,7 +10,15 @@ from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from cellapp.commands.fields import OutOfDate
 from cellapp.commands.record import Asked, Request, Stored, Variant, Verb
-from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands, IsoTest
+from cellapp.estimation.iso9283.norm import (
+    ISO_COMMANDS,
+    ISO_TESTS,
+    NORM_CYCLES,
+    NORM_DRIFT_MIN,
+    UNATTENDED_TESTS,
+    IsoCommands,
+    IsoTest,
+)
 
 _HELP: Mapping[IsoTest, str] = {
     "pose": "Pose accuracy AP and repeatability RP at five poses of the norm's cube.",
@@ -20,8 +28,11 @@ _HELP: Mapping[IsoTest, str] = {
     "path": "Path accuracy AT and repeatability RT, velocity, corners along a line, rectangles and circles.",
     "stabilisation": "Stabilisation time, overshoot and posing time at P1.",
     "cooperative": "Accuracy and repeatability between the SMRs of two arms.",
+    "compliance": "Static compliance at P1: a person pulls at the flange when the job says so.",
 }
 _FEWEST_CYCLES, _MOST_CYCLES = 2, 1000
+_MOST_KG, _MOST_N = 500.0, 1000.0
+"""What no person hangs on a flange, or pulls with."""
 
 
 def _some(values: tuple[str, ...] | None) -> tuple[str, ...] | None:
@@ -51,6 +62,22 @@ def _percents(values: tuple[float, ...]) -> tuple[float, ...]:
     return values
 
 
+def _loads(values: tuple[float, ...]) -> tuple[float, ...]:
+    for value in values:
+        if not 0.0 <= value <= _MOST_KG:
+            raise ValueError(f"expected loads from 0 to {_MOST_KG:g} kg, got {value:g} kg")
+    return tuple(dict.fromkeys(values))
+
+
+def _forces(values: tuple[float, ...]) -> tuple[float, ...]:
+    for value in values:
+        if not 0.0 < value <= _MOST_N:
+            raise ValueError(f"expected forces above 0 N and up to {_MOST_N:g} N, got {value:g} N")
+    if not values:
+        raise ValueError("at least one force is needed")
+    return tuple(sorted(set(values)))
+
+
 class Iso9283Request(Request):
     """Test pose accuracy and more by ISO 9283: 'cellapp iso9283 PROFILE' makes all tests. THE ARMS MOVE."""
 
@@ -73,9 +100,10 @@ class Iso9283Request(Request):
                 "path": "path: AT, RT",
                 "stabilisation": "how it comes to rest",
                 "cooperative": "both arms together",
+                "compliance": "compliance, with a person",
             },
         ),
-    ] = ISO_TESTS
+    ] = UNATTENDED_TESTS
     cycles: Annotated[
         int,
         _within(lambda n: _FEWEST_CYCLES <= n <= _MOST_CYCLES, f"{_FEWEST_CYCLES} to {_MOST_CYCLES}"),
@@ -104,8 +132,34 @@ class Iso9283Request(Request):
             "Repeat pose and path tests at this speed, in percent; may be repeated. The norm also has 50 and 10.",
             "PERCENT",
             option="--also-speed",
+            label="again at",
+            unit="%",
+            hint="50, 10",
         ),
     ] = ()
+    also_loads: Annotated[
+        tuple[float, ...],
+        AfterValidator(_loads),
+        Asked(
+            "Repeat the pose test with this load, in kg; may be repeated. A person hangs it when the job pauses.",
+            "KG",
+            option="--also-load",
+            label="again with",
+            unit="kg",
+            hint="by hand",
+        ),
+    ] = ()
+    forces: Annotated[
+        tuple[float, ...],
+        AfterValidator(_forces),
+        Asked(
+            "Force on the flange in the test of compliance, in N; may be repeated.",
+            "N",
+            option="--force",
+            label="force",
+            unit="N",
+        ),
+    ] = (25.0, 50.0)
     arms: Annotated[
         tuple[str, ...], Asked("Only this arm; may be repeated.", "NAME", option="--arm", label="only arm")
     ] = ()
@@ -147,6 +201,8 @@ class Iso9283Request(Request):
     def _a_cell(self) -> Iso9283Request:
         if self.profile is None and self.folder is None:
             raise ValueError("a profile is needed, or the folder of a run")
+        if self.also_loads and "pose" not in self.tests:
+            raise ValueError("other loads are for the pose test; ask for pose too")
         return self
 
 
@@ -156,7 +212,7 @@ VERB = Verb(
     chapter="iso9283",
     moves_arms=True,
     question="Measure by ISO 9283?",
-    variants={"all": Variant("All tests; this word may be left out.", {"tests": ISO_TESTS})}
+    variants={"all": Variant("All tests that need no person; this word may be left out.", {"tests": UNATTENDED_TESTS})}
     | {test: Variant(_HELP[test], {"tests": (test,)}) for test in ISO_TESTS},
     stored=(Stored("iso9283", "no test by ISO 9283 is", ("iso9283",)),),
 )

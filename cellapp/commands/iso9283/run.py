@@ -32,6 +32,7 @@ from cellapp.estimation.iso9283.coverage import coverage
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands
 from cellapp.estimation.iso9283.records import Iso9283Result, IsoConditions
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
@@ -140,6 +141,8 @@ def _task(
         speed=request.speed / 100.0,
         drift_s=request.drift_minutes * 60.0,
         also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
+        also_loads=request.also_loads,
+        forces=request.forces,
         cubes={} if other is None else other.cubes,
     )
 
@@ -161,7 +164,7 @@ def _driven(
     try:
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
-        if findings.measured.visits or findings.paths or findings.settling:
+        if findings.measured.visits or findings.paths or findings.settling or findings.weaving:
             with suppress(InputError):  # the reason of the stop is the one to report
                 _store(run, used, _result(run.profile, task, other, findings, began, f"stopped: {error}"), findings)
         raise
@@ -198,10 +201,12 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
         )
     else:
         notes += stale_notes(stages, used)
-    if task.profile.plant is not None and not task.profile.moves_hardware:
+    if task.profile.is_simulated:
         notes.append("measured in a simulated cell")
     if task.cycles < NORM_CYCLES["pose"]:
-        notes.append(f"{task.cycles} cycles were asked for; the norm's number is {NORM_CYCLES['pose']}")
+        notes.append(
+            f"{counted(task.cycles, 'cycle was', 'cycles were')} asked for; the norm's number is {NORM_CYCLES['pose']}"
+        )
     if "cooperative" in task.tests and len(task.arms) < 2:
         notes.append("no cooperative test was made: it needs two arms")
     if "drift" in task.tests and task.drift_s < NORM_DRIFT_MIN * 60.0:
@@ -223,6 +228,7 @@ def _result(
         averaging_s=profile.tracker.averaging,
         commands=task.commands,
         also_speeds=task.also_speeds,
+        also_loads=task.also_loads,
         began=began,
         seconds=found.seconds,
         temperature_c=(min(air), max(air)) if air else None,
@@ -238,6 +244,7 @@ def _result(
         missing=missing_words(found, task.tests),
         stopped=stopped,
         notes=tuple(dict.fromkeys(found.notes)),
+        by_person=tuple(found.by_person),
     )
 
 

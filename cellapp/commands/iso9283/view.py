@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from cellapp.commands.iso9283.by_hand_tables import by_hand_sentences, by_hand_tables
 from cellapp.commands.iso9283.cells import pair_columns, series_of, tests_of, value_cells
+from cellapp.commands.iso9283.charts import iso9283_charts
 from cellapp.commands.iso9283.norm_tables import abilities_table, coverage_table
 from cellapp.commands.iso9283.path_tables import path_tables
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.acceptance_words import RULE_WORDS
+from cellapp.commands.view.parts import Part
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
@@ -22,6 +25,7 @@ from cellapp.estimation.iso9283.records import (
     PoseCharacteristics,
 )
 from cellapp.estimation.uncertainty.records import overall
+from cellapp.ground.counting import counted
 
 _UNCERTAIN_SHARE = 0.25
 """The norm's limit of the uncertainty of measuring, as share of the characteristic (6.5)."""
@@ -39,7 +43,8 @@ _FOUND: Mapping[IsoCommands, str] = {"nominal": "as found", "calibrated": "as le
 def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
     """The characteristics, the outcome, where they are stored, and what did not hold."""
     stored = [] if request is None or request.folder is None else [f"stored in {request.folder}"]
-    return View((*iso9283_tables(result), *iso9283_sentences(result), *stored), result.complaints())
+    parts: tuple[Part, ...] = (*iso9283_tables(result), *iso9283_sentences(result), *stored, *iso9283_charts(result))
+    return View(parts, result.complaints())
 
 
 def iso9283_tables(result: Iso9283Result) -> list[Table]:
@@ -48,6 +53,7 @@ def iso9283_tables(result: Iso9283Result) -> list[Table]:
         _judgements(result),
         _poses(result),
         _series(result),
+        *by_hand_tables(result),
         _axes(result),
         _cooperative(result),
         _directions(result),
@@ -75,6 +81,7 @@ def iso9283_sentences(result: Iso9283Result) -> list[str]:
         *(f"arm {name}: the cube is limited by: {cube.limited_by}" for name, cube in _cubes_of(result) if cube),
         *(words for one in result.abilities if (words := ability_words(one))),
         *_uncertain(result),
+        *by_hand_sentences(result),
         *(f"missing: {words}" for words in result.missing),
         *_refused(result),
         *(f"{' and '.join(pair.arms)}: {pair.refused}" for pair in result.pairs if pair.refused),
@@ -126,7 +133,8 @@ def _conditions(result: Iso9283Result) -> Iterator[str]:
         low, high = made.temperature_c
         air = f"; air {low:.1f} degC" if high - low < 0.05 else f"; air {low:.1f} to {high:.1f} degC"
     yield (
-        f"{made.cycles} cycles at {made.speed_share:.0%} of the profile's speed, {made.dwell_s:g} s of rest before each"
+        f"{counted(made.cycles, 'cycle')} at {made.speed_share:.0%} of the profile's speed, {made.dwell_s:g} s of"
+        " rest before each"
         f" measurement of {made.averaging_s:g} s; payload: {loads}{air}; {made.seconds / 60.0:.0f} min in all"
     )
 
@@ -135,7 +143,8 @@ def _bases(result: Iso9283Result) -> Iterator[str]:
     for name, arm in result.arms.items():
         if arm.base is not None:
             yield (
-                f"arm {name}: base and SMR fitted to {arm.base.n} positions, residuals {arm.base.rms_mm:.3f} mm rms;"
+                f"arm {name}: base and SMR fitted to {counted(arm.base.n, 'position')}, residuals"
+                f" {arm.base.rms_mm:.3f} mm rms;"
                 f" the fit adds {arm.base.uncertainty_mm:.3f} mm to the standard uncertainty of a commanded coordinate"
             )
 

@@ -250,15 +250,12 @@ def _is_of_view(term: EffectTerm) -> bool:
 
 
 def _motion(cause: Cause) -> OtherMotion:
-    return OtherMotion(
+    return OtherMotion.like(
+        cause.fit,
         kind=cause.kind,
         arm=cause.arm,
         shift_mm=cause.shift_m * 1e3,
         turn_deg=float(np.degrees(cause.turn_rad)),
-        chi_squared=cause.fit.chi_squared,
-        degrees_of_freedom=cause.fit.degrees_of_freedom,
-        probability=cause.fit.probability,
-        explains=cause.fit.explains,
         others_still=cause.others_still,
     )
 

@@ -11,7 +11,9 @@ from cellapp.commands.view.table import Cell, Column, Table, number_column
 
 def view(result: LocateResult, request: Request | None = None) -> View:
     """Every point, where the tracker stands, and why it could not be located."""
-    return View((*location_tables(result), *location_sentences(result)), result.complaints())
+    return View(
+        (*location_tables(result), *location_sentences(result)), result.complaints(), held="the tracker was located"
+    )
 
 
 def location_tables(result: LocateResult) -> list[Table]:

@@ -13,6 +13,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.check_view import duration_words
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Array, Axis, Chart, bar_chart, enumerated, mm, series
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 
@@ -53,11 +54,11 @@ def _information_message(name: str, arm: ArmDesign) -> str:
     designed = arm.designed
     equal = [f"{stops:.0f} in {_EQUAL[what]}" for what, stops in arm.equal_to_random.items()]
     early = next((one for one in arm.by_stops if 4 * one.stops >= designed.stops), None)
-    sentences = [f"Arm {name}: {designed.stops} stops give {_errors(designed)}"]
+    sentences = [f"Arm {name}: {counted(designed.stops, 'stop gives', 'stops give')} {_errors(designed)}"]
     if equal:
         sentences.append(f"They tell as much as random stops: {enumerated(equal)}")
     if early is not None and early.stops < designed.stops:
-        sentences.append(f"After {early.stops} stops {_errors(early)}")
+        sentences.append(f"After {counted(early.stops, 'stop')} {_errors(early)}")
     return ". ".join(sentences) + "."
 
 

@@ -19,6 +19,7 @@ from cellapp.commands.view.charts import enumerated
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.commands.view.words import display_unit, geometry_unit, short_reason
 from cellapp.estimation.discovery.records import PlannedEffect
+from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS
 
 TIME_RESTS_ON = (
@@ -35,10 +36,10 @@ def check_sentences(check: PlanCheckResult) -> list[str]:
     ]
     if check.is_safe:
         detours = f"; {len(refusals)} ways take a detour" if refusals else ""
-        kept = f"{check.stops} stops and {check.ways} ways keep their clearance"
+        kept = f"{counted(check.stops, 'stop')} and {check.ways} ways keep their clearance"
         return [f"Safe: {kept}, the tracker sees every SMR{detours}.", *refusals]
     bad = sum(not one.is_avoided for one in check.refused)
-    return [f"Not safe: {bad} of {check.stops} stops and {check.ways} ways are refused.", *refusals]
+    return [f"Not safe: {bad} of {counted(check.stops, 'stop')} and {check.ways} ways are refused.", *refusals]
 
 
 def refusal_sentence(one: PlanRefusal) -> str:
@@ -59,7 +60,7 @@ def stop_words(stops: PlannedStops, stop: int) -> str:
     if (source := int(stops.repeat_of[stop])) >= 0:
         words.append(f"repeats stop {source + 1}")
     if legs := len(stops.legs[stop]):
-        words.append(f"via {legs} position{'s' if legs > 1 else ''}")
+        words.append(f"via {counted(legs, 'position')}")
     if starts := stops.approach_starts(stop):
         sizes = [math.degrees(float(np.abs(stops.q[name][stop] - q).max())) for name, q in starts.items()]
         words.append(f"last motion {enumerated(f'{size:.1f}' for size in sizes)} deg")
@@ -132,7 +133,7 @@ def coverage_table(name: str, arm: ArmForecast) -> Table:
         (one.joint, *map(math.degrees, (*one.allowed, *one.used)), 100.0 * one.share, math.degrees(one.largest_gap))
         for one in arm.coverage
     ]
-    return Table(f"Arm {name}: joint ranges of {arm.stops} stops", columns, tuple(rows))
+    return Table(f"Arm {name}: joint ranges of {counted(arm.stops, 'stop')}", columns, tuple(rows))
 
 
 def accuracy_table(name: str, arm: ArmForecast) -> Table:

@@ -8,6 +8,7 @@ from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.planning.design_records import ArmDesign, FactorCorrelation, ObservabilityIndices, PlanDesignResult
 from cellapp.commands.plan.check_view import TIME_RESTS_ON, duration_words, time_sentence
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.counting import counted
 
 _SINGULAR = 1e-9
 """Least condition number (O2) of stops that determine all parameters; it is 1e-3 for some tens of stops."""
@@ -21,7 +22,7 @@ def plan_result_tables(result: PlanResult) -> list[Table]:
 def plan_lines(result: PlanResult) -> list[str]:
     """Stops of each arm, what is known of their design, how long collecting takes, notes."""
     more = f" and {result.reserves} in reserve" if result.reserves else ""
-    lines = [f"arm {name}: {count} stops planned{more}" for name, count in result.stops.items()]
+    lines = [f"arm {name}: {counted(count, 'stop')} planned{more}" for name, count in result.stops.items()]
     lines += [] if result.design is None else design_sentences(result.design)
     lines += [] if result.time is None else [f"{time_sentence(result.time)} It rests on {TIME_RESTS_ON}."]
     return [*lines, *result.notes]
@@ -39,9 +40,9 @@ def design_sentences(design: PlanDesignResult) -> list[str]:
     sentences = [
         f"Travel takes {duration_words(travel.planned_s)}, in random order {duration_words(travel.random_order_s)}:"
         f" {100.0 * travel.saved:.0f} % are saved.",
-        f"{_counted(design.detours, 'stop is', 'stops are')} reached by a detour,"
-        f" {_counted(design.repeats, 'stop repeats', 'stops repeat')} an earlier one,"
-        f" in {_counted(design.blocks, 'block', 'blocks')}.",
+        f"{counted(design.detours, 'stop is', 'stops are')} reached by a detour,"
+        f" {counted(design.repeats, 'stop repeats', 'stops repeat')} an earlier one,"
+        f" in {counted(design.blocks, 'block', 'blocks')}.",
     ]
     largest = design.largest_correlation
     if largest is not None:
@@ -131,7 +132,3 @@ def by_stops_table(name: str, arm: ArmDesign) -> Table:
 
 def _stops(count: float | None) -> str | None:
     return None if count is None else f"{count:.0f} stops"
-
-
-def _counted(count: int, one: str, many: str) -> str:
-    return f"{count} {one if count == 1 else many}"

@@ -33,6 +33,7 @@ from cellapp.commands.plan.request import PlanRequest
 from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.record import Work
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
@@ -186,13 +187,15 @@ def plan_from_file(
     _require_safe(_checked(profile, file, listener, cancel))
     count, notes = len(file.stops), []
     if count != profile.plan.stops + profile.plan.reserve:
-        notes.append(f"the file has {count} stops, the profile asks for {profile.plan.stops}: the run has {count}")
+        notes.append(
+            f"the file has {counted(count, 'stop')}, the profile asks for {profile.plan.stops}: the run has {count}"
+        )
         plan = profile.plan.model_copy(update={"stops": count, "reserve": 0})
         profile = profile.model_copy(update={"plan": plan})
 
     def fill(run: RunFile) -> None:
         write_planned_stops(run, file.stops)
-        run.log("info", f"plan: {count} stops from {path}")
+        run.log("info", f"plan: {counted(count, 'stop')} from {path}")
 
     with RunFile.create(folder, profile, fill) as run:
         return plan_result(run, notes)
@@ -218,7 +221,7 @@ def plan_around_file(
 
     def fill(run: RunFile) -> None:
         write_planned_stops(run, stops, design=design)
-        run.log("info", f"plan: {len(stops)} stops, {len(kept)} of them kept from {path}")
+        run.log("info", f"plan: {counted(len(stops), 'stop')}, {len(kept)} of them kept from {path}")
 
     with RunFile.create(folder, profile, fill) as run:
         return plan_result(run)
@@ -243,7 +246,7 @@ def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: 
         kept, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
         stops, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=count)
         write_planned_stops(run, stops, proposed=proposed, design=design)
-        note = f"{len(stops) - len(kept)} stops were added after stop {len(kept)}"
+        note = f"{counted(len(stops) - len(kept), 'stop was', 'stops were')} added after stop {len(kept)}"
         run.log("info", _CHANGED + note)
         return plan_result(run, [note])
 
@@ -276,7 +279,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         kept = stops.take([*parts.fixed, *parts.frozen])
         made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)
         write_planned_stops(run, made.take(parts.places(len(made))), proposed=proposed & {*parts.fixed}, design=design)
-        note = f"{len(made) - len(kept)} stops were designed again around {len(kept)}"
+        note = f"{counted(len(made) - len(kept), 'stop was', 'stops were')} designed again around {len(kept)}"
         if parts.unreached:
             listed = ", ".join(str(stop + 1) for stop in parts.unreached)
             note += f"; replaced were stops that could not be reached or measured: {listed}"
@@ -299,7 +302,7 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
             raise InputError(f"{run.path}: there is no configuration {unknown[0]}; there are 0 to {len(stops) - 1}")
         frozen = np.isin(np.arange(len(stops)), list(chosen))
         write_planned_stops(run, replace(stops, frozen=frozen), proposed=proposed)
-        return plan_result(run, [f"{int(frozen.sum())} of {len(stops)} stops are frozen"])
+        return plan_result(run, [f"{int(frozen.sum())} of {counted(len(stops), 'stop is', 'stops are')} frozen"])
 
 
 def stop_numbers(text: str) -> tuple[int, ...]:

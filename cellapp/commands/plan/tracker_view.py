@@ -8,6 +8,7 @@ from cellapp.cell.planning.design_records import ArmView, ConstraintShare, ViewR
 from cellapp.cell.safety.visibility import FACING
 from cellapp.commands.view.charts import enumerated
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.counting import counted
 
 _WORTH_A_CHANGE = 1.1
 """Gain in configurations from which on a change is advised: less is within the scatter of the draws."""
@@ -43,7 +44,7 @@ def constraint_table(name: str, arm: ArmView) -> Table:
         one = by_name[constraint]
         rows.append((constraint, 100.0 * lost, 100.0 * one.alone, 100.0 * one.without))
     rows.append(("seen", 100.0 * arm.share, None, None))
-    return Table(f"Arm {name}: what excludes {arm.drawn} configurations", columns, tuple(rows))
+    return Table(f"Arm {name}: what excludes {counted(arm.drawn, 'configuration')}", columns, tuple(rows))
 
 
 def height_table(name: str, arm: ArmView) -> Table:

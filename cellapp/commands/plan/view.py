@@ -24,10 +24,10 @@ def view(
     """What was planned, refused, foreseen or seen; a check fails where the safety gate refuses something."""
     match result:
         case PlanResult():
-            return View((*plan_result_tables(result), *plan_lines(result)))
+            return View((*plan_result_tables(result), *plan_lines(result)), held="; ".join(result.notes))
         case PlanCheckResult():
             verdict, *offences = check_sentences(result)
-            return View((*offences, verdict)) if result.is_safe else View(offences, (verdict,), "plan")
+            return View((*offences, verdict), held=verdict) if result.is_safe else View(offences, (verdict,), "plan")
         case PlanForecastResult():
             return View((*forecast_tables(result), *forecast_sentences(result)))
         case ViewResult():

@@ -27,6 +27,7 @@ from cellapp.commands.stored_model import model_of, require_current_model, stage
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.judging import Judge
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
@@ -166,7 +167,9 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
             asked = len(dict.fromkeys(command.target.name for command in job.commands))
             done = len(dict.fromkeys(target.name for target in visited.targets))
             with suppress(InputError):  # the reason of the stop is the one to report
-                _store(job, judge, visited.result(f"stopped after {done} of {asked} targets: {error}"), notes)
+                _store(
+                    job, judge, visited.result(f"stopped after {done} of {counted(asked, 'target')}: {error}"), notes
+                )
         raise
     return _store(job, judge, pushed, notes)
 

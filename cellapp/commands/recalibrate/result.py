@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal
 
-from cellapp.ground.results import Record, Result
-
-RecalibratedStage = Literal["calibrate", "discover"]
+from cellapp.ground.results import ModelStage, Record, Result
 
 
 class RecalibratedRun(Record):
@@ -17,7 +15,7 @@ class RecalibratedRun(Record):
     """
 
     run: str
-    made: tuple[RecalibratedStage, ...]
+    made: tuple[ModelStage, ...]
     because: str
     heldout_mm: Mapping[str, float]
     seconds: float

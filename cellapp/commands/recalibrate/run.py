@@ -16,7 +16,7 @@ from cellapp.commands.calibrate.prior_source import recorded_priors
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.recalibrate.request import RecalibrateRequest
-from cellapp.commands.recalibrate.result import RecalibratedRun, RecalibratedStage, RecalibrateResult
+from cellapp.commands.recalibrate.result import RecalibratedRun, RecalibrateResult
 from cellapp.commands.record import Work
 from cellapp.commands.runs.history import check_folder, run_folders
 from cellapp.commands.stages import read_stages
@@ -24,7 +24,7 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.asking import who_uses
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import CancelToken, Listener, ignore
-from cellapp.ground.results import CALIBRATE, DISCOVER, Record
+from cellapp.ground.results import CALIBRATE, DISCOVER, ModelStage, Record
 from cellapp.ground.scale.executor import IN_PROCESS, Resources
 from cellapp.ground.scale.gather import check_resources, gather
 from cellapp.ground.scale.task import Batch, TaskKind, as_given
@@ -111,7 +111,7 @@ def recalibrated_run(asked: WhatToMake, its: FolderOfRun) -> RecalibratedRun:
         raise InputError(f"{folder} is in use ({user}); recalibrate it when that has ended")
     with RunFile.open(folder) as run:
         because = _reasons(run, asked)
-    made: list[RecalibratedStage] = []
+    made: list[ModelStage] = []
     heldout_mm: dict[str, float] = {}
     if because:
         with RunFile.open(folder, write=True) as run:

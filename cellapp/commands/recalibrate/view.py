@@ -5,12 +5,13 @@ from __future__ import annotations
 from cellapp.commands.recalibrate.result import RecalibrateResult
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.counting import counted
 
 
 def view(result: RecalibrateResult, request: Request | None = None) -> View:
     """What was computed again, and which runs failed."""
     tables = [recalibration_table(result)] if result.made else []
-    failed = f"{len(result.failed)} of {len(result.failed) + len(result.runs)} runs failed"
+    failed = f"{len(result.failed)} of {counted(len(result.failed) + len(result.runs), 'run')} failed"
     return View((*tables, *recalibration_sentences(result)), (failed,) if result.failed else ())
 
 
@@ -39,5 +40,5 @@ def recalibration_table(result: RecalibrateResult) -> Table:
 def recalibration_sentences(result: RecalibrateResult) -> list[str]:
     """How many runs were computed, were up to date and failed; and which failed, why."""
     held = len(result.runs) - len(result.made)
-    counts = f"{len(result.made)} runs computed again, {held} up to date, {len(result.failed)} failed"
+    counts = f"{counted(len(result.made), 'run')} computed again, {held} up to date, {len(result.failed)} failed"
     return [f"{counts}; {result.workers} at the same time", *(f"{run}: {why}" for run, why in result.failed.items())]

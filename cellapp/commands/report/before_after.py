@@ -10,6 +10,7 @@ from cellapp.cell.targets.records import ArmVerification
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import SMALLEST_MM, mm
 from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.ground.counting import counted
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, ErrorSummary, Method
 
 _ROOM = 1.25
@@ -89,7 +90,9 @@ def _arm_row(data: ReportData, name: str) -> ComparedErrors | None:
     if "nominal" not in errors or not arm.converged:
         return None
     best = errors[arm.best_stage].position_mm
-    return _row(f"Arm {name}", f"{best.n} held-out configurations", errors["nominal"].position_mm, best, tolerance)
+    return _row(
+        f"Arm {name}", counted(best.n, "held-out configuration"), errors["nominal"].position_mm, best, tolerance
+    )
 
 
 def _pair_row(data: ReportData) -> ComparedErrors | None:
@@ -101,7 +104,7 @@ def _pair_row(data: ReportData) -> ComparedErrors | None:
         return None
     errors = data.calibrate.pair[best].cooperative_mm
     nominal = data.calibrate.pair["nominal"].cooperative_mm
-    return _row("Both arms, distance", f"{errors.n} held-out stops", nominal, errors, tolerance)
+    return _row("Both arms, distance", counted(errors.n, "held-out stop"), nominal, errors, tolerance)
 
 
 def best_method(calibrate: CalibrateResult) -> Method | None:

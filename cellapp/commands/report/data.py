@@ -12,6 +12,7 @@ from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.rows import Event
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.held_out import HeldOutArm
+from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.stages import RunStages, read_stages
@@ -20,6 +21,8 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets, placed
+from cellapp.estimation.uncertainty.conditions import measured_conditions
+from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY, StageName
@@ -77,6 +80,11 @@ class ReportData:
     def model(self) -> CellModel:
         """The newest model that holds."""
         return self.discovered or self.calibrated
+
+    @cached_property
+    def judgements(self) -> tuple[Judgement, ...]:
+        """Every error against its tolerance."""
+        return judge_run(self.profile, self.results, measured_conditions(self.readings))
 
     @cached_property
     def conditions(self) -> Mapping[str, MeasurementConditions]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.words import METHOD_WORDS
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, PairMethodResult
 from cellapp.estimation.discovery.records import ArmDiscoveryResult
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, VERIFY, Method, StageName
 
@@ -29,39 +28,31 @@ STAGE_TITLES: dict[StageName, str] = {
 }
 
 
-@dataclass(frozen=True)
-class Headline:
-    """A subject and a sentence about it."""
-
-    subject: str
-    sentence: str
-
-
-def headlines(data: ReportData) -> list[Headline]:
-    """The accuracy of each arm and of the pair at held-out configurations; only results that hold."""
+def headlines(data: ReportData) -> list[tuple[str, str]]:
+    """Subject and accuracy of each arm and of the pair at held-out configurations; only results that hold."""
     lines = []
     suffix = " (out of date)" if CALIBRATE in data.out_of_date else ""
     for name, arm in data.calibrate.arms.items():
         found = None if data.discover is None else data.discover.arms.get(name)
-        lines.append(Headline(f"Arm {name}{suffix}", _arm_sentence(arm, found)))
+        lines.append((f"Arm {name}{suffix}", _arm_sentence(arm, found)))
     method = best_method(data.calibrate)
     if method is not None:
         sentence = _pair_sentence(method, data.calibrate.pair[method], data.calibrate.pair.get("nominal"))
-        lines.append(Headline(f"Pair{suffix}", sentence))
+        lines.append((f"Pair{suffix}", sentence))
     return lines
 
 
-def verified_headlines(data: ReportData) -> list[Headline]:
-    """The measured errors of each arm at targets, without and with compensation."""
+def verified_headlines(data: ReportData) -> list[tuple[str, str]]:
+    """Subject and the measured errors of each arm at targets, without and with compensation."""
     lines = []
     for name, verified in ({} if data.verify is None else data.verify.arms).items():
         before, after = verified.nominal_mm.mean, verified.compensated_mm.mean
         change = "fell" if after < before else "did not fall: it changed"
         lines.append(
-            Headline(
+            (
                 f"Arm {name}, verified",
-                f"At {verified.compensated_mm.n} new targets the measured mean error {change} from {before:.3f} mm to"
-                f" {after:.3f} mm with compensation.",
+                f"At {counted(verified.compensated_mm.n, 'new target')} the measured mean error {change} from"
+                f" {before:.3f} mm to {after:.3f} mm with compensation.",
             )
         )
     return lines
@@ -83,8 +74,8 @@ def _arm_sentence(arm: ArmCalibrationResult, found: ArmDiscoveryResult | None) -
     with_effects = found is not None and bool(found.accepted)
     best = arm.validate_["effects"].position_mm if with_effects else geometry
     sentence = (
-        f"The mean error of the predicted SMR position is {best.mean:.3f} mm ({best.n} configurations that the"
-        f" calibration did not use); with the nominal geometry it is {nominal.mean:.3f} mm"
+        f"The mean error of the predicted SMR position is {best.mean:.3f} mm ({counted(best.n, 'configuration')}"
+        f" that the calibration did not use); with the nominal geometry it is {nominal.mean:.3f} mm"
     )
     return sentence + (f", with the identified geometry alone {geometry.mean:.3f} mm." if with_effects else ".")
 
@@ -92,7 +83,7 @@ def _arm_sentence(arm: ArmCalibrationResult, found: ArmDiscoveryResult | None) -
 def _pair_sentence(method: Method, best: PairMethodResult, nominal: PairMethodResult | None) -> str:
     sentence = (
         f"The mean error of the predicted distance between the two arms' SMRs is {best.cooperative_mm.mean:.3f} mm"
-        f" with {METHOD_WORDS[method]} (held-out stops)"
+        f" ({METHOD_WORDS[method]}; held-out stops)"
     )
     if method != "nominal" and nominal is not None:
         sentence += f"; with the nominal cell it is {nominal.cooperative_mm.mean:.3f} mm"

@@ -8,7 +8,8 @@ from typing import Annotated, Self
 from pydantic import model_validator
 
 from cellapp.commands.fields import RunFolder, Strict
-from cellapp.commands.record import Asked, Request, Verb, Writes
+from cellapp.commands.record import Asked, Request, Verb
+from cellapp.ground.outputs import Writes
 
 PDF_FILE = "report.pdf"
 

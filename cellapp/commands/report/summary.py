@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import date
 
 from cellapp.commands.certificate.judgements import other_arms_found
-from cellapp.commands.discover.view import verdict_sentence
+from cellapp.commands.discover.words import verdict_sentence
 from cellapp.commands.report.before_after import BeforeAfterFigure, before_after_figure
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.judged import JudgedMatrix, judged_matrix

@@ -12,9 +12,9 @@ from cellapp.commands.report.result import read_results
 from cellapp.commands.report.summary import Summary, summary
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.table import Column, Table, number_column
-from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def read_verdict(run: RunFile, today: date) -> RunVerdict:
         title = "Not calibrated yet"
         sentence = "Collect and calibrate first; tests by ISO 9283 with nominal commands need no calibration."
         return RunVerdict(overall(judgements), title, sentence, judgements, ())
-    judgements = judge_run(run.profile, results, measured_conditions(data.readings))
+    judgements = data.judgements
     first: Summary = summary(data, judgements, today)
     steps = tuple(f"{step.text} {step.command}".strip() for step in first.steps)
     verdict = first.verdict
@@ -66,9 +66,7 @@ def verdict_tables(verdict: RunVerdict) -> list[Table]:
 
 def verdict_sentences(verdict: RunVerdict) -> list[str]:
     """What the judgements rest on, and what comes next."""
-    sources: dict[str, list[str]] = {}
-    for one in verdict.judgements:
-        sources.setdefault(one.source, []).append(f"{_name(one)} of {one.where}")
+    sources = grouped((one.source, f"{_name(one)} of {one.where}") for one in verdict.judgements)
     return [
         *dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements),
         *(f"{', '.join(judged)}: {source}" for source, judged in sources.items()),

@@ -10,12 +10,12 @@ from cellapp.commands.compensate.tables import verification_tables
 from cellapp.commands.discover import view as discovery
 from cellapp.commands.record import Request, View
 from cellapp.commands.run.result import WholeRunResult
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.parts import Part
 
 
 def view(result: WholeRunResult, request: Request | None = None) -> View:
     """What each step found, notes, and where run and page are; the first step that did not hold fails."""
-    parts: list[Table | str] = []
+    parts: list[Part] = []
     if result.collect is not None:
         parts += collect_lines(result.collect)
     if result.calibrate is not None:
@@ -30,4 +30,7 @@ def view(result: WholeRunResult, request: Request | None = None) -> View:
     parts.append(f"run: {result.run}   report: {Path(result.run) / 'report.html'}")
     steps = (("collect", result.collect), ("verification", result.verify))
     failed = [(name, step.complaints()) for name, step in steps if step is not None and step.complaints()]
-    return View(parts, failed[0][1], failed[0][0]) if failed else View(parts)
+    if failed:
+        return View(parts, failed[0][1], failed[0][0])
+    unverified = "nothing was verified, the profile names no targets"
+    return View(parts, held=unverified if result.verify is None else "the verification held")

@@ -6,9 +6,11 @@ import os
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import get_args
 
 from pydantic import ValidationError
 
+from cellapp.cell.driving.records import End
 from cellapp.cell.run.collection_rows import Session
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import FILE_NAME
@@ -26,7 +28,7 @@ DEFAULT_FOLDER = Path("logs")
 
 LEVELS = 3
 """Folders between a listed folder and a run; trials and campaigns make two."""
-_DONE: tuple[LastSession, ...] = ("complete", "accurate enough")
+_DONE: tuple[LastSession, ...] = get_args(End)
 
 
 def list_runs(folder: Path | None = None) -> RunsResult:
@@ -162,7 +164,13 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         interrupted=last is not None and last not in _DONE and left > 0,
         in_use=known.in_use,
         size_bytes=known.size_bytes,
+        tracker_due=_due(run.profile),
     )
+
+
+def _due(profile: Profile) -> str:
+    due = profile.traceability.tracker.due
+    return "" if due is None else due.isoformat()
 
 
 def _last_session(sessions: list[Session]) -> LastSession | None:

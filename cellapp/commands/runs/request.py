@@ -14,6 +14,9 @@ class RunsRequest(Request):
     folder: Annotated[Path | None, Asked("A folder that holds runs; logs if not given.", "FOLDER", argument=True)] = (
         None
     )
+    today: Annotated[bool, Asked("What waits today: open runs, and how old calibration and check of each arm are.")] = (
+        False
+    )
 
 
 VERB = Verb("runs", RunsRequest, chapter="commands")

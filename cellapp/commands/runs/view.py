@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 from rich import filesize
 
 from cellapp.commands.record import Request, View
+from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import ArmFigures, CellKind, RunsResult, RunSummary
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.discovery.records import BeforeAfter
+from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 from cellapp.ground.times import day_of, minute_of
 
 CELL_WORDS: dict[CellKind, str] = {
@@ -23,7 +27,12 @@ _MM = ".3f"
 
 
 def view(result: RunsResult, request: Request | None = None) -> View:
-    """Every run below the folder."""
+    """Every run below the folder; or what waits today."""
+    if isinstance(request, RunsRequest) and request.today:
+        from cellapp.commands.runs.today import today_sentences, today_tables  # late: it uses the words of this module
+
+        now = datetime.now(UTC)
+        return View((*today_tables(result, now), *today_sentences(result, now)))
     return View((*runs_tables(result), *runs_sentences(result)))
 
 
@@ -90,7 +99,7 @@ def run_lines(run: RunSummary) -> list[str]:
         *(f"{name}: {figures_words(figures)}" for name, figures in run.figures.items()),
     ]
     if run.resumable:
-        return [*lines, f"interrupted, {run.stops_left} stops left: {run.next_step}"]
+        return [*lines, f"interrupted, {counted(run.stops_left, 'stop')} left: {run.next_step}"]
     return [*lines, f"next: {run.next_step or 'nothing is left to do'}"]
 
 
@@ -111,7 +120,8 @@ def resume_sentence(run: RunSummary) -> str:
     """Offer to continue an interrupted run."""
     return (
         f"{run.run}: collecting was interrupted ({session_words(run)}) with {run.stops_left} of"
-        f" {run.stops_measured + run.stops_left} stops left; 'cellapp collect {run.run} --resume' continues it"
+        f" {counted(run.stops_measured + run.stops_left, 'stop')} left; 'cellapp collect {run.run} --resume'"
+        " continues it"
     )
 
 
@@ -139,10 +149,7 @@ def session_words(run: RunSummary) -> str:
 def stages_words(run: RunSummary) -> str:
     """Which results hold, and which are out of date and why."""
     held = [stage.name for stage in run.stages if not stage.out_of_date]
-    reasons: dict[str, list[str]] = {}
-    for stage in run.stages:
-        if stage.out_of_date:
-            reasons.setdefault(stage.out_of_date, []).append(stage.name)
+    reasons = grouped((stage.out_of_date, stage.name) for stage in run.stages if stage.out_of_date)
     parts = [f"results: {', '.join(held)}"] if held else []
     parts += [f"out of date: {', '.join(names)} ({reason})" for reason, names in reasons.items()]
     return "; ".join(parts) or "no results"

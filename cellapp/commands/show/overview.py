@@ -9,6 +9,7 @@ from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.out_of_date import complaints_of
 from cellapp.commands.show.result import HistoryResult, LogLine, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.stages import RunStages, StoredStage, read_history, read_stages
+from cellapp.ground.counting import counted
 
 
 def run_overview(run: RunFile) -> OverviewResult:
@@ -40,23 +41,15 @@ def run_history(run: RunFile) -> HistoryResult:
 
 def run_log(run: RunFile, level: str | None = None, last: int | None = None) -> LogResult:
     """Lines of the log, oldest first; only those of one ``level``, only the ``last`` ones."""
-    lines = [
-        LogLine(number=event.number, written=event.written, time_s=event.time_s, level=event.level, text=event.text)
-        for event in run.events()
-        if level is None or event.level == level
-    ]
+    lines = [LogLine.like(event) for event in run.events() if level is None or event.level == level]
     return LogResult(run=str(run.folder), lines=tuple(lines if last is None else lines[-last:]))
 
 
 def _state(stage: StoredStage, stages: RunStages) -> StageState:
     current = stages.current.get(stage.name)
     superseded = current is None or current.number != stage.number
-    return StageState(
-        number=stage.number,
-        name=stage.name,
-        written=stage.written,
-        program=stage.program,
-        digest=stage.digest,
+    return StageState.like(
+        stage,
         rests_on=_rests_on(stage),
         superseded=superseded,
         out_of_date=None if superseded else stages.out_of_date.get(stage.name),
@@ -70,7 +63,7 @@ def _rests_on(stage: StoredStage) -> tuple[str, ...]:
     basis = stage.basis
     return (
         f"profile {basis.profile[:12]}",
-        *(f"{arm.n} readings of {name} {arm.sha256[:12]}" for name, arm in basis.readings.items()),
+        *(f"{counted(arm.n, 'reading')} of {name} {arm.sha256[:12]}" for name, arm in basis.readings.items()),
         *(f"{name} {digest[:12] or 'none'}" for name, digest in basis.stages.items()),
         *(() if basis.targets is None else (f"targets {basis.targets[:12]}",)),
     )

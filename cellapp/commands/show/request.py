@@ -9,6 +9,7 @@ from pydantic import Field, create_model, model_validator
 
 from cellapp.commands.fields import RunFolder, Strict
 from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.storing import STORING
 
 OWN_PARTS = ("overview", "plan", "collection", "log", "profile", "history")
 """What a run holds beside the results of verbs."""
@@ -52,3 +53,6 @@ def show_verb(verbs: Sequence[Verb]) -> Verb:
         part=(annotated[parts, asked], first),
     )
     return Verb("show", request, chapter="commands")
+
+
+VERB = show_verb(STORING)

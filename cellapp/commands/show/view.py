@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cellapp.cell.driving.records import CollectionResult
-from cellapp.commands.collect.view import collection_tables
+from cellapp.commands.collect.view import stored_view
 from cellapp.commands.compensate.details import details_tables, stored_state, target_details
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.record import Request, View
@@ -33,7 +33,7 @@ def _view_of(found: Shown, request: Request | None) -> View:
         case LogResult():
             return View(log_lines(found.result) or ("no log lines to show",))
         case CollectionResult():
-            return View(collection_tables(found.result))
+            return stored_view(found.result)
     asked = request if isinstance(request, ShowRequest) else None
     target = None if asked is None else asked.target
     if target is not None and found.results is not None and (state := stored_state(found.results, target)):

@@ -155,14 +155,5 @@ def _together(results: Mapping[str, JudgeResult]) -> MatrixResult:
         targets=whole.targets,
         posteriors=whole.posteriors,
         seconds_an_arm=whole.seconds_an_arm,
-        cells=tuple(
-            CellScore(
-                name=name,
-                runs=len(result.trials),
-                targets=result.targets,
-                seconds_an_arm=result.seconds_an_arm,
-                failed=result.failed,
-            )
-            for name, result in results.items()
-        ),
+        cells=tuple(CellScore.like(result, name=name, runs=len(result.trials)) for name, result in results.items()),
     )

@@ -92,8 +92,8 @@ def real_checks(entrants: Mapping[str, Entrant], task: RealCheckTask) -> RealChe
         some = rng.permutation(others)[: _AMONG * task.planned]
         order = choose_stops(belief, {entrant.arm: readings.q[some]}, task.planned).order
         stops = stop_rows(belief, {entrant.arm: readings.take(some[order])}, design.directions)
-        measured, standing = decided_prefix(design, stops)
-        verdict = judgement(design, measured, standing)[0]
+        measured, state = decided_prefix(design, stops)
+        verdict = judgement(design, measured, state)[0]
         found.append(
             CheckedChange(
                 seed=task.seed,
@@ -103,7 +103,7 @@ def real_checks(entrants: Mapping[str, Entrant], task: RealCheckTask) -> RealChe
                 visible=False,
                 moved_mm=0.0,
                 verdict=verdict,
-                stops=standing.stops,
+                stops=state.stops,
             )
         )
     return RealChecks(checks=tuple(found))

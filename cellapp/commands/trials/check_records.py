@@ -8,6 +8,7 @@ from typing import Literal
 from scipy.special import betaincinv
 
 from cellapp.estimation.monitoring.check.records import CheckVerdict
+from cellapp.ground.counting import counted
 from cellapp.ground.results import Record, Result
 
 MOST_FALSE = 0.01
@@ -97,7 +98,7 @@ class CheckTrialResult(Result):
         """What failed and bars that are missed, in words."""
         said, false, found = list(self.failed), self.false_alarms(), self.found()
         if false.n and false.value > MOST_FALSE:
-            said.append(f"false alarms in {false.value:.2%} of {false.n} checks, at most {MOST_FALSE:.0%}")
+            said.append(f"false alarms in {false.value:.2%} of {counted(false.n, 'check')}, at most {MOST_FALSE:.0%}")
         if found.n and found.value < LEAST_FOUND:
             said.append(f"{found.value:.1%} of {found.n} visible changes detected, at least {LEAST_FOUND:.0%}")
         return said

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from cellapp.commands.trials.check_records import CheckedChange, CheckTrialResult, Group, Share, share
-from cellapp.commands.trials.skeleton import Field, table_of
-from cellapp.commands.view.table import Interval, Table
+from cellapp.commands.view.table import Field, Interval, Table, table_of
+from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 
 _PERCENT = ".1f"
 _TITLES: dict[Group, str] = {
     "unchanged": "nothing",
-    "parameter": "a parameter by 0.05 mm or 50 urad",
+    "parameter": "a parameter by 0.05 mm or 50 µrad",
     "effect": "stiffness, play or eccentricity",
     "tracker": "tracker",
     "base": "base of an arm",
@@ -34,9 +35,10 @@ def check_trial_sentences(result: CheckTrialResult) -> list[str]:
     false, found = result.false_alarms(), result.found()
     alarms = f"False alarms: {false.value:.2%} of {false.n} [{false.low:.2%}, {false.high:.2%}], at most 1 %."
     if not found.n:
-        return [f"{result.cells} calibrations of measured robots, {false.n} checks on other rows. {alarms}"]
+        return [f"{result.cells} calibrations of measured robots, {counted(false.n, 'check')} on other rows. {alarms}"]
     return [
-        f"{result.cells} cells, {len(result.checks)} checks of at most {result.planned} stops"
+        f"{counted(result.cells, 'cell')}, {counted(len(result.checks), 'check')} of at most"
+        f" {counted(result.planned, 'stop')}"
         f"{', the tracker set up anew' if result.station_free else ''}. A change is visible if it moves the SMR by at"
         " least the standard deviation of a measured coordinate, rms, beside the best motion of the tracker. Named: the"
         " first change that is stated is the true one; listed: it is that, or stated as one that the stops cannot tell"
@@ -124,9 +126,9 @@ def _statistics(result: CheckTrialResult) -> Table:
 
 def _hardest(result: CheckTrialResult) -> Table:
     """Visible changes that were detected or listed least."""
-    by: dict[str, list[CheckedChange]] = {}
-    for one in (*result.some("parameter", visible=True), *result.some("effect", visible=True)):
-        by.setdefault(one.what, []).append(one)
+    by = grouped(
+        (one.what, one) for one in (*result.some("parameter", visible=True), *result.some("effect", visible=True))
+    )
     lines = [_Checks(what, some) for what, some in by.items()]
     lines.sort(key=lambda its: (its.found.value, its.of_changes(lambda one: one.listed) or 0.0, its.moved_mm))
     return table_of(

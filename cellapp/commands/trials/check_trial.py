@@ -1,7 +1,7 @@
 """How often the ten-minute check finds and names changes of simulated cells, and how often it finds one where none is.
 
 A cell is drawn and calibrated from many stops. Then its plant is changed, not the model: every visible parameter of the
-geometry by 0.05 mm or 50 urad, one at a time; stiffness, play and eccentricity of joints by what moves the SMR by 0.05
+geometry by 0.05 mm or 50 µrad, one at a time; stiffness, play and eccentricity of joints by what moves the SMR by 0.05
 mm; tracker, bases and SMRs by 0.1 to 10 mm. Each check measures the chosen stops with noise of its own.
 """
 
@@ -182,9 +182,9 @@ class _Trial:
         """One check of a changed plant."""
         readings = self._readings(change.plant, number)
         stops = stop_rows(self.belief, readings, self.design.directions)
-        some, standing = decided_prefix(self.design, stops)
+        some, state = decided_prefix(self.design, stops)
         here, _ = with_station(self.design, some)
-        verdict, found, _, _ = judgement(self.design, here, standing)
+        verdict, found, _, _ = judgement(self.design, here, state)
         moved = self.points(change.plant) - self.before
         count = len(stops.measured) / (1 if change.arm in ("", TRACKER) else len(self.q))
         what, visible = self._words(change)
@@ -203,7 +203,7 @@ class _Trial:
             visible=visible,
             moved_mm=float(np.sqrt(np.sum(moved**2) / count)) * 1e3,
             verdict=verdict,
-            stops=standing.stops,
+            stops=state.stops,
             named=named,
             listed=named or (first is not None and what in first.rivals),
             solved_mm=None if first is None or not named else _solved_mm(self.design, change, first, stops),

@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.commands.trials.skeleton import table_of
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.table import Table, table_of
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.store import Cost, ResultStore
 
@@ -56,9 +56,7 @@ def cost_of(path: Path, tasks: int) -> CostResult:
         costs = store.costs()
     if not costs:
         raise InputError(f"{path} holds no results yet")
-    by_job: dict[str, list[Cost]] = {}
-    for cost in costs:
-        by_job.setdefault(cost.job, []).append(cost)
+    by_job = grouped((cost.job, cost) for cost in costs)
     return CostResult(tasks=tasks, jobs=tuple(_cost(job, some, tasks) for job, some in sorted(by_job.items())))
 
 

@@ -12,6 +12,8 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, of_all_arms, planned_cell
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
+from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.task import TaskKind, as_given
@@ -75,7 +77,7 @@ def coverage_sentences(result: CoverageResult) -> list[str]:
     """The shares of every arm."""
     return [
         f"arm {name}: {100 * arm.share:.2f} % of {arm.intervals} stated 95 % intervals contain the truth"
-        f" ({arm.runs} runs; by parameter {100 * min(arm.by_parameter.values()):.1f} to"
+        f" ({counted(arm.runs, 'run')}; by parameter {100 * min(arm.by_parameter.values()):.1f} to"
         f" {100 * max(arm.by_parameter.values()):.1f} %)"
         for name, arm in result.arms.items()
     ]
@@ -113,10 +115,7 @@ INTERVALS = TaskKind("cellapp.commands.trials.coverage:INTERVALS", PlannedCell, 
 
 
 def _coverage(found: Sequence[Interval]) -> ArmCoverage:
-    inside: dict[str, list[bool]] = {}
-    for one in found:
-        for name, held in one.held.items():
-            inside.setdefault(name, []).append(held)
+    inside = grouped((name, held) for one in found for name, held in one.held.items())
     every = [held for some in inside.values() for held in some]
     return ArmCoverage(
         runs=len(found),

@@ -17,7 +17,6 @@ from pydantic import ValidationError
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.discover.result import arm_result
 from cellapp.commands.stages import read_stages
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
 from cellapp.commands.trials.run_score import score_run
@@ -140,7 +139,7 @@ def judge_run(folder: Path, source: str) -> None:
                 seconds=time.perf_counter() - wall_s,
                 cpu_seconds=time.process_time() - cpu_s,
                 # pictures are large, and 'discover' draws them again
-                discovery=arm_result(found).model_copy(update={"pictures": ()}),
+                discovery=found.result.model_copy(update={"pictures": ()}),
             )
         stored = StoredTrial(
             written=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -216,7 +215,7 @@ def _compare(
 
 
 def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
-    """What was found in an arm, beside the rms length of the noise drawn at its held-out stops [um]."""
+    """What was found in an arm, beside the rms length of the noise drawn at its held-out stops [µm]."""
     found = stored.discovery
     return ArmFindings(
         accepted=tuple(effect.effect for effect in found.accepted),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -17,7 +17,9 @@ NOTHING, NOT_KNOWN = "nothing missing", "unknown effect"
 VERDICTS = ("explained", "ambiguous", NOT_KNOWN, NOTHING)
 
 Outcome = Literal["named", "extra", "part", "wrong", "unknown", "none"]
-OUTCOMES: tuple[Outcome, ...] = ("named", "extra", "part", "wrong", "unknown", "none")
+OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+Likeness = Literal["", "part", "right"]
+"""How much of a law outside the library a description has."""
 
 
 class Spread(Record):
@@ -45,7 +47,7 @@ class DescribedTerm(Record):
 
 
 class NoiseLengths(Record):
-    """Rms length of the noise that the search assumed, and of the noise really drawn at the held-out stops [um].
+    """Rms length of the noise that the search assumed, and of the noise really drawn at the held-out stops [µm].
 
     ``stated`` is None where the search had no number for it.
     """
@@ -140,7 +142,7 @@ class ScoredRun(Record):
     visible: bool | None
     outcome: Outcome | None
     in_answer_set: bool | None
-    description: Literal["", "part", "right"]
+    description: Likeness
     second_names: tuple[SecondName, ...] = ()
     says_convention: bool | None = None
     arms: Mapping[str, ArmFindings]
@@ -182,14 +184,8 @@ class OutcomeCounts(EndState):
 
     def count(self, outcome: Outcome) -> int:
         """Number of one outcome."""
-        return {
-            "named": self.named,
-            "extra": self.extra,
-            "part": self.part,
-            "wrong": self.wrong,
-            "unknown": self.unknown,
-            "none": self.none,
-        }[outcome]
+        found: int = getattr(self, outcome)
+        return found
 
 
 class EffectCounts(Record):

@@ -18,8 +18,9 @@ import numpy as np
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.commands.trials.drawn_cell import drawn_cell
 from cellapp.commands.trials.measured import measured_plan
-from cellapp.commands.trials.skeleton import IN_PLACE, Work, table_of
-from cellapp.commands.view.table import Number, Table
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
+from cellapp.commands.view.table import Number, Table, table_of
+from cellapp.commands.view.words import METHOD_WORDS
 from cellapp.estimation.calibration.calibrate import ArmCalibration, calibrate_readings
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
@@ -173,8 +174,15 @@ def paper_tables(result: PaperResult) -> list[Table]:
     """The paper's methods over seeds beside the paper, and position errors at both tracker stations."""
     gain = (result.gain.median, result.gain.worst, result.gain.paper)
     rows = [
-        *((method, entry.median, entry.worst, entry.paper) for method, entry in result.cooperative_mm.items()),
-        ("proposed below method_1", *(None if share is None else Number(100 * share, 1, "%") for share in gain)),
+        *(
+            (METHOD_WORDS[method], entry.median, entry.worst, entry.paper)
+            for method in _METHODS
+            if (entry := result.cooperative_mm.get(method)) is not None
+        ),
+        (
+            f"{METHOD_WORDS['proposed']}, below {METHOD_WORDS['method_1']}",
+            *(None if share is None else Number(100 * share, 1, "%") for share in gain),
+        ),
     ]
     fields = [(title, itemgetter(place), ".4f") for place, title in enumerate(("median", "worst", "paper"), start=1)]
     title = f"Mean cooperative error [mm], {len(result.trials)} simulated cells"

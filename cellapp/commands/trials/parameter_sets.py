@@ -14,11 +14,12 @@ import numpy as np
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.commands.trials.planned_cell import ArmSeed, PlannedCell, bare_profile, of_all_arms, planned_cell
-from cellapp.commands.trials.skeleton import IN_PLACE, Work, table_of
-from cellapp.commands.view.table import Table
+from cellapp.commands.trials.skeleton import IN_PLACE, Work
+from cellapp.commands.view.table import Table, table_of
 from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, full_set, paper_set
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.task import TaskKind, as_given
@@ -165,9 +166,7 @@ def _both_solvers(start: Geometry, q: Array, p_M: Array, chosen: ParameterSet) -
 
 
 def _summaries(found: Sequence[Solution]) -> list[ParameterSetTrial]:
-    groups: dict[tuple[str, str], list[Solution]] = {}
-    for one in found:
-        groups.setdefault((one.parameter_set, one.solver), []).append(one)
+    groups = grouped(((one.parameter_set, one.solver), one) for one in found)
     return [_medians(name, solver, some) for (name, solver), some in groups.items()]
 
 

@@ -7,11 +7,12 @@ from operator import itemgetter
 
 import numpy as np
 
-from cellapp.cell.planning.plan_quality import ERROR_NAMES, ErrorName
+from cellapp.cell.planning.design_records import ErrorName
+from cellapp.cell.planning.plan_quality import ERROR_NAMES
 from cellapp.commands.trials.plan_trial import BARS, PlanTrialsResult
-from cellapp.commands.trials.skeleton import table_of
 from cellapp.commands.trials.whole_plans import WholePlan
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.table import Table, table_of
+from cellapp.ground.counting import counted
 
 _HEADINGS = {"parameters": "parameters, effects", "mean": "mean prediction", "worst": "worst prediction"}
 
@@ -27,7 +28,7 @@ def _information(result: PlanTrialsResult) -> Table:
     first, seeds = result.trials[0], len({one.seed for one in result.trials})
     arms = dict.fromkeys(one.arm for one in result.trials)
     return table_of(
-        f"{result.profile}: random stops that one of {first.stops} designed stops is worth, {seeds} seeds",
+        f"{result.profile}: random stops that one of {first.stops} designed stops is worth, {counted(seeds, 'seed')}",
         [_worth(result, arm, error) for arm in arms for error in ERROR_NAMES],
         ("arm", itemgetter(0)),
         ("error", lambda row: _HEADINGS[row[1]]),
@@ -48,7 +49,7 @@ def _worth(result: PlanTrialsResult, arm: str, error: ErrorName) -> tuple[str, E
 
 def _order(profile: str, plans: Sequence[WholePlan]) -> Table:
     return table_of(
-        f"{profile}: order and factors of {plans[0].asked} stops",
+        f"{profile}: order and factors of {counted(plans[0].asked, 'stop')}",
         plans,
         ("seed", "seed", "d"),
         ("travel", "travel_s", ".0f", "s"),
@@ -61,7 +62,7 @@ def _order(profile: str, plans: Sequence[WholePlan]) -> Table:
 
 def _safety(profile: str, plans: Sequence[WholePlan]) -> Table:
     return table_of(
-        f"{profile}: ways of {plans[0].asked} stops",
+        f"{profile}: ways of {counted(plans[0].asked, 'stop')}",
         plans,
         ("seed", "seed", "d"),
         ("reached", "reached", "d"),

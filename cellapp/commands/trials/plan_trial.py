@@ -10,7 +10,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cellapp.cell.planning.candidates import CandidatePool, draw_pool
-from cellapp.cell.planning.plan_quality import ErrorName, Errors, Judge, arm_design, equal_to_random
+from cellapp.cell.planning.design_records import ErrorName
+from cellapp.cell.planning.plan_quality import Errors, Judge, arm_design, equal_to_random
 from cellapp.cell.planning.selection import select_stops
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
@@ -18,6 +19,7 @@ from cellapp.commands.trials.whole_plans import WholePlan, whole_plans
 from cellapp.estimation.design.block_choice import Candidates
 from cellapp.estimation.design.block_design import Criterion
 from cellapp.estimation.design.relaxation import least_errors
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from cellapp.ground.results import Record, Result
@@ -67,7 +69,11 @@ class PlanTrialsResult(Result):
 
     def complaints(self) -> list[str]:
         """What failed, and what whole plans must never have."""
-        colliding = [f"seed {one.seed}: {one.collisions} motions collide" for one in self.plans if one.collisions]
+        colliding = [
+            f"seed {one.seed}: {counted(one.collisions, 'motion collides', 'motions collide')}"
+            for one in self.plans
+            if one.collisions
+        ]
         return [*self.failed, *colliding]
 
     def worth(self, arm: str, error: ErrorName) -> float:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 from cellapp.commands.trials.judge_records import (
     ArmFindings,
     DescribedTerm,
     HiddenEffect,
+    Likeness,
     Outcome,
     ScoredRun,
     SecondName,
@@ -45,26 +45,12 @@ _ALIKE: tuple[frozenset[DriverVariable], ...] = (
 def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
     """Compare what was found in one run with what was hidden in it."""
     noise_um = truth.noise_um.get(truth.arm, 0.0)
-    hidden = tuple(
-        HiddenEffect(
-            effect=one.effect,
-            plant=one.plant,
-            law=one.law,
-            raw_um=one.raw_um,
-            visible_um=one.visible_um,
-            beyond_law_um=one.beyond_law_um,
-            visible=one.visible_um > noise_um,
-        )
-        for one in truth.effects
-    )
+    hidden = tuple(HiddenEffect.like(one, visible=one.visible_um > noise_um) for one in truth.effects)
     names = frozenset(effect.effect for effect in hidden)
     expected = None if truth.expected is None else DescribedTerm.model_validate(truth.expected.model_dump())
     here = arms.get(truth.arm)
-    return ScoredRun(
-        run=truth.run,
-        kind=truth.kind,
-        look_alikes=truth.look_alikes,
-        arm=truth.arm,
+    return ScoredRun.like(
+        truth,
         hidden=hidden,
         expected=expected,
         visible=None if here is None else all(effect.visible for effect in hidden),
@@ -89,11 +75,11 @@ def _outcome(hidden: frozenset[str], accepted: frozenset[str]) -> Outcome:
     return "unknown" if accepted == {UNKNOWN} else "wrong"
 
 
-def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) -> Literal["", "part", "right"]:
+def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) -> Likeness:
     """How well the best data-driven term matches; a channel in one direction only counts as that channel."""
     if expected.variables == (POSITION,):
         return _field_description(described)
-    best: Literal["", "part"] = ""
+    best: Likeness = ""
     for term in described:
         if term.channel != expected.channel and not term.channel.startswith(f"{expected.channel} "):
             continue
@@ -104,9 +90,9 @@ def _description(expected: DescribedTerm, described: Sequence[DescribedTerm]) ->
     return best
 
 
-def _field_description(described: Sequence[DescribedTerm]) -> Literal["", "part", "right"]:
+def _field_description(described: Sequence[DescribedTerm]) -> Likeness:
     """As ``_description`` for a field over the workspace: at least two variables of position, or the word itself."""
-    best: Literal["", "part"] = ""
+    best: Likeness = ""
     for term in described:
         of_space = term.channel.split(" ")[0] in _OF_SPACE
         variables = set(term.variables)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from cellapp.commands.trials.judge_records import (
+    OUTCOMES,
     VERDICTS,
     ArmFindings,
     CleanCounts,
@@ -12,7 +14,6 @@ from cellapp.commands.trials.judge_records import (
     EndState,
     HiddenEffect,
     Miss,
-    Outcome,
     OutcomeCounts,
     OutsideCounts,
     ScoredRun,
@@ -21,6 +22,7 @@ from cellapp.commands.trials.judge_records import (
 )
 from cellapp.commands.trials.posteriors import posterior_scores
 from cellapp.commands.trials.targets import targets
+from cellapp.ground.grouping import grouped
 
 
 def scores(runs: Sequence[ScoredRun]) -> Scores:
@@ -45,7 +47,7 @@ def scores(runs: Sequence[ScoredRun]) -> Scores:
         posteriors=posteriors,
         seconds_an_arm=Spread.of([found.seconds for found in every]),
         cpu_seconds_an_arm=Spread.of([found.cpu_seconds for found in every]),
-        misses=tuple(miss for run in runs for miss in _misses(run)),
+        misses=tuple(miss for run in runs for miss in [_miss(run, arm) for arm in run.arms if _missed(run, arm)]),
         trials=tuple(runs),
     )
 
@@ -55,10 +57,7 @@ def scores(runs: Sequence[ScoredRun]) -> Scores:
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
     """Runs that hide the same, look-alikes last."""
-    groups: dict[str, list[ScoredRun]] = {}
-    for run in sorted(runs, key=lambda run: (run.look_alikes, run.hidden_names)):
-        groups.setdefault(run.hidden_names, []).append(run)
-    return groups
+    return grouped((run.hidden_names, run) for run in sorted(runs, key=lambda run: (run.look_alikes, run.hidden_names)))
 
 
 def _effect_counts(runs: Sequence[ScoredRun]) -> EffectCounts:
@@ -69,53 +68,37 @@ def _effect_counts(runs: Sequence[ScoredRun]) -> EffectCounts:
 
 
 def _outcome_counts(runs: Sequence[ScoredRun]) -> OutcomeCounts:
-    def count(outcome: Outcome) -> int:
-        return sum(run.outcome == outcome for run in runs)
-
-    end = _end_state([run.findings for run in runs])
+    counts: dict[str, Any] = {outcome: sum(run.outcome == outcome for run in runs) for outcome in OUTCOMES}
     return OutcomeCounts(
+        **dict(_end_state([run.findings for run in runs])),
+        **counts,
         n=len(runs),
         visible_um=Spread.of([min(effect.visible_um for effect in run.hidden) for run in runs]),
         beyond_law_um=Spread.of(
             [effect.beyond_law_um for run in runs for effect in run.hidden if effect.beyond_law_um]
         ),
-        named=count("named"),
-        extra=count("extra"),
-        part=count("part"),
-        wrong=count("wrong"),
-        unknown=count("unknown"),
-        none=count("none"),
         in_answer_set=sum(bool(run.in_answer_set) for run in runs),
-        heldout_to_drawn=end.heldout_to_drawn,
-        heldout_to_stated=end.heldout_to_stated,
-        verdicts=end.verdicts,
     )
 
 
 def _clean_counts(arms: Sequence[ArmFindings]) -> CleanCounts:
-    end = _end_state(arms)
     return CleanCounts(
+        **dict(_end_state(arms)),
         n=len(arms),
         false_names=sum(bool(found.names) for found in arms),
         false_unknown=sum(found.unknown for found in arms),
-        heldout_to_drawn=end.heldout_to_drawn,
-        heldout_to_stated=end.heldout_to_stated,
-        verdicts=end.verdicts,
     )
 
 
 def _outside_counts(runs: Sequence[ScoredRun]) -> OutsideCounts:
-    end = _end_state([run.findings for run in runs])
     return OutsideCounts(
+        **dict(_end_state([run.findings for run in runs])),
         n=len(runs),
         visible_um=Spread.of([run.hidden[0].visible_um for run in runs]),
         unknown=sum(run.findings.unknown for run in runs),
         right=sum(run.description == "right" for run in runs),
         part=sum(run.description == "part" for run in runs),
         false_names=sum(bool(run.findings.names) for run in runs),
-        heldout_to_drawn=end.heldout_to_drawn,
-        heldout_to_stated=end.heldout_to_stated,
-        verdicts=end.verdicts,
     )
 
 
@@ -126,11 +109,6 @@ def _end_state(arms: Sequence[ArmFindings]) -> EndState:
         heldout_to_stated=Spread.of([found.to_stated for found in arms if found.to_stated is not None]),
         verdicts={word: verdicts.count(word) for word in VERDICTS if word in verdicts},
     )
-
-
-def _misses(run: ScoredRun) -> list[Miss]:
-    """The arms of a run in which not exactly the hidden effects were found."""
-    return [_miss(run, arm) for arm in run.arms if _missed(run, arm)]
 
 
 def _missed(run: ScoredRun, arm: str) -> bool:
@@ -161,7 +139,7 @@ def _miss(run: ScoredRun, arm: str) -> Miss:
 
 
 def _hidden_words(effect: HiddenEffect) -> str:
-    """``backlash/many_plays (84, beyond its law 12)``: visible size, and what the library's law leaves of it [um]."""
+    """``backlash/many_plays (84, beyond its law 12)``: visible size, and what the library's law leaves of it [µm]."""
     law = f"/{effect.law}" if effect.law else ""
     beyond = "" if effect.beyond_law_um is None else f", beyond its law {effect.beyond_law_um:.0f}"
     return f"{effect.plant}{law} ({effect.visible_um:.0f}{beyond})"

@@ -50,7 +50,7 @@ _TRIALS_A_PLAN = 25
 class HiddenLaw(Record):
     """One hidden effect: its name in the library and in the plant, its parameters, and how far it moves the SMR.
 
-    ``raw_um`` is the rms displacement over the run's stops [um], ``visible_um`` what remains of it after the part that
+    ``raw_um`` is the rms displacement over the run's stops [µm], ``visible_um`` what remains of it after the part that
     the geometric parameters can follow, ``beyond_law_um`` what geometry and the library's best law of that effect
     leave (None where the library has no such law).
     """
@@ -83,7 +83,7 @@ class GroundTruth(Record):
     arm : str
         The arm with the effects; empty where nothing is hidden.
     noise_um, held_out_um : mapping
-        Arm -> rms length [um] of the stated noise, and of the error that was really drawn at the stops of its validate
+        Arm -> rms length [µm] of the stated noise, and of the error that was really drawn at the stops of its validate
         split.
     expected : ExpectedTerm or None
         For a law that the library lacks.
@@ -399,7 +399,7 @@ def _plain(parameters: Mapping[str, Any]) -> dict[str, JsonValue]:
 
 
 def _rms_um(vectors: Array) -> float:
-    """Root mean square length [um] of vectors (n, 3) [m]; NaN of none."""
+    """Root mean square length [µm] of vectors (n, 3) [m]; NaN of none."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1)))) * 1e6 if len(vectors) else math.nan
 
 

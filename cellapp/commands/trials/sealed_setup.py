@@ -26,7 +26,7 @@ NOISES: Mapping[str, Noise] = {
     "heavy": Noise("heavy"),
     "repeatability": Noise("gaussian", 8e-6),
 }
-"""How readings scatter: as stated, with heavy tails, or with 8 urad unstated repeatability of each joint."""
+"""How readings scatter: as stated, with heavy tails, or with 8 µrad unstated repeatability of each joint."""
 LAWS = ("same", "other")
 RANGES = ("full", "narrow")
 PLANS = ("random", "designed")

@@ -33,6 +33,7 @@ from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.prior.earlier import Earlier, believed
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.task import Seed, TaskKind, as_given
@@ -296,9 +297,7 @@ REAL = TaskKind(
 
 def lines_of(draws: Sequence[SignatureDraw]) -> tuple[SignatureLine, ...]:
     """Means over draws by cell and number of stops."""
-    groups: dict[tuple[str, int], list[SignatureDraw]] = {}
-    for draw in draws:
-        groups.setdefault((draw.cell, draw.stops), []).append(draw)
+    groups = grouped(((draw.cell, draw.stops), draw) for draw in draws)
     return tuple(_line(cell, stops, some) for (cell, stops), some in groups.items())
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from cellapp.commands.trials.signature import SignatureResult
-from cellapp.commands.trials.skeleton import table_of
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.table import Table, table_of
+from cellapp.ground.counting import counted
 
 _MM = ".4f"
 _ERRORS = (
@@ -57,7 +57,7 @@ def signature_sentences(result: SignatureResult) -> list[str]:
         " above 1. Errors are means over stops that were not learned from."
     ]
     return said + [
-        f"{draw.cell}, {draw.stops} stops, seed {draw.seed}, arm {draw.arm}: {change}"
+        f"{draw.cell}, {counted(draw.stops, 'stop')}, seed {draw.seed}, arm {draw.arm}: {change}"
         for draw in result.draws
         for change in draw.changes
     ]

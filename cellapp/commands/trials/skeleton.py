@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from operator import attrgetter
-from typing import Any, Protocol
+from typing import Protocol
 
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Table
 from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Result
 from cellapp.ground.scale.executor import IN_PROCESS, Resources
@@ -76,29 +75,3 @@ def complained(trial: str, result: Trial) -> str:
     """The complaints of a trial of some name in one line; empty without any."""
     said = result.complaints()
     return f"trials {trial}: {'; '.join(said)}" if said else ""
-
-
-# -- tables -----------------------------------------------------------------------------------------------------------
-
-Source = str | Callable[[Any], Cell]
-"""Where a cell comes from: the attribute of a row, or what is made of the row."""
-Field = tuple[str, Source] | tuple[str, Source, str] | tuple[str, Source, str, str]
-"""A column: heading, source of its cells, and of numbers their format and unit. Shares are shown in %."""
-
-
-def table_of(title: str, rows: Iterable[object], *fields: Field) -> Table:
-    """A table with a row for each object."""
-    made = [(_column(one), attrgetter(one[1]) if isinstance(one[1], str) else one[1]) for one in fields]
-    return Table(
-        title,
-        tuple(column for column, _ in made),
-        tuple(tuple(_cell(source(row), column.unit) for column, source in made) for row in rows),
-    )
-
-
-def _column(one: Field) -> Column:
-    return number_column(one[0], *one[2:]) if len(one) > 2 else Column(one[0])
-
-
-def _cell(value: Any, unit: str) -> Any:
-    return 100.0 * value if unit == "%" and isinstance(value, float) else value

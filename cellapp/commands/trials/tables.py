@@ -23,8 +23,9 @@ from cellapp.commands.trials.judge_records import (
     TargetScore,
 )
 from cellapp.commands.trials.sealed_setup import Setup
-from cellapp.commands.trials.skeleton import Field, not_computed, table_of
-from cellapp.commands.view.table import Column, Number, Table, number_column
+from cellapp.commands.trials.skeleton import not_computed
+from cellapp.commands.view.table import Column, Field, Number, Table, number_column, table_of
+from cellapp.ground.counting import counted
 from cellapp.ground.times import day_of
 
 _CELLS: Mapping[str, Mapping[str, tuple[str, str]]] = {
@@ -74,13 +75,13 @@ def judge_sentences(result: JudgeResult) -> list[str]:
         )
     if result.judged_by_other_source:
         said.append(
-            f"{result.judged_by_other_source} runs were judged by another state of the program than the present"
-            " one; --again judges them again."
+            f"{counted(result.judged_by_other_source, 'run was', 'runs were')} judged by another state of the"
+            " program than the present one; --again judges them again."
         )
     said += [f"Not judged: {failure}." for failure in result.failed]
     said.append(
-        f"{result.date}; {result.program}, source {result.source}; {sealed.runs} runs of {sealed.stops}"
-        f" stops an arm, profile {sealed.profile}, {setup_words(sealed.setup)},"
+        f"{result.date}; {result.program}, source {result.source}; {counted(sealed.runs, 'run')} of"
+        f" {counted(sealed.stops, 'stop')} an arm, profile {sealed.profile}, {setup_words(sealed.setup)},"
         f" seed {sealed.seed}, sealed {day_of(sealed.written)} by {sealed.program}."
     )
     return said
@@ -134,7 +135,8 @@ def matrix_sentences(result: MatrixResult) -> list[str]:
     runs = sum(cell.runs for cell in result.cells)
     return [
         *said,
-        f"{result.date}; {result.program}, source {result.source}; {runs} runs in {len(result.cells)} cells.",
+        f"{result.date}; {result.program}, source {result.source}; {counted(runs, 'run')} in"
+        f" {counted(len(result.cells), 'cell')}.",
     ]
 
 
@@ -184,8 +186,8 @@ def _count_table(title: str, groups: Mapping[str, EffectCounts]) -> Table:
         title,
         rows,
         ("effect", itemgetter(0)),
-        ("visible um", lambda row: _range(row[1].visible_um)),
-        ("beyond law um", lambda row: _range(row[1].beyond_law_um)),
+        ("visible µm", lambda row: _range(row[1].visible_um)),
+        ("beyond law µm", lambda row: _range(row[1].beyond_law_um)),
         ("n", lambda row: row[1].n, "d"),
         ("named", lambda row: row[1].named, "d"),
         ("otherwise", lambda row: _otherwise(row[1])),
@@ -215,7 +217,7 @@ def _outside_table(laws: Mapping[str, OutsideCounts]) -> Table:
         "Outside the library",
         laws.items(),
         ("law", itemgetter(0)),
-        ("visible um", lambda row: _range(row[1].visible_um)),
+        ("visible µm", lambda row: _range(row[1].visible_um)),
         ("n", lambda row: row[1].n, "d"),
         ("called unknown", lambda row: row[1].unknown, "d"),
         ("described", lambda row: row[1].right, "d"),
@@ -230,7 +232,7 @@ def _miss_table(misses: Sequence[Miss]) -> Table:
         "Misses",
         misses,
         ("run", lambda miss: f"{miss.run} {miss.arm}"),
-        ("hidden (visible um)", lambda miss: miss.hidden or "nothing"),
+        ("hidden (visible µm)", lambda miss: miss.hidden or "nothing"),
         ("found", lambda miss: miss.found or "nothing"),
         ("or / described", "said"),
         ("verdict", "verdict"),

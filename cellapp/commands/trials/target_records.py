@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result
 
 LEAST_RATIO = 15.0
@@ -131,11 +132,11 @@ class TargetTrialsResult(Result):
 
     def by_arm(self, state: str) -> dict[str, list[ArmFigures]]:
         """Figures of every arm in one state, a cell each."""
-        found: dict[str, list[ArmFigures]] = {}
-        for trial in self.trials:
-            for name, arm in trial.states[state].arms.items() if state in trial.states else ():
-                found.setdefault(name, []).append(arm)
-        return found
+        return grouped(
+            (name, arm)
+            for trial in self.trials
+            for name, arm in (trial.states[state].arms.items() if state in trial.states else ())
+        )
 
     def pairs(self, state: str) -> list[PairFigures]:
         """Figures of the pair in one state, a cell each."""

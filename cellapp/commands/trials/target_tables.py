@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cellapp.commands.trials.skeleton import Field, table_of
 from cellapp.commands.trials.target_records import (
     LEAST_GAIN,
     LEAST_RATIO,
@@ -15,7 +14,7 @@ from cellapp.commands.trials.target_records import (
     TargetTrialsResult,
     mean_of,
 )
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.table import Field, Table, table_of
 
 
 def target_trial_tables(result: TargetTrialsResult) -> list[Table]:

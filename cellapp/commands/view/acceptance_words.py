@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import get_args
 
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
-from cellapp.ground.profile.acceptance import DecisionRule
+from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
+from cellapp.ground.results import DecisionRule
 
 CHARACTERISTIC_WORDS: Mapping[Characteristic, str] = {
     "position": "Position error",
@@ -43,7 +46,7 @@ VERDICT_TITLES: Mapping[Conformity, str] = {
     "does not conform": "The cell does not conform to its tolerances",
     "cannot say": "Cannot say: conformity is not decided",
 }
-_STATES: tuple[Conformity, ...] = ("conforms", "does not conform", "cannot say")
+_STATES: tuple[Conformity, ...] = get_args(Conformity)
 
 
 @dataclass(frozen=True)
@@ -75,8 +78,8 @@ def judged_sentence(judgements: Sequence[Judgement]) -> str:
     out, unsure = counts["does not conform"], counts["cannot say"]
     missing = [one for one in unsure if one.value_mm is None]
     if len(counts["conforms"]) == total:
-        return f"All {total} errors with a tolerance are inside it."
-    parts = [f"{len(counts['conforms'])} of {total} errors with a tolerance conform"]
+        return f"All {counted(total, 'error')} with a tolerance are inside it."
+    parts = [f"{len(counts['conforms'])} of {counted(total, 'error')} with a tolerance conform"]
     if out:
         parts.append(f"{f'{len(out)} do' if len(out) > 1 else 'one does'} not: {named_errors(out)}")
     if len(unsure) > len(missing):
@@ -88,8 +91,6 @@ def judged_sentence(judgements: Sequence[Judgement]) -> str:
 
 def named_errors(judgements: Sequence[Judgement]) -> str:
     """What is judged and where, in one list."""
-    places: dict[Characteristic, list[str]] = {}
-    for one in judgements:
-        places.setdefault(one.characteristic, []).append(one.where)
+    places = grouped((one.characteristic, one.where) for one in judgements)
     words = ((CHARACTERISTIC_WORDS[characteristic], where) for characteristic, where in places.items())
     return ", ".join(f"{name[0].lower()}{name[1:]} of {' and '.join(where)}" for name, where in words)

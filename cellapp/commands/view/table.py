@@ -5,9 +5,10 @@ Terminal, TUI, HTML and Markdown draw the same ``Table``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, TypeVar
+from operator import attrgetter
+from typing import Any, Literal, TypeAlias, TypeVar
 
 R = TypeVar("R")
 
@@ -101,8 +102,24 @@ class Table:
         )
 
 
-Parts: TypeAlias = Sequence[Table | str]
-"""What a result says, in the order of reading: tables, and lines between them."""
+Source: TypeAlias = str | Callable[[Any], Cell]
+"""Where a cell comes from: the attribute of a row, or what is made of the row."""
+Field: TypeAlias = tuple[str, Source] | tuple[str, Source, str] | tuple[str, Source, str, str]
+"""A column: heading, source of its cells, and of numbers their format and unit. Shares are shown in %."""
+
+
+def table_of(title: str, rows: Iterable[Any], *fields: Field, count: int | None = None) -> Table:
+    """A table with a row for each object; these are some of ``count`` ones, where that is given."""
+    columns = tuple(number_column(one[0], *one[2:]) if len(one) > 2 else Column(one[0]) for one in fields)
+    sources = [attrgetter(one[1]) if isinstance(one[1], str) else one[1] for one in fields]
+    cells = tuple(
+        tuple(_shown(source(row), column.unit) for column, source in zip(columns, sources, strict=True)) for row in rows
+    )
+    return Table(title if count is None else part_title(title, len(cells), count), columns, cells)
+
+
+def _shown(value: Any, unit: str) -> Any:
+    return 100.0 * value if unit == "%" and isinstance(value, float) else value
 
 
 def most_urgent(rows: Sequence[R], urgency: Callable[[R], float], most: int = MOST_ROWS) -> list[R]:
@@ -113,10 +130,14 @@ def most_urgent(rows: Sequence[R], urgency: Callable[[R], float], most: int = MO
     return [rows[row] for row in sorted(chosen)]
 
 
+def part_title(title: str, shown: int, count: int) -> str:
+    """The title of a table that shows some of ``count`` rows; it says so where rows are missing."""
+    return title if shown == count else f"{title}: {shown} of {count}, --json has all"
+
+
 def part_table(title: str, columns: tuple[Column, ...], rows: Sequence[tuple[Cell, ...]], count: int) -> Table:
-    """A table of some of ``count`` rows; its title says so where rows are missing."""
-    cut = "" if len(rows) == count else f": {len(rows)} of {count}, --json has all"
-    return Table(title + cut, columns, tuple(rows))
+    """A table of some of ``count`` rows."""
+    return Table(part_title(title, len(rows), count), columns, tuple(rows))
 
 
 def without_empty(table: Table) -> Table:

@@ -108,10 +108,10 @@ STAGE_WORDS: Mapping[str, str] = {
     "effects": "geometry and effects",
 }
 METHOD_WORDS: Mapping[Method, str] = {
-    "nominal": "the nominal cell",
+    "nominal": "nominal cell",
     "method_1": "geometry alone",
-    "method_2": "geometry and a network in the tracker frame",
-    "proposed": "geometry and a network in the base frame",
+    "method_2": "network in the tracker frame",
+    "proposed": "network in the base frame",
     "effects": "geometry and effects",
 }
 

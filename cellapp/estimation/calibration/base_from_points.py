@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array, apply, register
 
@@ -62,7 +63,8 @@ class BaseFit:
     def sentence(self) -> str:
         """What the fit is worth, in words."""
         figures = (
-            f"{len(self.residuals)} points fit to {self.rms * 1e3:.2f} mm rms: the base is known to"
+            f"{counted(len(self.residuals), 'point fits', 'points fit')} to {self.rms * 1e3:.2f} mm rms: the base"
+            " is known to"
             f" {self.position_error * 1e3:.2f} mm and {math.degrees(self.angle_error):.3f} deg (one standard deviation)"
         )
         if self.rms <= _GOOD_M:

@@ -18,13 +18,14 @@ from cellapp.estimation.calibration.identification import Identification, TooFew
 from cellapp.estimation.calibration.network_training import Shape, Training, train_network, training_steps
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.estimation.calibration.records import ArmPriorResult, Repeatability
+from cellapp.estimation.calibration.socket_arm import fit_arm, gauge_note, socket_notes
+from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
+from cellapp.estimation.calibration.socket_splits import draw_point_splits
 from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.sockets import in_sockets
-from cellapp.estimation.sockets.arm import fit_arm, gauge_note, socket_notes
-from cellapp.estimation.sockets.identify import gross_errors_in_sockets
-from cellapp.estimation.sockets.splits import draw_point_splits
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
@@ -226,7 +227,8 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
     if len(identify_rows) < 4 or len(validate_rows) < 1:
         raise InputError(
-            f"arm '{name}': {len(readings)} readings leave {len(identify_rows)} to identify and {len(validate_rows)} to"
+            f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')} {len(identify_rows)} to"
+            f" identify and {len(validate_rows)} to"
             f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
         )
     arm, learn = profile.arms[name], readings.take(identify_rows)
@@ -294,7 +296,8 @@ def left_out_note(name: str, arm: ArmCalibration) -> str:
     """Which readings were left out, and how many of those that are held out."""
     held_out, left_out = arm.counts["validate"], arm.left_out_counts.get("validate", 0)
     return (
-        f"arm '{name}': {left_out_words(arm.left_out)}; held-out errors are those of {held_out} readings, without"
+        f"arm '{name}': {left_out_words(arm.left_out)}; held-out errors are those of"
+        f" {counted(held_out, 'reading')}, without"
         f" {left_out} of these: look at the rows, and measure these configurations again"
     )
 

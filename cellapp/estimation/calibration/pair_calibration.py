@@ -24,6 +24,7 @@ from cellapp.estimation.calibration.inter_base_transform import PairIdentificati
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import ErrorSummary, Method
 from cellapp.robot.effects import MeasurementConditions
@@ -119,7 +120,8 @@ def calibrate_pair(
     notes = []
     if len(learn) < profile.splits.pair_identify or len(held_out) < profile.splits.pair_validate:
         notes.append(
-            f"pair: {len(learn)} stops to identify and {len(held_out)} to validate are fewer than the profile requires"
+            f"pair: {counted(len(learn), 'stop')} to identify and {len(held_out)} to validate are fewer than the"
+            " profile requires"
         )
     both = (left, right)
     measured = np.linalg.norm(left.p_M - right.p_M, axis=1)

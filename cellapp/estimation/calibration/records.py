@@ -11,6 +11,7 @@ from cellapp.ground.results import (
     ErrorSummary,
     Estimate,
     Method,
+    ModelStage,
     Provenance,
     Record,
     Result,
@@ -110,7 +111,7 @@ class ArmPriorResult(Record):
 
     run: str
     arm: str
-    stage: Literal["calibrate", "discover"]
+    stage: ModelStage
     since: str
     sha256: str
     readings: int

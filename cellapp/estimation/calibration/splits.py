@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.ground.counting import counted
+
 
 @dataclass(frozen=True)
 class SplitSizes:
@@ -28,8 +30,8 @@ def split_sizes(n: int, identify: int, train: int, validate: int | None) -> Spli
     less_train = min(int(train * share), n - less_identify - 1)
     less_validate = n - less_identify - less_train
     note = (
-        f"{n} stops are too few for identify {identify}, train {train}, validate {validate or 'rest'}:"
-        f" used {less_identify}, {less_train}, {less_validate} instead"
+        f"{counted(n, 'stop is', 'stops are')} too few for identify {identify}, train {train}, validate"
+        f" {validate or 'rest'}: used {less_identify}, {less_train}, {less_validate} instead"
     )
     return SplitSizes(less_identify, less_train, less_validate, (note,))
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.calibration.socket_identification import estimated_in_sockets, identify_in_sockets
+from cellapp.estimation.calibration.socket_points import PointColumns
 from cellapp.estimation.calibration.weights import whitener
 from cellapp.estimation.discovery.terms import ModelTerms
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.estimation.sockets import in_sockets
-from cellapp.estimation.sockets.identify import estimated_in_sockets, identify_in_sockets
-from cellapp.estimation.sockets.point_columns import PointColumns
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.robot.effects.modulation import with_modulations

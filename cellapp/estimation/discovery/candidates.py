@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EffectColumn, Law
 from cellapp.robot.kinematics.transforms import Array
 
@@ -32,9 +33,7 @@ class CandidateLaw:
     @cached_property
     def blocks(self) -> list[Block]:
         """Columns of each block."""
-        found: dict[str, list[int]] = {}
-        for place, column in enumerate(self.columns):
-            found.setdefault(column.block, []).append(place)
+        found = grouped((column.block, place) for place, column in enumerate(self.columns))
         return [tuple(places) for places in found.values()]
 
     def refines(self, block: Sequence[int]) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from cellapp.estimation.discovery.candidates import CandidateLaw
 from cellapp.estimation.discovery.formulas import formulas
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.movement import rms_length
+from cellapp.estimation.discovery.records import TermDescription
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
@@ -27,67 +27,41 @@ _AS_GOOD = 0.95
 """Share of what the curve explains that a formula of fewer parameters must explain to describe it."""
 
 
-@dataclass(frozen=True)
-class Description:
-    """Description of a data-driven term.
+def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
+    """Describe a data-driven term of a fit, or a law with impossible values.
 
-    Attributes
-    ----------
-    channel : str
-        What the effect moves.
-    variables : tuple of str
-        What it depends on.
-    size_um : float
-        Rms displacement of the SMR, without the part that the other parameters can explain [um].
-    formula : str
-        Short formula; empty where none explains the effect as well as the curve.
-    gain : float, optional
-        Score of the formula less that of the curve.
-    curve : tuple of (float, float)
-        Variable and value of the term in SI units; empty where there are two variables.
-    sentence : str
+    ``size_um`` is without the part that the other parameters can explain.
     """
-
-    channel: str
-    variables: tuple[str, ...]
-    size_um: float
-    formula: str
-    gain: float | None
-    curve: tuple[tuple[float, float], ...]
-    sentence: str
-
-
-def describe(data: ArmData, fit: JointFit, number: int) -> Description:
-    """Describe a data-driven term of a fit, or a law with impossible values."""
-    if is_contradiction(fit.terms[number].law):
-        return _contradiction(fit, number)
-    form = data_driven_form(fit.terms[number].law)
-    channel, variables = form.channel, form.drivers
-    names = tuple(variable.name for variable in variables)
-    values = [variable.values(data.context) for variable in variables]
-    size_um = _visible_rms(fit, number) * 1e6
-    if form.is_field:
-        length = fit.terms[number].law.constants[FIELD_LENGTH.name]
-        sentence = (
-            f"{channel.name} depends on the position, a field over the workspace that changes within some"
-            f" {length:.1g} m; {size_um:.0f} um rms at the SMR"
-        )
-        return Description(channel.name, names, size_um, "", None, (), sentence)
-    formula, gain = _formula(data, fit, number, channel, variables, values)
-    shape = f", about {formula}" if formula else ""
-    sentence = f"{channel.name} depends on {' and '.join(names)}{shape}; {size_um:.0f} um rms at the SMR"
-    one_curve = len(variables) == 1 and fit.term_columns(number)[0].joint is not None
-    curve = _curve(fit, number, values[0]) if one_curve else ()
-    return Description(channel.name, names, size_um, formula, gain, curve, sentence)
-
-
-def _contradiction(fit: JointFit, number: int) -> Description:
-    """A law of the library with impossible values: the sentence of its term, and its size."""
     term, size_um = fit.terms[number], _visible_rms(fit, number) * 1e6
-    places = dict.fromkeys(column.where for column in fit.term_columns(number))
-    names = sorted(variable.value for variable in term.law.form.variables)
-    sentence = f"{term.note}; {size_um:.0f} um rms at the SMR"
-    return Description(", ".join(places), tuple(names), size_um, "", None, (), sentence)
+    formula, gain = "", None
+    curve: tuple[tuple[float, float], ...] = ()
+    if is_contradiction(term.law):
+        channel = ", ".join(dict.fromkeys(column.where for column in fit.term_columns(number)))
+        names = tuple(sorted(variable.value for variable in term.law.form.variables))
+        said = term.note
+    else:
+        form = data_driven_form(term.law)
+        channel, names = form.channel.name, tuple(variable.name for variable in form.drivers)
+        if form.is_field:
+            length = term.law.constants[FIELD_LENGTH.name]
+            said = (
+                f"{channel} depends on the position, a field over the workspace that changes within some {length:.1g} m"
+            )
+        else:
+            values = [variable.values(data.context) for variable in form.drivers]
+            formula, gain = _formula(data, fit, number, form.channel, form.drivers, values)
+            if len(names) == 1 and fit.term_columns(number)[0].joint is not None:
+                curve = _curve(fit, number, values[0])
+            said = f"{channel} depends on {' and '.join(names)}{f', about {formula}' if formula else ''}"
+    return TermDescription(
+        channel=channel,
+        variables=names,
+        size_um=size_um,
+        formula=formula,
+        gain_over_curve=gain,
+        curve=curve,
+        sentence=f"{said}; {size_um:.0f} µm rms at the SMR",
+    )
 
 
 def _visible_rms(fit: JointFit, number: int) -> float:

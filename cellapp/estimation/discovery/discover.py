@@ -23,28 +23,33 @@ from cellapp.estimation.calibration.gross_errors import (
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.calibration.network_training import training_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
+from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
+from cellapp.estimation.discovery.accepted import accepted_effects, contradictions
 from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.describe import describe
 from cellapp.estimation.discovery.detectability import detectability
 from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, with_posterior
-from cellapp.estimation.discovery.movement import term_movements
-from cellapp.estimation.discovery.outcome import AcceptedEffect, CellDiscovery, Discovery, GapStep
-from cellapp.estimation.discovery.pictures.cycles import dominant_cycles
+from cellapp.estimation.discovery.joint_fit import with_posterior
+from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
 from cellapp.estimation.discovery.pictures.term_pictures import pictures
-from cellapp.estimation.discovery.posterior import Posteriors, posteriors_of, remaining_scan
-from cellapp.estimation.discovery.records import CycleBand, Noise
+from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
+from cellapp.estimation.discovery.records import (
+    ArmDiscoveryResult,
+    BeforeAfter,
+    GapStep,
+    HeldOutBeforeAfter,
+    Noise,
+)
 from cellapp.estimation.discovery.remaining_network import needs_network, with_network
 from cellapp.estimation.discovery.search.comparison import scatter
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, refit_to_all, search
 from cellapp.estimation.discovery.structure import structure_left
-from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, smoothness_of, without_term
+from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of
 from cellapp.estimation.discovery.verdict import sampling_allowance, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets, measured_positions
-from cellapp.estimation.sockets.identify import gross_errors_in_sockets
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
@@ -100,8 +105,8 @@ def discover_cell(
     """
     arms = _discover_arms(profile, model, readings, listener, cancel or CancelToken(), search_arm or discover_arm)
     pair = None
-    if any(discovery.accepted for discovery in arms.values()):
-        good = {name: without(readings[name], found.left_out) for name, found in arms.items()}
+    if any(discovery.terms for discovery in arms.values()):
+        good = {name: without(readings[name], found.result.left_out_configurations) for name, found in arms.items()}
         pair, _ = calibrate_pair(profile, good, {name: _PairArm(found.model) for name, found in arms.items()})
     T_R_L = model.T_R_L if pair is None else pair.T_R_L
     model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
@@ -137,7 +142,7 @@ def _discover_arms(
         report(0, "search")
         cancel.check()
         found[name] = search_arm(profile, name, arm, readings[name], cancel, conditions=conditions[name], report=report)
-        report(SEARCH_STEPS, found[name].verdict)
+        report(SEARCH_STEPS, found[name].result.verdict)
     if not _may_train(profile):
         return found
     trained = SharedProgress(listener, "discover", SEARCH_STEPS * len(model.arms), total)
@@ -149,7 +154,7 @@ def _discover_arms(
                 report(training_steps(), "no network is needed")
                 continue
             report(0, "residual network beside the effects")
-            good = ~np.isin(readings[name].configuration, discovery.left_out)
+            good = ~np.isin(readings[name].configuration, discovery.result.left_out_configurations)
             its, its_conditions = readings[name].take(good), conditions[name].take(good)
             tasks[name] = pool.submit(
                 with_network, profile, model.arms[name], discovery, its, its_conditions, cancel, report
@@ -204,44 +209,43 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     floor_mm = held_out.noise_floor_mm()
     scan = remaining_scan(searched)
     probable = posteriors_of(searched, scan)
-    accepted = _accepted_effects(found, fitted_model, held_out, after.rms, probable)
+    terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
     if result.harmful:
         word = "unknown effect"  # something is there: the search fitted it, though not by what it is
-    final = _final_model(model, fitted_model, accepted)
+    final = _final_model(model, fitted_model, terms)
     invisible, not_found = detectability(found, scan if found is searched else remaining_scan(found))
-    return Discovery(
-        accepted=accepted,
-        noise_floor_mm=floor_mm,
-        before=before,
-        after=after,
+    evaluated = ArmDiscoveryResult(
+        noise_floor_mm=floor_mm if math.isfinite(floor_mm) else None,
+        noise_mm=_noise(found.data),
+        heldout_mm=BeforeAfter(before=before.rms, after=after.rms),
+        heldout_position_mm=HeldOutBeforeAfter(before=before, after=after),
         seconds=time.perf_counter() - started,
         steps=_gap_steps(found, held_out, before.rms, after.rms, result.fitted),
         threshold=found.threshold,
-        omnibus_p=math.nan if left is None else left.p_value,
-        scatter=math.nan if left is None else left.ratio,
+        omnibus_p=None if left is None else left.p_value,
+        scatter=None if left is None else left.ratio,
+        accepted=accepted,
+        candidates=probable.effects,
+        contradictions=contradictions(terms, accepted),
+        structure=structure,
         invisible=invisible,
         not_found=not_found,
+        uncertainty_mm=held_out.predicted_uncertainty_mm(final),
+        pictures=pictures(found.data, found.fit),
+        validate_={"effects": held_out.evaluate(final)} if accepted else {},
+        left_out_configurations=result.left_out,
         verdict=word,
         sentence=f"arm {name}: {_with_what_was_left_out(sentence, result)}",
-        model=final,
-        stage=held_out.evaluate(final),
-        pictures=pictures(found.data, found.fit),
-        scatter_m=0.0 if (smooth := smoothness_of(found.fit.terms)) is None else smooth.scatter_m,
-        uncertainty_mm=held_out.predicted_uncertainty_mm(final),
-        noise_mm=_noise(found.data),
-        candidates=probable.effects,
-        structure=structure,
-        left_out=result.left_out,
     )
+    smooth = smoothness_of(found.fit.terms)
+    return Discovery(evaluated, terms, final, 0.0 if smooth is None else smooth.scatter_m)
 
 
-def _final_model(calibrated: ArmModel, fitted: ArmModel, accepted: Sequence[AcceptedEffect]) -> ArmModel:
+def _final_model(calibrated: ArmModel, fitted: ArmModel, terms: tuple[EffectTerm, ...]) -> ArmModel:
     """The fitted model with the descriptions of data-driven terms; as it was calibrated where nothing was found."""
-    if not accepted:
-        return replace(calibrated, posterior=fitted.posterior)
-    return replace(fitted, effects=tuple(effect.term for effect in accepted))
+    return replace(fitted, effects=terms) if terms else replace(calibrated, posterior=fitted.posterior)
 
 
 def _noise(data: ArmData) -> Noise:
@@ -363,61 +367,10 @@ def _gap_steps(
     found: SearchResult, held_out: HeldOut, before_mm: float, after_mm: float, fitted: int | None
 ) -> tuple[GapStep, ...]:
     """The held-out error after each step of the search, and after the review."""
-    steps = [GapStep("geometry alone", "", before_mm)]
-    steps += [
-        GapStep(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None
-    ]
+    errors = [("geometry alone", "", before_mm)]
+    errors += [(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None]
     if found.dropped:
-        steps.append(GapStep(f"dropped in review: {_titles(found.dropped)}", "", after_mm))
+        errors.append((f"dropped in review: {_titles(found.dropped)}", "", after_mm))
     if fitted is not None:
-        steps.append(GapStep(f"fitted to all {fitted} readings", "", after_mm))
-    return tuple(steps)
-
-
-def _accepted_effects(
-    found: SearchResult, model: ArmModel, held_out: HeldOut, after_mm: float, probable: Posteriors
-) -> tuple[AcceptedEffect, ...]:
-    """The reviewed terms of the final model, in order, with the held-out error without each."""
-    fit = found.fit
-    accepted = []
-    for number, review in enumerate(found.reviews):
-        term, columns = model.effects[number], fit.term_columns(number)
-        description = describe(found.data, fit, number) if term.slug == UNKNOWN else None
-        if description is not None:
-            term = replace(term, note=description.sentence)
-        accepted.append(
-            AcceptedEffect(
-                term=term,
-                joints=tuple(sorted({column.joint + 1 for column in columns if column.joint is not None})),
-                acts_on=tuple(dict.fromkeys(column.where for column in columns)),
-                score=review.score,
-                p_value=review.p_value,
-                heldout_before_mm=held_out.rms_mm(fit_terms(found.data, without_term(fit.terms, number)).model),
-                heldout_after_mm=after_mm,
-                rivals=review.rivals,
-                correlated=_most_correlated(fit, number),
-                cycles=_cycles(fit, number, term) if term.slug == TRANSMISSION_ERROR else None,
-                description=description,
-                posterior=probable.terms[number],
-                movements=term_movements(fit, number),
-            )
-        )
-    return tuple(accepted)
-
-
-def _cycles(fit: JointFit, number: int, term: EffectTerm) -> dict[str, CycleBand]:
-    """Dominant cycles per revolution of a periodic term, by the values of the final model."""
-    here = fit.layout.parameters(number)
-    return dominant_cycles(fit.term_columns(number), term.values, fit.identification.covariance[here, here])
-
-
-def _most_correlated(fit: JointFit, number: int) -> tuple[str, float] | None:
-    """Geometric parameter most correlated with a term's values, and the correlation; None for smooth terms."""
-    if fit.terms[number].smooth is not None:
-        return None
-    covariance, size = fit.identification.covariance, len(fit.identification.parameter_set.columns)
-    here = fit.layout.parameters(number)
-    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    correlation = covariance[:size, here] / sd[:size, None] / sd[here]
-    row, column = np.unravel_index(int(np.argmax(np.abs(correlation))), correlation.shape)
-    return fit.identification.names[int(row)], float(correlation[row, column])
+        errors.append((f"fitted to all {counted(fitted, 'reading')}", "", after_mm))
+    return tuple(GapStep(what=what, effect=effect, heldout_mm=error_mm) for what, effect, error_mm in errors)

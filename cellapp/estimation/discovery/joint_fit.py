@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, identify
 from cellapp.estimation.calibration.normal_equations import EffectColumns
+from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import TOLERANCE, ArmData, whitening
 from cellapp.estimation.discovery.candidates import CandidateLaw, blocks_beyond_bounds, whitened_displacements
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.terms import ModelTerms, TermLayout, prior_sd, smoothness_of
-from cellapp.estimation.sockets.identify import OF_THE_TRACKER
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
@@ -35,7 +35,7 @@ _EXCESS_CHANGE = 0.02
 """Relative change of the excess variance below which its estimate has converged: weights then change by 1 %."""
 _SAME_COLUMNS = 1e-3
 """Steps of a fit [m at arm's length] up to which the effects' columns are kept: they change by about as
-much, relatively, an effect of 0.3 mm by 0.3 um."""
+much, relatively, an effect of 0.3 mm by 0.3 µm."""
 _DRAW_SEED = 0xD4A7
 """Beside the profile's seed: the draws of parameters are then independent of all other draws."""
 
@@ -324,7 +324,7 @@ def uncertainty_with_scatter(data: ArmData, scatter_m: float) -> Array:
 def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[EffectColumn, ...]]:
     """Joint identification of geometry and terms, with effect parameters in the order of the terms' columns."""
     columns = data.term_columns(terms)
-    order = _joint_columns_first(columns)
+    order = np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
     settings = data.profile.calibration
     effects = _effect_columns(data, terms, columns, order) if columns else None
     found = identify(
@@ -341,11 +341,6 @@ def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[E
         max_iterations=settings.max_iterations,
     )
     return _reordered(found, np.argsort(order)), columns
-
-
-def _joint_columns_first(columns: Sequence[EffectColumn]) -> NDArray[np.intp]:
-    """Places of the columns that offset a joint, then of those that shift the SMR."""
-    return np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
 
 
 def _effect_columns(

@@ -36,6 +36,7 @@ from cellapp.estimation.discovery.search.state import SearchResult
 from cellapp.estimation.discovery.search.stepwise import LEAST_FREEDOM
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.readings import Readings
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Tracker
@@ -216,13 +217,11 @@ def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
     """
     scattered = {one.effect: one.smallest_seen_rms_mm for _, one in _absent(design.with_scatter(EXPECTED_SCATTER_M))}
     return tuple(
-        PlannedEffect(
-            effect=one.effect,
+        PlannedEffect.like(
+            one,
             visible=visible,
             reason="" if visible else one.reason,
-            visible_share=one.visible_share,
             smallest_seen=one.smallest_seen or {},
-            smallest_seen_rms_mm=one.smallest_seen_rms_mm,
             with_scatter_rms_mm=scattered.get(one.effect),
         )
         for visible, one in _absent(design)
@@ -232,7 +231,10 @@ def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
 def _absent(design: ArmDesign) -> list[tuple[bool, AbsentEffect]]:
     """Whether each effect could be seen, and its smallest sizes, in the order of the library."""
     data, settings = design.data, design.data.profile.discovery
-    too_few = f"arm '{design.name}': {len(data)} stops are too few to look for effects beside the geometry; plan more"
+    too_few = (
+        f"arm '{design.name}': {counted(len(data), 'stop is', 'stops are')} too few to look for effects beside the"
+        " geometry; plan more"
+    )
     try:
         fit = fit_terms(data, ())
     except TooFewReadings:

@@ -8,8 +8,8 @@ import numpy as np
 
 from cellapp.estimation.calibration.network_training import train_network
 from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.outcome import Discovery, GapStep
-from cellapp.estimation.discovery.records import BeforeAfter
+from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.discovery.records import BeforeAfter, GapStep
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Report, ignore_report
@@ -26,7 +26,7 @@ def needs_network(profile: Profile, discovery: Discovery) -> bool:
     if profile.network.kind != "mlp":
         return False
     asked = profile.discovery.network
-    return asked == "always" or (asked == "unknown" and discovery.verdict == "unknown effect")
+    return asked == "always" or (asked == "unknown" and discovery.result.verdict == "unknown effect")
 
 
 def with_network(
@@ -45,23 +45,18 @@ def with_network(
     """
     held_out = HeldOut.of(readings, conditions)
     network = discovery.model.network
-    if discovery.accepted:
+    if discovery.terms:
         rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
         network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), cancel, report)
     q = held_out.readings.q
     corrections = BeforeAfter(before=_correction_mm(calibrated.network, q), after=_correction_mm(network, q))
-    discovery = replace(discovery, network_mm=corrections)
-    if not discovery.accepted or discovery.verdict != "unknown effect" or network is None:
+    found = discovery.result.model_copy(update={"network_mm": corrections})
+    discovery = replace(discovery, result=found)
+    if not discovery.terms or found.verdict != "unknown effect" or network is None:
         return discovery
     model = replace(discovery.model, network=network)
-    after = held_out.position_mm(model)
-    return replace(
-        discovery,
-        model=model,
-        after=after,
-        steps=(*discovery.steps, GapStep("a network for the rest", "", after.rms)),
-        stage=held_out.evaluate(model),
-    )
+    step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
+    return discovery.with_model(model, held_out, steps=(*found.steps, step))
 
 
 def _train(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from cellapp.estimation.discovery.outcome import AcceptedEffect
-from cellapp.estimation.discovery.records import RemainingStructure
+from cellapp.estimation.discovery.records import AcceptedEffect, RemainingStructure
 from cellapp.estimation.discovery.search.comparison import FLOOR_CHANCE, Scatter
 from cellapp.estimation.discovery.structure import has_structure
 from cellapp.estimation.discovery.terms import UNKNOWN
@@ -34,8 +33,8 @@ def verdict(
     at the stated noise counts as explained. Above it, and where none is stated, what is left must show no structure.
     """
     driven = [effect.description for effect in accepted if effect.description is not None]
-    named = [effect for effect in accepted if effect.term.slug != UNKNOWN]
-    names = " and ".join(EFFECTS[effect.term.slug].title for effect in named)
+    named = [effect for effect in accepted if effect.effect != UNKNOWN]
+    names = " and ".join(EFFECTS[effect.effect].title for effect in named)
     ambiguous = [effect for effect in named if len(effect.answer_set) > 1]
     if driven:
         also = f"{names}, and " if names else ""
@@ -57,10 +56,10 @@ def _left(
     floor_mm: float, after_mm: float, scatter: Scatter | None, structure: RemainingStructure, *, closed: bool
 ) -> str:
     """What is left, in words."""
-    held_out = f"{after_mm * 1e3:.0f} um rms held out"
+    held_out = f"{after_mm * 1e3:.0f} µm rms held out"
     if scatter is None:
         return f"{structure.sentence}; {held_out}, and the readings state no uncertainty"
-    gap = f"{held_out} against a noise floor of {floor_mm * 1e3:.0f} um"
+    gap = f"{held_out} against a noise floor of {floor_mm * 1e3:.0f} µm"
     if closed:
         return gap
     if has_structure(structure):

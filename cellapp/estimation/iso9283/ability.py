@@ -23,6 +23,7 @@ from cellapp.estimation.iso9283.uncertainty import (
     repeatability_value,
 )
 from cellapp.estimation.uncertainty.records import Characteristic
+from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array
 
 _ARMS = 5
@@ -122,8 +123,8 @@ def ability_words(one: IsoAbility) -> str:
         return ""
     said = (
         f"{one.characteristic.replace('_', ' ')} of {one.where}: the tolerance of {one.tolerance_mm:g} mm is below what"
-        f" the tracker can tell at {one.distance_m:.1f} m with {one.cycles} cycles: an arm without any error would show"
-        f" {one.shown_mm:.3f} mm with its uncertainty, so that 'conforms' is not to be expected"
+        f" the tracker can tell at {one.distance_m:.1f} m with {counted(one.cycles, 'cycle')}: an arm without any"
+        f" error would show {one.shown_mm:.3f} mm with its uncertainty, so that 'conforms' is not to be expected"
     )
     ways = []
     if one.distance_that_does_m is not None:

@@ -7,26 +7,41 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
-from cellapp.estimation.iso9283.norm import ISO_COMMANDS, NORM_CYCLES, NORM_DRIFT_MIN, NORM_SPEEDS, IsoTest
+from cellapp.estimation.iso9283.norm import (
+    ISO_COMMANDS,
+    NORM_CYCLES,
+    NORM_DRIFT_MIN,
+    NORM_SPEEDS,
+    REORIENTED_LINE,
+    IsoTest,
+)
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     CommandedTests,
     IsoConditions,
     IsoLine,
     IsoStatus,
-    IsoValue,
 )
+from cellapp.ground.counting import counted
 
 NOT_ASKED = "not asked for"
 NOT_MEASURED = "asked for, and no two cycles were measured"
-ONE_SMR = "one SMR on the flange shows its position, not its orientation"
-PERSON = "a person must load the flange in known steps, which no verb guides yet"
+ONE_SMR = "one SMR on the flange shows its position, not its orientation, and no driver measures that of a probe"
+PERSON = "it needs a person at the arm: 'cellapp iso9283 compliance' asks for each step"
 OTHER_ARM = "it compares arms of one type; no test of another arm was named (--with-run)"
 
 _EXCHANGE = "exchangeability E"
 
-_Values = Callable[[CommandedTests], Sequence[IsoValue]]
+
+class _Counted(Protocol):
+    @property
+    def n(self) -> int:
+        """Cycles."""
+
+
+_Values = Callable[[CommandedTests], Sequence[_Counted]]
 
 
 @dataclass(frozen=True)
@@ -45,7 +60,7 @@ class _Asked:
     part: str = ""
 
 
-def _settled(made: CommandedTests) -> Sequence[IsoValue]:
+def _settled(made: CommandedTests) -> Sequence[_Counted]:
     return () if made.settling is None else (made.settling.overshoot,)
 
 
@@ -71,7 +86,12 @@ _ASKED: tuple[_Asked, ...] = (
     _Asked("7.7", _EXCHANGE, never=OTHER_ARM),
     _Asked("8.2, 8.3", "path accuracy AT, repeatability RT", "path", lambda made: [one.accuracy for one in made.path]),
     _Asked("8.2, 8.3", "AT, RT of the orientation", never=ONE_SMR),
-    _Asked("8.4", "path accuracy on reorientation", never="paths keep one orientation here"),
+    _Asked(
+        "8.4",
+        "path accuracy on reorientation",
+        "path",
+        lambda made: [one.accuracy for one in made.path if one.path == REORIENTED_LINE],
+    ),
     _Asked(
         "8.5",
         "cornering deviations CR, CO",
@@ -86,8 +106,13 @@ _ASKED: tuple[_Asked, ...] = (
         lambda made: [one.accuracy for one in made.path if one.velocity is not None],
     ),
     _Asked("9", "minimum posing time", "stabilisation", _settled, part="one distance of the norm's several"),
-    _Asked("10", "static compliance", never=PERSON),
-    _Asked("11", "weaving deviations WS, WF", never="no weaving is driven"),
+    _Asked("10", "static compliance", "compliance", lambda made: made.compliance),
+    _Asked(
+        "11",
+        "weaving deviations WS, WF",
+        "path",
+        lambda made: () if made.weaving is None else (made.weaving,),
+    ),
 )
 
 
@@ -131,12 +156,15 @@ def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: s
     refused = arm.refused.get(asked.test, "")
     if not found:
         if asked.test not in tests:
-            return "not done", NOT_ASKED
+            return "not done", PERSON if asked.test == "compliance" else NOT_ASKED
         return "not done", refused or stopped or NOT_MEASURED
     norm = asked.cycles or NORM_CYCLES[asked.test]
     n = min(value.n for values in found.values() for value in values)
-    words = f"{n} of {norm} cycles" if n < norm else f"{n} cycles"
+    words = f"{n} of {counted(norm, 'cycle')}" if n < norm else counted(n, "cycle")
     short = n < norm
+    if asked.test == "compliance":
+        most = max(step.force_n for own in arm.tests.values() for one in own.compliance for step in one.steps)
+        words += f", forces up to {most:g} N"
     if asked.test == "drift":
         minutes = max(made.drift.minutes for made in arm.tests.values() if made.drift is not None)
         words += f" a group, over {minutes:.0f} of {NORM_DRIFT_MIN:.0f} min"
@@ -163,11 +191,20 @@ def _conditions(arms: Mapping[str, ArmIso9283], made: IsoConditions | None) -> I
         status="in part" if missing else "done",
         words=f"{words}; {', '.join(missing)}: {why}" if missing else words,
     )
-    loads = "; ".join(f"{name} {arm.payload_kg:g} kg" for name, arm in arms.items())
-    yield IsoLine(
-        clause="6.6",
-        characteristic="rated load, and 10 % of it",
-        arms=tuple(arms),
-        status="in part",
-        words=f"one load: {loads}; profiles state no rated load",
-    )
+    by_words: dict[tuple[IsoStatus, str], list[str]] = {}
+    for name, arm in arms.items():
+        by_words.setdefault(_loads(arm, made), []).append(name)
+    for (status, words), names in by_words.items():
+        what = "rated load, and 10 % of it"
+        yield IsoLine(clause="6.6", characteristic=what, arms=tuple(names), status=status, words=words)
+
+
+def _loads(arm: ArmIso9283, made: IsoConditions) -> tuple[IsoStatus, str]:
+    """Loads of an arm: done where the pose test was made with one load and with a tenth of it."""
+    more = {one.payload_kg for own in arm.tests.values() for one in own.loads}
+    loads = sorted({arm.payload_kg, *more}, reverse=True)
+    tenth = any(abs(small - 0.1 * large) <= 0.01 * large for large in loads for small in loads)
+    words = f"{', '.join(f'{load:g}' for load in loads)} kg"
+    if not tenth:
+        words += f"; a tenth of the largest: {NOT_MEASURED if set(made.also_loads) - more else NOT_ASKED} (--also-load)"
+    return ("done" if tenth else "in part"), f"{words}; profiles state no rated load"

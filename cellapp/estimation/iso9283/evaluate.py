@@ -68,15 +68,20 @@ class Measurements:
 
 
 def pose_characteristics(
-    arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator, speed: float = 0.0
+    arm: ArmProgramme,
+    measured: Measurements,
+    base_M: Array,
+    rng: np.random.Generator,
+    speed: float = 0.0,
+    load_kg: float | None = None,
 ) -> tuple[PoseCharacteristics, ...]:
     """AP and RP at each pose that was measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M.
 
-    ``speed`` is as in ``Place``.
+    ``speed`` and ``load_kg`` are as in ``Place``.
     """
     found = []
     for pose in POSES:
-        cycles = _cycles(arm, pose, measured.at(arm.place("pose", pose, speed=speed)))
+        cycles = _cycles(arm, pose, measured.at(arm.place("pose", pose, speed=speed, load_kg=load_kg)))
         if cycles is not None:
             found.append(_pose(pose, cycles, base_M, rng))
     return tuple(found)

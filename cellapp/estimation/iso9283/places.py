@@ -13,8 +13,9 @@ from cellapp.robot.kinematics.transforms import Array
 class Place:
     """What is measured at a visit: its positions are evaluated together, over all cycles.
 
-    ``poses`` are those of ``arms`` in turn; ``approach`` is the direction of a multi-directional test, ``speed`` the
-    share of the profile's speed where the test is repeated at another one, else 0.
+    ``poses`` are those of ``arms`` in turn; ``approach`` is the direction of a multi-directional test or of a force,
+    ``speed`` the share of the profile's speed where the test is repeated at another one, else 0; ``load_kg`` the load
+    where it is repeated with another one, ``force_n`` the force on the flange in a test of static compliance.
     """
 
     test: IsoTest
@@ -23,10 +24,14 @@ class Place:
     poses: tuple[str, ...]
     approach: str = ""
     speed: float = 0.0
+    load_kg: float | None = None
+    force_n: float | None = None
 
     def __str__(self) -> str:
         where = "+".join(self.poses) + (f" along {self.approach}" if self.approach else "")
         where += f", {self.speed:.0%} of the speed" if self.speed else ""
+        where += "" if self.load_kg is None else f", with {self.load_kg:g} kg"
+        where += "" if self.force_n is None else f", {self.force_n:g} N"
         return f"{self.test} of {' and '.join(self.arms)}, {self.commands} commands, {where}"
 
 
@@ -52,6 +57,8 @@ class ArmProgramme:
     frame: Mapping[str, Array]
     q: Mapping[tuple[str, str], Array]
 
-    def place(self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0) -> Place:
+    def place(
+        self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0, load_kg: float | None = None
+    ) -> Place:
         """The place of a position of this arm alone."""
-        return Place(test, self.commands, (self.name,), (pose,), approach, speed)
+        return Place(test, self.commands, (self.name,), (pose,), approach, speed, load_kg)

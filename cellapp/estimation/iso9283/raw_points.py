@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from cellapp.estimation.iso9283.evaluate import Measurements
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
 from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns
+from cellapp.estimation.iso9283.evaluate_weaving import WeavingRuns
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.robot.kinematics.transforms import Array
@@ -24,6 +25,8 @@ HEADER = (
     "place",
     "approach",
     "speed_percent",
+    "load_kg",
+    "force_n",
     "group",
     "cycle",
     "time_s",
@@ -35,7 +38,8 @@ HEADER = (
     "direction_z",
 )
 """Positions are in the tracker frame [m], times on the cell's clock [s]; ``cycle`` and ``group`` count from 1.
-``speed_percent`` is of the profile's speed where a test was repeated at another one, else empty."""
+``speed_percent`` is of the profile's speed where a test was repeated at another one, else empty, as is ``load_kg``;
+``force_n`` is the force on the flange along ``approach`` in a test of static compliance, whose group 2 is after it."""
 _NO_DIRECTION = ("", "", "")
 
 Row = tuple[str, ...]
@@ -46,8 +50,9 @@ def raw_rows(
     measured: Measurements,
     paths: Sequence[PathRuns],
     settling: Sequence[SettlingRuns] = (),
+    weaving: Sequence[WeavingRuns] = (),
 ) -> Iterator[Row]:
-    """All rows: commanded and measured positions at rest, then those of the paths, then motions to a pose."""
+    """All rows: commanded and measured positions at rest, then paths, motions to a pose, weaving."""
     for place in dict.fromkeys(one.place for one in measured.visits):
         for name, pose in zip(place.arms, place.poses, strict=True):
             where = _place_cells(place, name)
@@ -69,13 +74,18 @@ def raw_rows(
     for runs in paths:
         yield from _of_path(runs)
     for motions in settling:
-        where = ("stabilisation", motions.commands, motions.arm, motions.pose, "", "")
+        where = ("stabilisation", motions.commands, motions.arm, motions.pose, "", "", "", "")
         yield ("commanded", *where, "", "", "", *_xyz(motions.commanded_M), *_NO_DIRECTION)
         yield from _of_tracks(where, motions.tracks)
+    for weaves in weaving:
+        where = ("path", weaves.commands, weaves.arm, "weaving", "", "", "", "")
+        for place_M in weaves.commanded_M:
+            yield ("commanded", *where, "", "", "", *_xyz(place_M), *_NO_DIRECTION)
+        yield from _of_tracks(where, weaves.tracks)
 
 
 def _of_path(runs: PathRuns) -> Iterator[Row]:
-    where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
+    where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series), "", "")
     for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
         yield ("commanded", *where, "", "", "", *_xyz(place_M), *_xyz(tangent_M))
     yield from _of_tracks(where, runs.tracks)
@@ -88,7 +98,8 @@ def _of_tracks(where: Row, tracks: Sequence[PathTrack]) -> Iterator[Row]:
 
 
 def _place_cells(place: Place, name: str) -> tuple[str, ...]:
-    return place.test, place.commands, name, "+".join(place.poses), place.approach, _percent(place.speed)
+    more = ("" if value is None else f"{value:g}" for value in (place.load_kg, place.force_n))
+    return place.test, place.commands, name, "+".join(place.poses), place.approach, _percent(place.speed), *more
 
 
 def _percent(share: float) -> str:

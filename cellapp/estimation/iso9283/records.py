@@ -166,6 +166,69 @@ class SettlingCharacteristics(Record):
     step_s: float
 
 
+class WeavingCharacteristics(Record):
+    """Weaving deviations along a straight line, of ``n`` cycles with ``waves`` whole waves each.
+
+    Attributes
+    ----------
+    stroke_mm, frequency_hz : float
+        Commanded: from one side to the other, and waves per second at the commanded speed.
+    stroke_percent, stroke_expanded_percent : float
+        WS: mean attained stroke against the commanded one, and its expanded uncertainty.
+    frequency_percent, frequency_expanded_percent : float
+        WF: likewise of the frequency.
+    slowed : str
+        As of ``PathCharacteristics``.
+    """
+
+    stroke_mm: float
+    frequency_hz: float
+    speed_mm_s: float
+    waves: int
+    stroke_percent: float
+    stroke_expanded_percent: float
+    frequency_percent: float
+    frequency_expanded_percent: float
+    n: int
+    slowed: str = ""
+
+
+class ForceStep(Record):
+    """Displacement of the SMR under a force, mean of the cycles, along the axes of the arm's base."""
+
+    force_n: float
+    displacement_mm: Vector3
+
+
+class ComplianceCharacteristics(Record):
+    """Static compliance at a pose in one direction, of ``n`` cycles.
+
+    Attributes
+    ----------
+    direction : str
+        Of the force, along an axis of the arm's base, as "+x".
+    compliance_um_n, expanded_um_n : float
+        Displacement along the force for each newton, and its expanded uncertainty; that of the force is not in it.
+    left_mm : float
+        Displacement along the force that stayed after it was taken away, mean.
+    """
+
+    pose: str
+    direction: str
+    compliance_um_n: float
+    expanded_um_n: float
+    left_mm: float
+    steps: tuple[ForceStep, ...]
+    n: int
+
+
+class LoadSeries(Record):
+    """The pose test repeated with another payload [kg]."""
+
+    payload_kg: float
+    pose: tuple[PoseCharacteristics, ...] = ()
+
+
 class SpeedSeries(Record):
     """Pose and path tests repeated at another share of the profile's speed."""
 
@@ -184,6 +247,9 @@ class CommandedTests(Record):
     path: tuple[PathCharacteristics, ...] = ()
     settling: SettlingCharacteristics | None = None
     series: tuple[SpeedSeries, ...] = ()
+    loads: tuple[LoadSeries, ...] = ()
+    weaving: WeavingCharacteristics | None = None
+    compliance: tuple[ComplianceCharacteristics, ...] = ()
 
 
 class IsoPose(Record):
@@ -308,12 +374,20 @@ class IsoAbility(Record):
     cycles_that_do: int | None = None
 
 
+class PersonStep(Record):
+    """What a person, or the simulated cell in its place, was asked to do, and when it was done on the cell's clock."""
+
+    words: str
+    time_s: float
+    simulated: bool
+
+
 class IsoConditions(Record):
     """Conditions of the tests.
 
-    ``speed_share`` is of the speed that the profile allows, at ``also_speeds`` pose and path tests were repeated;
-    ``cycles`` what was asked for, ``temperature_c`` lowest and
-    highest of the measured air.
+    ``speed_share`` is of the speed that the profile allows, at ``also_speeds`` pose and path tests were repeated, with
+    ``also_loads`` [kg] pose tests; ``cycles`` what was asked for, ``temperature_c`` lowest and highest of the measured
+    air.
     """
 
     cycles: int
@@ -322,6 +396,7 @@ class IsoConditions(Record):
     averaging_s: float
     commands: tuple[IsoCommands, ...]
     also_speeds: tuple[float, ...] = ()
+    also_loads: tuple[float, ...] = ()
     began: str = ""
     seconds: float = 0.0
     temperature_c: tuple[float, float] | None = None
@@ -333,6 +408,7 @@ class Iso9283Result(Result):
     ``missing`` says which cycles, poses or tests could not be measured, and why. ``pairs`` are those of arms.
     ``coverage`` lists what the norm asks for, done or not; results of before it was kept have none.
     ``abilities`` compare the tolerances with what the instrument can tell, as found before measuring.
+    ``by_person`` is what a person was asked to do.
     ``points_file`` in the folder of the run holds every measured point with its time; ``points_sha256`` is its hash.
     """
 
@@ -348,6 +424,7 @@ class Iso9283Result(Result):
     missing: tuple[str, ...] = ()
     stopped: str = ""
     notes: tuple[str, ...] = ()
+    by_person: tuple[PersonStep, ...] = ()
     points_file: str = ""
     points_sha256: str = ""
 

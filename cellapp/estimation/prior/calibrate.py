@@ -117,17 +117,13 @@ def _calibrated(
 
 def prior_result(name: str, earlier: Earlier, outcome: Updated) -> ArmPriorResult:
     """What is stored of a prior and of what was found with it."""
-    return ArmPriorResult(
+    return ArmPriorResult.like(
+        earlier,
         run=str(earlier.run),
         arm=name,
-        stage=earlier.stage,
-        since=earlier.since,
         sha256=earlier.digest,
-        readings=earlier.readings,
-        controller=earlier.controller,
         parts=outcome.parts,
         effects=tuple(dict.fromkeys(term.slug for term in earlier.belief.terms)),
-        left_behind=earlier.left_behind,
         scatter_mm=outcome.scatter_m * 1e3,
         tested=outcome.tested,
         changes=outcome.changes,

@@ -65,7 +65,7 @@ class SearchWithPriors:
                 report=report,
                 prior_sigma=belief.sigma(),
             )
-            terms = tuple(effect.term for effect in found.accepted)
+            terms = found.terms
             if not terms:
                 final = model
                 break
@@ -75,12 +75,10 @@ class SearchWithPriors:
 
 def _with_final_model(found: Discovery, final: ArmModel, earlier: Earlier, held_out: HeldOut) -> Discovery:
     """The outcome of a search with the model that holds all that was carried over."""
-    return replace(
-        found,
-        sentence=f"{found.sentence}; {since_words(earlier, found)}",
-        model=final,
-        after=held_out.position_mm(final),
-        stage=held_out.evaluate(final),
+    return found.with_model(
+        final,
+        held_out,
+        sentence=f"{found.result.sentence}; {since_words(earlier, found)}",
         uncertainty_mm=held_out.predicted_uncertainty_mm(final),
     )
 
@@ -89,9 +87,9 @@ def since_words(earlier: Earlier, found: Discovery) -> str:
     """What was carried over, and which effects of the arm itself have appeared since."""
     carried = list(dict.fromkeys(EFFECTS[term.slug].title for term in earlier.belief.terms))
     appeared = [
-        f"{EFFECTS[effect.term.slug].title} of {place_in_words(effect.acts_on)} has appeared"
-        for effect in found.accepted
-        if EFFECTS[effect.term.slug].arm_bound
+        f"{effect.title} of {place_in_words(effect.where.acts_on)} has appeared"
+        for effect in found.result.accepted
+        if EFFECTS[effect.effect].arm_bound
     ]
     said = [f"carried over: geometry{''.join(f', {title}' for title in carried)}"]
     return "; ".join([*said, *(f"{words} since {earlier.since}" for words in appeared)])

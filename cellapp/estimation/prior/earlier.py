@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from cellapp.estimation.prior.posterior import Posterior, Prior, posterior
 from cellapp.estimation.prior.update import update
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
+from cellapp.ground.results import ModelStage
 from cellapp.robot.effects import EffectTerm
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -33,7 +33,7 @@ class Earlier:
 
     belief: Belief
     run: Path
-    stage: Literal["calibrate", "discover"]
+    stage: ModelStage
     digest: str
     since: str
     readings: int

@@ -16,6 +16,7 @@ from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.discovery.records import ArmDiscoveryResult
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.records import UncertaintyContribution, UncertaintyParts
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import MPE_SHARE, MpeRule
 from cellapp.ground.profile.schema import ArmType, PermissibleError
@@ -190,7 +191,7 @@ def _model(known: Evidence) -> UncertaintyContribution:
             MODEL,
             max(map(_of_model_mm, known.commands)),
             "A",
-            f"posterior of the model in force, largest of {len(known.commands)} commands",
+            f"posterior of the model in force, largest of {counted(len(known.commands), 'command')}",
         )
     found = known.discovered
     if found is not None and found.uncertainty_mm is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cellapp.estimation.uncertainty.records import Conformity, ToleranceVerdict
-from cellapp.ground.profile.acceptance import DecisionRule
+from cellapp.ground.results import DecisionRule
 
 TARGET_WORDS: Mapping[Conformity, ToleranceVerdict] = {
     "conforms": "in",

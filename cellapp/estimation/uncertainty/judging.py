@@ -15,7 +15,7 @@ from cellapp.estimation.uncertainty.budget import Evidence, expanded_mm, not_giv
 from cellapp.estimation.uncertainty.decision import target_verdict
 from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyContribution, UncertaintyParts
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.acceptance import DecisionRule
+from cellapp.ground.results import DecisionRule
 from cellapp.robot.kinematics.transforms import Array
 
 

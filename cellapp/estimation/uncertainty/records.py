@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from cellapp.ground.results import Record
+from cellapp.ground.results import DecisionRule, Record
 
 ToleranceVerdict = Literal["in", "out", "cannot say", ""]
 """Whether a target is met to its tolerance; empty where it has none, or where there is nothing to judge."""
@@ -39,7 +39,7 @@ class Judgement(Record):
     value_mm: float | None
     expanded_mm: float | None
     tolerance_mm: float
-    rule: Literal["guarded", "simple"]
+    rule: DecisionRule
     conformity: Conformity
     source: str
     n: int = 0

@@ -16,6 +16,7 @@ from pydantic import (
     model_validator,
 )
 
+from cellapp.ground.results import DecisionRule
 from drivers.quantities import Length
 from drivers.settings import Section
 
@@ -25,10 +26,6 @@ equally likely, MPE / sqrt 3 (JCGM 100, 4.3.7); ``half`` is MPE / 2, for who kno
 MPE_SHARE: Mapping[MpeRule, float] = {"rectangular": 1.0 / math.sqrt(3.0), "half": 0.5}
 
 Tolerance = Annotated[Length, Field(gt=0.0, le=0.1)]
-
-DecisionRule = Literal["guarded", "simple"]
-"""``guarded``: ISO 14253-1; an error conforms if it is inside the tolerance by its expanded uncertainty, and does not
-conform if it is outside by it. ``simple``: the error alone is compared (ISO/IEC Guide 98-4, simple acceptance)."""
 
 
 def _span_of(value: object) -> object:

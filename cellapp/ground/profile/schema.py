@@ -21,6 +21,7 @@ from pydantic import (
 
 from cellapp.ground.profile.acceptance import Tolerances, Traceability
 from cellapp.ground.profile.collection import Collection
+from cellapp.ground.profile.notify import Notify
 from cellapp.ground.profile.obstacles import Obstacles
 from cellapp.ground.profile.plan import Plan
 from drivers.arms.registry import ARMS
@@ -308,6 +309,7 @@ class Profile(Section, defer_build=True):
     """Path of a target list, relative to the profile; used by ``run``."""
     tolerances: Tolerances = Tolerances()
     traceability: Traceability = Traceability()
+    notify: Notify | None = None
 
     @model_serializer(mode="wrap")
     def _without_empty_sections(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -316,12 +318,20 @@ class Profile(Section, defer_build=True):
         for name, empty in (("tolerances", Tolerances()), ("traceability", Traceability())):
             if getattr(self, name) == empty:
                 content.pop(name, None)
+        if self.notify is None:
+            content.pop("notify", None)
         return content
 
     @property
     def moves_hardware(self) -> bool:
         """Whether a motion in this cell moves a real arm."""
         return any(arm.driver.moves_hardware for arm in self.arms.values())
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether what this cell measures is simulated: it has simulated devices, or emulated ones alone."""
+        kinds = {self.tracker.driver.kind, *(arm.driver.kind for arm in self.arms.values())}
+        return "simulated" in kinds or (self.plant is not None and not self.moves_hardware)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

@@ -137,19 +137,16 @@ class DaskCluster:
                 if ended is None or ended.key not in under_way:
                     continue
                 if ended.status in _COMPUTED_AGAIN:
-                    self._look_again(ended)
+                    # put a task back among those that ended, a little later: Dask does not report it a second time
+                    timer = threading.Timer(_LOOK_AGAIN_S, self._ended.put, [ended])
+                    timer.daemon = True
+                    timer.start()
                     continue
                 future, task = under_way.pop(ended.key)
                 yield task, _answer(future)
         finally:
             if under_way and self.client.status == "running":
                 self.client.cancel([future for future, _ in under_way.values()])
-
-    def _look_again(self, future: Future) -> None:
-        """Put a task back among those that ended, a little later: Dask does not report it a second time."""
-        timer = threading.Timer(_LOOK_AGAIN_S, self._ended.put, [future])
-        timer.daemon = True
-        timer.start()
 
     def _next_ended(self) -> Future | None:
         """A task that ended, None after a while.

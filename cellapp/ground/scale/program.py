@@ -41,7 +41,7 @@ def this_program() -> Program:
     """The program of this process."""
     return Program(
         version=__version__,
-        source=_source_digest(),
+        source=_digest({package: Path(str(files(package))) for package in _PACKAGES}),
         python=".".join(platform.python_version_tuple()[:2]),
         packages={name: _version(name) for name in _ARITHMETIC},
     )
@@ -56,10 +56,6 @@ def source_outside(function: Callable[..., object]) -> str:
     """The start of the SHA-256 of the modules beside that of a function which is no part of the program; else empty."""
     package = function.__module__.partition(".")[0]
     return "" if package in _PACKAGES else _digest({package: Path(inspect.getfile(function)).parent})
-
-
-def _source_digest() -> str:
-    return _digest({package: Path(str(files(package))) for package in _PACKAGES})
 
 
 def _digest(folders: Mapping[str, Path]) -> str:

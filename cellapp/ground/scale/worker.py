@@ -12,7 +12,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel
 from threadpoolctl import threadpool_limits
 
 from cellapp.ground.errors import CellappError, CheckFailed
@@ -73,7 +72,7 @@ def _answer(kind: str, common: str, parameters: str) -> Answer:
         wall_s, cpu_s = time.perf_counter(), time.thread_time()
         found = its.run(prepared, its.parameters.model_validate_json(parameters))
         return Answer(
-            found=_exact_json(found),
+            found=json.dumps(found.model_dump(by_alias=True), separators=(",", ":")),
             wall_s=time.perf_counter() - wall_s,
             cpu_s=time.thread_time() - cpu_s,
             peak_mb=_peak_mb(),
@@ -83,11 +82,6 @@ def _answer(kind: str, common: str, parameters: str) -> Answer:
     except Exception as error:  # noqa: BLE001 - one task that fails, of many, is reported with its place
         place = traceback.extract_tb(error.__traceback__)[-1]
         return Answer(failure=f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})")
-
-
-def _exact_json(found: BaseModel) -> str:
-    """JSON text that keeps NaN and infinity, which results that people read show as null."""
-    return json.dumps(found.model_dump(by_alias=True), separators=(",", ":"))
 
 
 @lru_cache(maxsize=_MOST_PREPARED)

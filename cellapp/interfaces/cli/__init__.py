@@ -6,6 +6,7 @@ A command imports what it needs when it is called, so that help and requests to 
 from __future__ import annotations
 
 import sys
+from functools import partial
 
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.cli.requests import ask_job, plain_request
@@ -14,8 +15,15 @@ from cellapp.interfaces.cli.requests import ask_job, plain_request
 def main() -> None:
     """The program. A plain request to a running job is sent before the rest of the program is loaded: it may be a stop.
 
-    Everything else, and whatever goes wrong, is the matter of the whole command line.
+    The list of commands needs none of them. Everything else, and whatever goes wrong, is the matter of the whole
+    command line.
     """
+    if sys.argv[1:] in (["-h"], ["--help"]):
+        from cellapp.interfaces.cli.program import run_program
+        from cellapp.interfaces.cli.top import overview
+
+        run_program(partial(overview(), prog_name="cellapp"))
+        return
     request = plain_request(sys.argv[1:])
     if request is None:
         from cellapp.interfaces.cli.app import main as whole_program

@@ -14,9 +14,8 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import typer
 
-from cellapp.commands.record import Writes
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
 from cellapp.interfaces.cli.requests import REMEDY
 
 _FORCE = "force"

@@ -12,15 +12,16 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellapp.commands.view.parts import Parts, printed
 from cellapp.ground.control import Aborted, JobControl
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words
+from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words, in_lines
 from cellapp.ground.signals import available, ended_by, watch_signals
 from cellapp.interfaces.cli.command_outputs import current_outputs
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
-    from cellapp.commands.view.table import Parts, Table
+    from cellapp.commands.view.table import Table
     from cellapp.ground.results import Result
 
 INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
@@ -62,6 +63,7 @@ class Job:
         self._json_file = json_file
         self._bars: Any = None
         self._tasks: dict[str, Any] = {}
+        self._in_lines = in_lines(self._announce)
         self._signals = contextlib.ExitStack()
         self._interrupts = 0
         self._messages: queue.SimpleQueue[str | None] = queue.SimpleQueue()
@@ -80,7 +82,10 @@ class Job:
         self._stop_bars()
 
     def listen(self, event: Progress) -> None:
-        """Draw one bar for each job on standard error, if that is a terminal, and say what a person must know."""
+        """Draw one bar for each job on standard error, and say what a person must know.
+
+        Where standard error is no terminal, a long job says in a line each minute how far it is.
+        """
         match event.detail:
             case StateChange(state, reason):
                 self._announce(f"{event.job}: {state}: {reason}")
@@ -89,6 +94,7 @@ class Job:
             case Notice(text):
                 self._announce(f"{event.job}: {text}")
         if not sys.stderr.isatty():
+            self._in_lines(event)
             return
         if self._bars is None:
             self._start_bars()
@@ -124,7 +130,7 @@ class Job:
 
     def show_view(self, view: Parts) -> None:
         """Print the tables and lines of a view in their order."""
-        for part in view:
+        for part in printed(view):
             if isinstance(part, str):
                 self.say(part)
             else:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cellapp.commands.record import Writes
+from cellapp.ground.outputs import Writes
 
 if TYPE_CHECKING:
     from cellapp.ground.scale.executor import Resources
@@ -22,12 +22,6 @@ JsonOption = Annotated[
 AllowMotion = Annotated[
     bool,
     typer.Option("--allow-motion", help="Let real arms move without asking: the cell is clear, a person watches it."),
-]
-OutOfDate = Annotated[
-    bool, typer.Option("--out-of-date", help="Use the latest model even if it no longer fits the run's data.")
-]
-Strict = Annotated[
-    bool, typer.Option("--strict", help="Exit code 1 if a result, the page or the certificate is out of date.")
 ]
 Jobs = Annotated[
     int | None,

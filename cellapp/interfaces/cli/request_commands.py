@@ -25,3 +25,6 @@ def stop(folder: RunFolder, json_file: JsonOption = None) -> None:
 def abort(folder: RunFolder, json_file: JsonOption = None) -> None:
     """Brake all arms of the job that runs in DIR now, and end the job."""
     ask_job(JobRequest("abort", folder, json_file, current_outputs().outputs.force))
+
+
+REQUESTS = (pause, resume, stop, abort)

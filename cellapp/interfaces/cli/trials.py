@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cellapp.commands.record import Writes
+from cellapp.ground.counting import counted
+from cellapp.ground.outputs import Writes
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.options import ProfilePath
+from cellapp.interfaces.cli.top import TRIALS
 from cellapp.interfaces.cli.trial_command import trial
 
 if TYPE_CHECKING:
     from cellapp.commands.trials.skeleton import Stated, Work
 
-trials_app = Commands(help="Trials on simulated cells and measured series.", no_args_is_help=True)
+trials_app = Commands(help=TRIALS, no_args_is_help=True)
 SimulatedCell = Annotated[Path, typer.Argument(metavar="[PROFILE]", help="A simulated cell, as YAML.")]
 DEFAULT_CELL = Path("profiles/twin.yaml")
 DrawnCells = Annotated[int, typer.Option("--seeds", min=1, help="Simulated cells, or draws of rows.")]
@@ -87,7 +89,7 @@ def seal(
         str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple or mixed.")
     ] = "one",
     noise: Annotated[
-        str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 urad a joint).")
+        str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 µrad a joint).")
     ] = "gaussian",
     laws: Annotated[
         str, typer.Option("--laws", metavar="LAWS", help="same: shaped as the library's; other: by other shapes.")
@@ -119,7 +121,8 @@ def seal(
     )  # fmt: skip
     result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=work.listener, cancel=work.cancel)
     said = (
-        f"{result.runs} runs in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge' only",
+        f"{counted(result.runs, 'run')} in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge'"
+        " only",
         f"SHA-256 of the truth, also in {out / SEAL_FILE}: {result.sha256}",
     )
     return Stated(result, sentences=said)

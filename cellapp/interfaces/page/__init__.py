@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cellapp.ground.errors import InputError
+
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
     from cellapp.commands.certificate.result import CertificateResult
@@ -27,7 +29,10 @@ def draw_certificate(result: CertificateResult) -> str:
 
 
 def write_result_page(result: Result, path: Path, outputs: Outputs) -> Path:
-    """Write the page of a result of a fleet to a file and return its path."""
-    from cellapp.interfaces.page.result_pages import write_result_page as write
+    """Write the page of a result and return its path. Raises ``InputError`` where it has none, or cannot be written."""
+    from cellapp.estimation.monitoring.fleet.records import FleetResult
+    from cellapp.interfaces.page.fleet_page import write_fleet_page
 
-    return write(result, path, outputs)
+    if isinstance(result, FleetResult):
+        return write_fleet_page(result, path, outputs)
+    raise InputError(f"{path}: {result.schema_} has no page")

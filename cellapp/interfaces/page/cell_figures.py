@@ -10,10 +10,10 @@ import numpy as np
 
 from cellapp.commands.plan.charts_obstacles import outline
 from cellapp.commands.view.charts import mm
+from cellapp.commands.view.scene import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.commands.view.words import STAGE_WORDS
-from cellapp.interfaces.page.captioned import CaptionedFigure
-from cellapp.interfaces.page.cell_scene import Capsules, CellScene, ErrorVectors, SceneArm, scene_message
 from cellapp.interfaces.page.chart_svg import dots, in_colour, polyline, svg_element, text
+from cellapp.interfaces.page.figure import Figure
 from cellapp.interfaces.render.chart_data import Json, script_json
 from cellapp.interfaces.render.chart_style import ARM_COLOURS, LegendEntry, Look
 from cellapp.robot.kinematics.transforms import Array
@@ -40,18 +40,18 @@ class _Layer:
     when: str = ""
 
 
-def scene_figure(key: str, scene: CellScene) -> CaptionedFigure:
+def scene_figure(key: str, scene: CellScene) -> Figure:
     """The cell in space, over the whole width."""
     layers = _layers(scene)
     entries = [LegendEntry(layer.look, layer.words, (number,)) for number, layer in enumerate(layers)]
     if any(layer.errors for layer in layers):
         entries.append(LegendEntry(None, f"errors are drawn {scene.enlarged:g} times longer than they are"))
-    return CaptionedFigure(
+    return Figure(
         svg=_scene_svg(scene, layers),
         caption="The cell in space, with errors before and after",
         legend=tuple(entries),
         css_class="wide",
-        note=scene_message(scene),
+        note=scene.message,
         data=_scene_data(scene, layers),
         key=key,
     )

@@ -21,6 +21,7 @@ from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.acceptance_words import Verdict, judgement_words
 from cellapp.commands.view.table import Table
 from cellapp.estimation.uncertainty.records import Judgement
+from cellapp.ground.counting import counted
 from cellapp.ground.results import CERTIFICATE, StageName
 from cellapp.ground.times import day_of, minute_of
 from cellapp.interfaces.page.templates import template
@@ -123,7 +124,7 @@ def _arm_words(arm: CertifiedArm) -> str:
         f"serial {arm.serial or NOT_GIVEN}",
         *([arm.asset] if arm.asset else []),
         f"controller serial {arm.controller_serial or NOT_GIVEN}" + (f" ({controller})" if controller else ""),
-        f"{arm.readings} readings",
+        counted(arm.readings, "reading"),
     ]
     return ", ".join(parts)
 

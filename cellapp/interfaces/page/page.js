@@ -122,9 +122,11 @@
   const lowest = (chart) =>
     Math.min(...chart.series.flatMap(({ y, band }) => (band ? y.map((value, row) => value - band[row]) : y)));
 
-  // Within few decades plotly labels every multiple, which overlap: 1, 2 and 5 are enough.
+  // Within few decades plotly labels every multiple, which overlap: 1, 2 and 5 are enough. Without a format it labels
+  // them by their first digit alone, so that an axis reads 2, 1, 5, 2.
   function setLogTicks(axis, chart, name) {
     if (axis.type !== "log") return;
+    axis.tickformat = "~g";
     const limits = chart.limits.filter((limit) => limit.axis === name).map(({ value }) => value);
     const values = [...limits, ...chart.series.flatMap((series) => series[name])].filter((value) => value > 0);
     const decades = Math.log10(Math.max(...values) / Math.min(...values));

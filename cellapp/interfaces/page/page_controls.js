@@ -17,7 +17,6 @@
   nameTheme();
 
   // -- folding --
-  const folding = all("details");
   const unfoldTarget = () => {
     const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
     if (!target) return;
@@ -34,10 +33,10 @@
     fold.textContent = open ? "Fold all" : "Unfold all";
   });
 
-  // -- printing: everything is open on paper, and as before afterwards --
+  // -- printing: every section is open on paper, and as before afterwards; details only where a reader opened them --
   let folded = [];
   addEventListener("beforeprint", () => {
-    folded = folding.filter((part) => !part.open);
+    folded = all("details.section").filter((part) => !part.open);
     for (const part of folded) part.open = true;
   });
   addEventListener("afterprint", () => {
@@ -96,5 +95,12 @@
     );
     table.caption.append(tools);
   }
+  // -- a table that is wider than its frame says that it scrolls --
+  const hint = () => {
+    for (const frame of all(".table, .cert-table")) frame.classList.toggle("scrolls", frame.scrollWidth > frame.clientWidth + 1);
+  };
+  for (const part of all("details")) part.addEventListener("toggle", hint);
+  addEventListener("resize", hint);
+  hint();
   for (const hidden of all("[data-scripted]")) hidden.hidden = false;
 })();

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
+_QUOTED = re.compile(r"`([^`<>]+)`")
+"""A command in a sentence."""
+_SHA_256 = re.compile(r"[0-9a-f]{64}")
+
 
 def template(name: str) -> Template:
     """A template of this package; texts are escaped, and a name without a value is an error."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
+    from markupsafe import Markup, escape
 
     environment = Environment(
         loader=PackageLoader("cellapp.interfaces", "page"),
@@ -21,4 +26,6 @@ def template(name: str) -> Template:
         lstrip_blocks=True,
     )
     environment.filters["svg"] = Markup  # made by cellapp, without any text that a user wrote
+    environment.filters["prose"] = lambda text: Markup(_QUOTED.sub(r"<code>\1</code>", str(escape(text))))
+    environment.filters["is_hash"] = lambda text: bool(_SHA_256.fullmatch(text))
     return environment.get_template(name)

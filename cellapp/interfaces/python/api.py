@@ -22,7 +22,7 @@ from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.report.tables import all_tables, out_of_date_sentences
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
-from cellapp.commands.view.table import Parts
+from cellapp.commands.view.parts import Parts
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

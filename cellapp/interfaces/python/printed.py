@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from cellapp.commands.view.charts import Chart
-from cellapp.commands.view.table import Parts
+from cellapp.commands.view.parts import Parts
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.render.html_view import html_view
 from cellapp.interfaces.render.plain import plain_text

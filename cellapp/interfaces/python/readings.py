@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from cellapp.cell.run.csv_import import readings_of_table
 from cellapp.cell.run.csv_text import CsvTable, read_csv_table
 from cellapp.cell.run.table_in_memory import is_frame, table_of_arrays, table_of_frame
-from cellapp.commands.view.table import Column, Parts, Table, number_column
+from cellapp.commands.view.parts import Parts
+from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.calibration.calibrate import missing_splits
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.columns import COLUMNS
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.python.printed import Printed
@@ -53,7 +55,9 @@ class CellReadings(Printed, Mapping[str, Readings]):
 
     def summary(self) -> str:
         """Number of readings of each arm."""
-        return ", ".join(f"{name}: {len(arm)} readings of {arm.joints} joints" for name, arm in self.arms.items())
+        return ", ".join(
+            f"{name}: {counted(len(arm), 'reading')} of {arm.joints} joints" for name, arm in self.arms.items()
+        )
 
     def view(self) -> Parts:
         """What each arm's readings hold, and the notes."""

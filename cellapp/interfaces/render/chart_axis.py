@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.commands.view.charts import LEAST, Array, Axis
+from cellapp.interfaces.render.log_ticks import log_ticks
 
 _INTERVALS = 5.0
 """Intervals between the ticks of a linear axis to aim at."""
@@ -19,10 +20,8 @@ _LOG_ROOM = 1.25
 _DEGREES = (5.0, 10.0, 15.0, 30.0, 45.0, 60.0, 90.0, 180.0)
 _FEWEST_DEGREES = 20.0
 """Angles over a smaller range have decimal ticks."""
-_MULTIPLES = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
-"""Labelled multiples of each decade, from sparse to dense."""
-_MOST_DECADES = 6
-"""Decades from which on only every second or third one has a label."""
+_MOST_TICKS = 6
+"""Of a logarithmic axis."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,9 @@ class Scale:
 
     def ticks(self) -> list[tuple[float, str]]:
         """Pixel and label of each tick."""
-        values = self._log_ticks() if self.logarithmic else self._linear_ticks(self.low, self.high)
+        low, high = (10.0**self.low, 10.0**self.high) if self.logarithmic else (self.low, self.high)
+        values = log_ticks(low, high, _MOST_TICKS) if self.logarithmic else []
+        values = values or self._linear_ticks(low, high)
         return [(float(self.at(np.array(value))), f"{value:.6g}") for value in values]
 
     def _linear_ticks(self, low: float, high: float) -> list[float]:
@@ -59,16 +60,6 @@ class Scale:
         decade = 10.0 ** math.floor(math.log10(wanted))
         step = decade * min((1.0, 2.0, 5.0, 10.0), key=lambda size: abs(math.log(size * decade / wanted)))
         return max(round(step), 1.0) if self.whole else step
-
-    def _log_ticks(self) -> list[float]:
-        first, last = math.floor(self.low), math.ceil(self.high)
-        every = math.ceil((last - first) / _MOST_DECADES)
-        for multiples in _MULTIPLES:
-            values = [factor * 10.0**decade for decade in range(first, last + 1, every) for factor in multiples]
-            inside = [value for value in values if self.low <= math.log10(value) <= self.high]
-            if len(inside) >= 3:
-                return inside
-        return self._linear_ticks(10.0**self.low, 10.0**self.high)
 
 
 def scale_of(

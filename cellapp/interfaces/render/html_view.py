@@ -5,13 +5,14 @@ from __future__ import annotations
 from html import escape
 from itertools import groupby
 
-from cellapp.commands.view.table import Parts, Table
+from cellapp.commands.view.parts import Parts, printed
+from cellapp.commands.view.table import Table
 
 
 def html_view(view: Parts) -> str:
     """Tables and lines in their order as one ``div``; everything in them is escaped."""
     parts = []
-    for are_lines, group in groupby(view, lambda part: isinstance(part, str)):
+    for are_lines, group in groupby(printed(view), lambda part: isinstance(part, str)):
         members = list(group)
         if are_lines:
             lines = "\n".join(str(line) for line in members).strip("\n")

@@ -6,7 +6,7 @@ import io
 
 from rich.console import Console
 
-from cellapp.commands.view.table import Parts
+from cellapp.commands.view.parts import Parts, printed
 from cellapp.interfaces.render.terminal import rich_table
 
 
@@ -14,7 +14,7 @@ def plain_text(view: Parts, width: int = 100) -> str:
     """Tables and lines in their order; tables are at most ``width`` characters wide."""
     text = io.StringIO()
     console = Console(file=text, width=width, color_system=None, force_terminal=False, legacy_windows=False)
-    for part in view:
+    for part in printed(view):
         if isinstance(part, str):
             text.write(f"{part}\n")
         else:

@@ -25,18 +25,19 @@ from textual.screen import Screen
 from textual.widgets import Static
 
 from cellapp.cell.driving.requests.attaching import Detached
+from cellapp.interfaces.tui import night
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.attached import LOOK_EVERY_S, JobsOfOthers
 from cellapp.interfaces.tui.dialogs.handbook import Handbook
 from cellapp.interfaces.tui.dialogs.jump import Jump
-from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
 from cellapp.interfaces.tui.dialogs.palette import Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.endings import UNEXPECTED, ending_of, left_behind
-from cellapp.interfaces.tui.host import Host
-from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
+from cellapp.interfaces.tui.job_keys import JobKeys
+from cellapp.interfaces.tui.jobs import JobEnded
+from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind, key_table, with_keys
 from cellapp.interfaces.tui.leaving import ENDED, LEFT, Leaving
-from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, StopGiven, WorkspaceLoaded
+from cellapp.interfaces.tui.messages import LeaveAsked, ResumeOffered, Severity, WorkspaceLoaded
 from cellapp.interfaces.tui.offers import (
     offer_at_rest,
     offer_paths,
@@ -50,15 +51,19 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.slow_passes import SlowPasses
 from cellapp.interfaces.tui.terminal_driver import driver_that_stops
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
-from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine, StepTab
+from cellapp.interfaces.tui.widgets.header import StepTab
 from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
 
-_REQUESTS = ("stop", "pause", "resume", "abort")
+_REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
-_ALWAYS = ("stop", "abort")
+_ALWAYS = ("stop", "stop_job", "abort")
 """Actions that an open dialog does not hide."""
 _DRAWING_S = 0.1
 """Time between two drawings of a running job: people read no faster, and keys are answered between them."""
+_WAITING = ("paused", "suspended", "stopped", "aborted")
+"""States in which a job waits for a person or for the cell."""
+_TICK_S = 1.0
+"""Time between two looks at what goes on without an event: the time that is left, the title of the terminal."""
 _PRELOAD_AFTER_S = 0.3
 """The first screen is drawn before."""
 _LATER = (
@@ -75,7 +80,7 @@ _MOST_TAKEN = 300
 """Events that are taken in at a time: each takes some microseconds."""
 
 
-class CellApp(Host):
+class CellApp(JobKeys):
     """The application.
 
     Parameters
@@ -95,19 +100,19 @@ class CellApp(Host):
     COMMAND_PALETTE_BINDING = "ctrl+p"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape", "stop", "STOP", priority=True),
-        Binding("ctrl+c", "stop", show=False, priority=True),
+        Binding("ctrl+c", "stop_job", show=False, priority=True),
         Binding("ctrl+c", "say_how_to_quit", show=False),
-        Binding("f5", "whole_day", "Day", tooltip="plan, collect, calibrate, discover, push and verify; asks first"),
-        Binding("p", "pause", "Pause"),
-        Binding("c", "resume", "Resume"),
-        Binding("x", "abort", "Abort"),
+        bind("pause", "pause", "Pause"),
+        bind("resume", "resume", "Resume"),
+        bind("abort", "abort", "Abort"),
         Binding("ctrl+x", "abort", show=False, priority=True),
         *(Binding(entry.key, f"show('{entry.step}')", entry.title, show=False) for entry in SCREENS),
-        Binding("n", "next_step", "Next", tooltip="show the step that comes next"),
-        Binding("question_mark", "explain", "Help", key_display="?", tooltip="explain this screen"),
-        Binding("h,f1", "handbook", "Handbook", show=False),
-        Binding("ctrl+o", "jump", "Jump", show=False),
-        Binding("q", "quit", "Quit"),
+        bind("day", "whole_day", "Day", "plan, collect, calibrate, discover, push and verify; asks first"),
+        bind("next", "next_step", "Next", "show the step that comes next; there, begin it"),
+        bind("help", "explain", "Help", "explain this screen"),
+        bind("handbook", "handbook", "Handbook", KEYS["handbook"].meaning, show=False),
+        bind("jump", "jump", "Jump", KEYS["jump"].meaning, show=False),
+        bind("quit", "quit", "Quit"),
         Binding("ctrl+q", "quit", show=False, priority=True),
     ]
 
@@ -127,6 +132,7 @@ class CellApp(Host):
         self._patience_s = patience_s
         self._leaving = False
         self._ended: str | None = None
+        self._titled = ""
 
     def close_terminal(self) -> None:
         """Leave because the terminal is gone; from any thread."""
@@ -145,9 +151,10 @@ class CellApp(Host):
         self.call_after_refresh(self._welcome)
         self.set_interval(_DRAWING_S, self._draw_events)
         self.set_interval(LOOK_EVERY_S, self.others.look)
+        self.set_interval(_TICK_S, self._tick)
         self.set_timer(_PRELOAD_AFTER_S, self._preload)
         self.leaving.watch()
-        self.say("Choose a profile on this screen; n goes to the next step, ? explains.")
+        self.say(f"Choose a profile on this screen; {SHOWN['next']} goes to the next step, {SHOWN['help']} explains.")
 
     def _welcome(self) -> None:
         """Ask what to begin with where there is no profile."""
@@ -179,11 +186,13 @@ class CellApp(Host):
             self.jobs.wait(self._patience_s)
 
     async def action_quit(self) -> None:
-        """Quit; with a job in progress, ask first, stop it and wait for its end."""
-        if not self.jobs.running:
+        """Quit; with a job in progress or something that is not saved, ask first; stop the job and wait for its end."""
+        unsaved = [words for screen in self._screens.values() if (words := screen.unsaved)]
+        if self.jobs.running or unsaved:
+            if not self._leaving and isinstance(self.screen, DayScreen | Handbook | Reading):
+                offer_to_quit(self, self._leave, unsaved)
+        else:
             self.exit(return_code=self.code)
-        elif not self._leaving:
-            offer_to_quit(self, self._leave)
 
     @on(LeaveAsked)
     def leave_at_once(self) -> None:
@@ -235,13 +244,20 @@ class CellApp(Host):
         self.action_show(event.step)
 
     def action_next_step(self) -> None:
-        """Show the screen of the step that comes next."""
-        self.action_show(self.workspace.next_step)
+        """Show the screen of the step that comes next; where it is shown, begin what comes next."""
+        step, screen = self.workspace.next_step, self.day_screen
+        if step != screen.STEP:
+            self.action_show(step)
+        elif self.jobs.running:
+            self.say(f"{self.state.job.words if self.state.job else ''}; the next step follows when it has ended.")
+        else:
+            screen.begin_next("" if self.workspace.overview is None else self.workspace.overview.next_verb)
 
     def action_explain(self) -> None:
-        """Explain the present screen."""
+        """Explain the present screen, with all keys that it has."""
         screen = self.day_screen
-        self.push_screen(Reading(screen.HELP or f"# {screen.STEP.capitalize()}"))
+        keys = f"{key_table(screen.BINDINGS)}\n\n## Keys of every screen\n\n{key_table(self.BINDINGS)}"
+        self.push_screen(Reading(f"{screen.HELP.format_map(SHOWN)}\n## Keys of this screen\n\n{keys}\n"))
 
     def action_handbook(self) -> None:
         """Open the handbook."""
@@ -254,6 +270,8 @@ class CellApp(Host):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable actions that are not possible now; over a dialog only stop and abort remain."""
         if action in _REQUESTS and not self.jobs.possible(action):
+            return False
+        if action == "stop" and self.escape_closes:
             return False
         if action in _OWN and action not in _ALWAYS and not isinstance(self.screen, DayScreen):
             return False
@@ -285,6 +303,9 @@ class CellApp(Host):
     @on(ResumeOffered)
     def offer_to_resume(self, event: ResumeOffered) -> None:
         """Ask whether to go on with an interrupted run, unless something else was begun meanwhile."""
+        run = event.run
+        self.waits = f"{run.run} {'is in use' if run.in_use else f'waits with {run.stops_left} stops left'}"
+        self.draw_all()
         if not self.jobs.running and self.workspace.folder is None and isinstance(self.screen, DayScreen):
             offer_to_resume(self, event.run)
 
@@ -339,77 +360,6 @@ class CellApp(Host):
         """Ask, then plan, collect, calibrate, discover, push and verify in a new run."""
         offer_whole_day(self)
 
-    def action_stop(self) -> None:
-        """Brake all arms now."""
-        if not self.jobs.possible("stop"):
-            return
-        control = self.jobs.control
-        arms = control.has_brakes
-        control.stop()  # before anything is drawn
-        self._say_stop(arms)
-
-    @on(StopGiven)
-    def show_stop(self, event: StopGiven) -> None:
-        """Say that a press has stopped."""
-        self.presses.said()
-        if self.jobs.running:
-            self._say_stop(event.arms)
-
-    def _say_stop(self, arms: bool) -> None:
-        self._refuse_motion()
-        if self.jobs.control.cancelled:
-            self.say("Stopping: the arms brake, the job ends." if arms else "Stopping at the next step.", "warning")
-        else:
-            self.say("STOP: all arms brake. c: resume when the cell is clear; x: abort.", "error")
-
-    def action_say_how_to_quit(self) -> None:
-        """Ctrl-C, where nothing runs and no text is selected: it does not quit. Say what does."""
-        self.say("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
-
-    def action_pause(self) -> None:
-        """Let the job rest after the present stop; the second time, resume. It does not resume a stopped job."""
-        control = self.jobs.control
-        if control.request == "pause":
-            self.action_resume()
-        elif control.request == "stop":
-            self.say("Stopped, not paused. c: resume when the cell is clear; x: abort.", "warning")
-        elif self.jobs.possible("pause"):
-            control.pause()
-            rests = "the arms rest after the present stop" if control.has_brakes else "the job waits where it can"
-            self.say(f"Pausing: {rests}. p or c: resume; Escape: stop.", "warning")
-
-    def action_resume(self) -> None:
-        """Let a paused or stopped job continue."""
-        if not self.jobs.possible("resume"):
-            return
-        if self.presses.just_given:
-            self.say("Stopped; resume was asked for in the same moment. c: resume when the cell is clear.", "warning")
-            return
-        self.jobs.control.resume()
-        self.say("Resuming.")
-
-    def action_abort(self) -> None:
-        """Brake all arms now and end the job."""
-        if self.jobs.possible("abort"):
-            arms = self.jobs.control.has_brakes
-            self.jobs.control.abort()
-            self._refuse_motion()
-            self.say("Aborting: all arms brake, the job ends." if arms else "Aborting at the next step.", "error")
-
-    @on(MotionAsked)
-    def ask_before_motion(self, message: MotionAsked) -> None:
-        """Show the first motion and ask for the profile's name."""
-        if self.jobs.control.request not in ("none", "pause"):
-            return  # a person stopped the job before the question was shown, which answered it
-        profile = self.workspace.profile
-        name = "move" if profile is None else profile.name
-        self.push_screen(MotionQuestion(message.words, name), lambda allowed: message.answer(bool(allowed)))
-
-    def _refuse_motion(self) -> None:
-        """Close the question before the first motion: a stop is an answer."""
-        if isinstance(self.screen, MotionQuestion):
-            self.screen.dismiss(False)
-
     @on(JobEnded)
     def show_end(self, message: JobEnded) -> None:
         """State in words how the job ended, and read the run again."""
@@ -421,6 +371,7 @@ class CellApp(Host):
         self.code = ending.code
         self._ended = ending.text if ending.code == 0 else ""
         self.say(ending.text, ending.severity)
+        self._tell_event("done" if ending.code == 0 else "ended", ending.text)
         if self._leaving:  # the shell keeps what the screen can no longer show
             self.exit(return_code=self.code, message=Text(ending.text))
             return
@@ -439,6 +390,7 @@ class CellApp(Host):
 
     def say(self, text: str, severity: Severity = "information") -> None:
         """Show a sentence in the message line of every screen and keep it in the log."""
+        text = with_keys(text)
         self.message, self._severity = text, severity
         self.record.note(text, "info" if severity == "information" else severity)
         self._draw_message()
@@ -448,15 +400,11 @@ class CellApp(Host):
         """Draw the present screen whole."""
         with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or they go away
             screen = self.day_screen
-            self._draw_header(screen)
             self._draw_message()
             screen.show_workspace(self.workspace)
+            screen.draw_state()
             screen.show_job(self.record)
         self.refresh_bindings()
-
-    def _draw_header(self, screen: DayScreen) -> None:
-        screen.query_one(DayHeader).show(self.workspace, self.record)
-        screen.query_one(StepLine).show(self.workspace, screen.STEP)
 
     def _draw_message(self) -> None:
         with contextlib.suppress(NoMatches, StopIteration):
@@ -475,16 +423,40 @@ class CellApp(Host):
         self._drawn = self.record.changes
         with contextlib.suppress(NoMatches, StopIteration):
             screen = self.day_screen
-            screen.query_one(DayHeader).show(self.workspace, self.record)
+            screen.draw_state()
             screen.show_job(self.record)
         if self.record.state != state:
             self._say_state()
+
+    def _tick(self) -> None:
+        """The time that is left goes down, and the terminal's title says how far the job is."""
+        with contextlib.suppress(NoMatches, StopIteration):
+            if self.jobs.running:
+                self.day_screen.draw_state()
+        title = night.title_words(self.state, self.record)
+        if title != self._titled:
+            self._titled = title
+            self.tell(night.title_sequence(title))
+
+    def tell(self, sequence: str) -> None:
+        """Write a sequence to the terminal, past the screens."""
+        if self._driver is not None and not self.is_headless and night.is_told():
+            self._driver.write(sequence)
+
+    def _tell_event(self, word: str, text: str) -> None:
+        """Ring, and notify the desktop: somebody who does not look is told."""
+        self.tell(night.notice_sequence(f"cellapp {word}", text))
 
     def _say_state(self) -> None:
         """A new state of the job in the message line; what a replay plays back is no state of these arms."""
         state, reason = self.record.state, self.record.reason
         if state is not None and reason:
-            self.message = f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}: {reason}"
+            since = "" if state == "running" else f" {night.since_words(self.record)}"
+            self.message = (
+                f"{self.record.name}: {reason}" if self.record.is_replay else f"{state.upper()}{since or f': {reason}'}"
+            )
             self._severity = "information" if state == "running" else "warning"
             self._draw_message()
         self.refresh_bindings()
+        if state in _WAITING and not self.record.is_replay:
+            self._tell_event(str(state), f"{self.record.name} {night.since_words(self.record)}")

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import os
-import shlex
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cellapp.cell.driving.requests.attaching import Detached
+from cellapp.commands.run.request import VERB as RUN
 from cellapp.ground.control import Aborted
-from cellapp.ground.errors import CellappError, CheckFailed, HardwareError
+from cellapp.ground.errors import CellappError, CheckFailed, HardwareError, InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.progress import Cancelled, Progress
-from cellapp.interfaces.tui.jobs import Job, JobEnded
+from cellapp.interfaces.tui.jobs import JobEnded
+from cellapp.interfaces.tui.keys import way_to
 from cellapp.interfaces.tui.messages import Severity
-from cellapp.interfaces.tui.work import VERIFY
-
-if TYPE_CHECKING:
-    from cellapp.ground.results import Result
 
 ERROR_LOG = "error.log"
 REPORT_FILE = "report.html"
@@ -28,8 +24,8 @@ STOPPED = 4
 UNEXPECTED = 3
 """Exit codes: stopped and resumable; an unexpected error, after which somebody must look at the cell."""
 
-_RESUMED_BY = {"collect": "--resume", "calibrate": "", "discover": "", "push": "TARGETS --verify"}
-"""What follows ``cellapp JOB DIR`` to go on."""
+_RESUMABLE = ("collect", "calibrate", "discover", "push", "verify")
+"""Jobs that go on where they were, or are begun again without loss."""
 _PLANS = ("plan", "compare")
 """The last events of planning, random and designed; a plan that was not finished leaves nothing."""
 
@@ -47,10 +43,10 @@ def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
     """The end of a job in words; ``last`` is its newest event."""
     folder, ending = ended.job.folder, ended.ending
     if not isinstance(ending, BaseException):
-        return _done(ended.job, ending)
+        return _done(ended)
     if isinstance(ending, Detached):
         goes_on = f"'{ended.job.name}' goes on in process {ended.job.process}"
-        return Ending(f"Detached; {goes_on}. 'cellapp stop {folder}' stops it.", "information", 0)
+        return Ending(f"Detached; {goes_on}. Open {folder} again to stop it.", "information", 0)
     resume = how_to_resume(last, folder)
     if isinstance(ending, Cancelled):
         word = "Aborted" if isinstance(ending, Aborted) else "Stopped"
@@ -61,54 +57,20 @@ def ending_of(ended: JobEnded, last: Progress | None) -> Ending:
     return Ending(_unexpected(ending, folder), "error", UNEXPECTED)
 
 
-def _done(job: Job, result: Result | None) -> Ending:
+def _done(ended: JobEnded) -> Ending:
     """The end of a job that did all it was to do; with the exit code of the command where a check did not hold."""
-    from cellapp.commands.run.result import WholeRunResult
-
+    job, view = ended.job, ended.view
     where = "" if job.folder is None else f"; the run is in {job.folder}"
-    complaints, held = _checks(result, verifies=job.name == VERIFY)
-    if job.folder is not None and isinstance(result, WholeRunResult):
+    if job.folder is not None and job.name == RUN.name:
         where = f"; the report is {job.folder / REPORT_FILE}"
-    if complaints:
-        return Ending(f"{job.name}: {'; '.join(complaints)}{where}.", "error", CheckFailed.exit_code)
+    if view.refused:
+        return Ending(f"{job.name}: {view.refused}{where}.", "error", InputError.exit_code)
+    if view.failed:
+        checks = view.checks or (job.verb.checks if job.verb is not None else "")
+        what = "" if checks in ("", job.name) else f"{checks}: "
+        return Ending(f"{job.name}: {what}{'; '.join(view.failed)}{where}.", "error", CheckFailed.exit_code)
+    held = f"; {view.held.rstrip('.')}" if view.held else ""
     return Ending(f"{job.name}: done{held}{where}.", "information", 0)
-
-
-def _checks(result: Result | None, *, verifies: bool) -> tuple[list[str], str]:
-    """What did not hold, and what is said of the verification or of a plan if all did."""
-    from cellapp.cell.driving.records import CollectResult, ImportResult, PlanResult
-    from cellapp.cell.targets.path_records import PathResult
-    from cellapp.cell.targets.records import VerifyResult
-    from cellapp.commands.certificate.result import CertificateResult
-    from cellapp.commands.check_certificate.result import CertificateCheckResult
-    from cellapp.commands.locate.result import LocateResult
-    from cellapp.commands.run.result import WholeRunResult
-    from cellapp.estimation.iso9283.records import Iso9283Result
-    from cellapp.estimation.monitoring.check.records import CheckResult
-
-    if isinstance(result, PlanResult | ImportResult):
-        return [], "".join(f"; {note}" for note in result.notes)
-    if isinstance(result, PathResult | Iso9283Result):
-        return result.complaints(), ""
-    if isinstance(result, CheckResult):
-        return result.complaints(), "; the calibration holds"
-    if isinstance(result, CertificateResult):
-        doubts = "; it does not confirm conformity" if result.complaints() else ""
-        return [], f"; certificate {result.number} was written{doubts}"
-    if isinstance(result, CertificateCheckResult):
-        return result.complaints(), f"; signature {result.signature}"
-    collected = result if isinstance(result, CollectResult) else None
-    verified = result if verifies and isinstance(result, VerifyResult) else None
-    is_day = isinstance(result, WholeRunResult)
-    if isinstance(result, WholeRunResult):
-        collected, verified = result.collect, result.verify
-    missing = [] if collected is None else collected.complaints()
-    wrong = [] if verified is None else verified.complaints()
-    if isinstance(result, LocateResult):
-        return [f"location: {text}" for text in result.complaints()], "; the tracker was located"
-    unverified = "; nothing was verified, the profile names no targets" if is_day else ""
-    held = unverified if verified is None else "; the verification held"
-    return [*missing, *(f"verification: {text}" for text in wrong)], held
 
 
 def how_to_resume(last: Progress | None, folder: Path | None) -> str:
@@ -116,10 +78,7 @@ def how_to_resume(last: Progress | None, folder: Path | None) -> str:
     if last is None or folder is None:
         return ""
     job = "collect" if last.job in _PLANS and last.done >= last.total else last.job
-    if job not in _RESUMED_BY:
-        return ""
-    command = f"cellapp {job} {shlex.quote(str(folder))} {_RESUMED_BY.get(job, '')}".rstrip()
-    return f"go on here with the key of that step, or with: {command}"
+    return f"{way_to('push' if job == 'verify' else job)} go on" if job in _RESUMABLE else ""
 
 
 def left_behind(name: str, patience_s: float) -> str:

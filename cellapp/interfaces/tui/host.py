@@ -10,6 +10,7 @@ from textual.app import App
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job, JobRunner
 from cellapp.interfaces.tui.presses import StopPresses
+from cellapp.interfaces.tui.run_state import RunState, run_state
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ class Host(App[None]):
         The screen that asked for the present job; it gets the result, whichever screen is shown then.
     code : int
         Exit code of the last job.
+    waits : str
+        A run that waits to be gone on with, in words; empty if none was found.
     """
 
     def __init__(self, profiles: Path, logs: Path) -> None:
@@ -47,6 +50,16 @@ class Host(App[None]):
         self.presses = StopPresses(self.jobs)
         self.asked_by: ShowsResults | None = None
         self.code = 0
+        self.waits = ""
+        self._state: tuple[tuple[object, ...], RunState] | None = None
+
+    @property
+    def state(self) -> RunState:
+        """The one state of the run that is open and of the job; derived once for what is known now."""
+        known = (self.workspace, self.record.changes, self.jobs.job, self.waits)
+        if self._state is None or any(one is not other for one, other in zip(known, self._state[0], strict=True)):
+            self._state = known, run_state(self.workspace, self.record, self.jobs.job, self.waits)
+        return self._state[1]
 
     def start_job(self, job: Job, cell: Workspace | None = None) -> bool:
         """Start a job, which uses ``cell`` where that is not what is open; whether it was started."""
@@ -55,11 +68,16 @@ class Host(App[None]):
             return False
         self.asked_by = None
         self.workspace = cell or self.workspace
-        self.record.begin(job.name)
+        self.record.begin(job.name, part="" if job.verb is None else job.verb.name)
         self.say(f"{job.name}: started" + ("" if job.folder is None else f" in {job.folder}"))
         self.jobs.start(job)
         self.draw_all()
         return True
+
+    @property
+    def escape_closes(self) -> bool:
+        """Whether Escape closes a dialog or leaves a field; else it stops a job."""
+        return False
 
     def live(self) -> CellLive | None:
         """What is known now of the cell that the present job has open; None without one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -107,6 +108,20 @@ class TrackerRecord:
     air: AirReport | None = None
 
 
+@dataclass(frozen=True)
+class Pace:
+    """When a part of a job was first and last heard of [s, monotonic], and how many steps were done at first."""
+
+    began_s: float
+    began_done: int
+    heard_s: float
+
+    def per_minute(self, done: int) -> float | None:
+        """Steps a minute since the beginning; None before one was made."""
+        seconds = self.heard_s - self.began_s
+        return None if done <= self.began_done or seconds <= 0.0 else 60.0 * (done - self.began_done) / seconds
+
+
 @dataclass
 class JobRecord:
     """The events of one job, reduced. Only the thread of the screens writes and reads it.
@@ -119,10 +134,16 @@ class JobRecord:
         What was started, in a word or two; empty before the first job.
     attached : bool
         Whether another process runs it.
+    part : str
+        What its events call what it does, where people call it by ``name``: a push that measures is a verification.
     state : JobState or None
         None while no job runs.
     reason : str
         Why the job came into its state, in a sentence; may be empty.
+    since : datetime
+        When it came into its state.
+    paces : dict
+        Part -> when it was heard of, and how fast it is.
     progress : dict
         The newest event of each part, by its name; the part that reported last is the last one.
     arms : dict
@@ -150,6 +171,9 @@ class JobRecord:
     state: JobState | None = None
     reason: str = ""
     attached: bool = False
+    part: str = ""
+    since: datetime = field(default_factory=datetime.now)
+    paces: dict[str, Pace] = field(default_factory=dict)
     progress: dict[str, Progress] = field(default_factory=dict)
     arms: dict[str, ArmRecord] = field(default_factory=dict)
     tracker: TrackerRecord = field(default_factory=TrackerRecord)
@@ -177,11 +201,12 @@ class JobRecord:
         count = min(self.log_written - written, len(self.log))
         return list(islice(reversed(self.log), count))[::-1]
 
-    def begin(self, name: str, *, attached: bool = False) -> None:
-        """Forget the job before, but not its log."""
-        self.attached = attached
+    def begin(self, name: str, *, attached: bool = False, part: str = "") -> None:
+        """Forget the job before, but not its log. Events of ``part`` are told under the job's own name."""
+        self.attached, self.part = attached, part
         self.name, self.state, self.reason, self.tracker = name, "running", "", TrackerRecord()
-        for kept in (self.progress, self.arms, self.stops, self.references, self.suspicions):
+        self.since = datetime.now()
+        for kept in (self.progress, self.paces, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()
         self.causes, self.lost = (), ()
         self.changes += 1
@@ -215,6 +240,10 @@ class JobRecord:
 
     def add(self, event: Progress) -> None:
         """Take in one event."""
+        if event.job == self.part:
+            event = replace(event, job=self.name)
+        now_s, pace = time.monotonic(), self.paces.get(event.job)
+        self.paces[event.job] = Pace(now_s, event.done, now_s) if pace is None else replace(pace, heard_s=now_s)
         before = self.progress.pop(event.job, None)  # the newest part is the last one
         if before is not None and event.detail is not None and not event.note:
             self.progress[event.job] = replace(event, note=before.note)  # the note of a step stands until the next
@@ -285,6 +314,8 @@ class JobRecord:
         return AirReport(point.temperature_c)
 
     def _change_state(self, change: StateChange) -> None:
+        if change.state != self.state:
+            self.since = datetime.now()
         self.state, self.reason = change.state, change.reason
         if change.state in ("stopped", "aborted"):
             self._rest_arms("stopped")

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 from textual.message import Message
 
+from cellapp.commands.record import Request, Verb, View
 from cellapp.ground.control import JobControl
-from cellapp.ground.progress import Listener, Progress
+from cellapp.ground.progress import Listener, Progress, with_eta
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result
@@ -51,6 +52,10 @@ class Job:
         Whether it may move arms; a replay and a calculation do not.
     process : int or None
         The other process that runs it; here it is only watched and commanded. None: this one.
+    verb : Verb or None
+        The verb that it is; its view says what held. None of one that no command has.
+    request : Request or None
+        What the verb is asked for.
     """
 
     name: str
@@ -58,6 +63,12 @@ class Job:
     folder: Path | None = None
     moves: bool = False
     process: int | None = None
+    verb: Verb | None = None
+    request: Request | None = None
+
+    def view(self, result: Result) -> View:
+        """How its result is shown; in the thread of the job, as tables may take a while."""
+        return View() if self.verb is None else self.verb.view(result, self.request)
 
 
 class MotionAsked(Message):
@@ -69,11 +80,11 @@ class MotionAsked(Message):
 
 
 class JobEnded(Message):
-    """The thread of the job ended, with a result or an exception."""
+    """The thread of the job ended, with a result and its view or with an exception."""
 
-    def __init__(self, job: Job, ending: Result | BaseException | None) -> None:
+    def __init__(self, job: Job, ending: Result | BaseException | None, view: View | None = None) -> None:
         super().__init__()
-        self.job, self.ending = job, ending
+        self.job, self.ending, self.view = job, ending, view or View()
 
 
 class JobRunner:
@@ -96,6 +107,12 @@ class JobRunner:
     def running(self) -> bool:
         """Whether a job was started and has not reported its end yet."""
         return self.job is not None
+
+    @property
+    def moves(self) -> bool:
+        """Whether the present job may move arms, here or in another process."""
+        job = self.job
+        return job is not None and (job.moves or job.process is not None or self.control.has_brakes)
 
     @property
     def attached(self) -> bool:
@@ -157,4 +174,5 @@ class JobRunner:
 
         with contextlib.ExitStack() as stack:
             stack.push(report_failure)  # whatever ends the job is reported to the screens
-            self._post(JobEnded(job, job.work(self._events.append, control, ask)))
+            result = job.work(with_eta(self._events.append), control, ask)
+            self._post(JobEnded(job, result, None if result is None else job.view(result)))

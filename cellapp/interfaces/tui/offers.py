@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,17 +12,19 @@ from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
 from cellapp.commands.replay.request import VERB as REPLAY
+from cellapp.ground.counting import counted
 from cellapp.interfaces.render.plain import plain_text
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
+from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
+from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
-    from cellapp.ground.results import Result
+    from cellapp.ground.results import Result, StageName
 
 BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
 WRITE = (Answer("write", "Write", "ctrl+s", "success"), Answer("no", "Close", "f10"))
@@ -39,11 +41,27 @@ def arms_words(workspace: Workspace) -> str:
     return "REAL ARMS WILL MOVE" if workspace.kind == "real" else f"the arms are {workspace.kind}"
 
 
+def offer_again(
+    screen: DayScreen, title: str, found: Result | None, stage: StageName, begin: Callable[[], None]
+) -> None:
+    """Begin; where a result is there that still holds, ask whether to do it again."""
+    results = screen.workspace.results
+    if found is None or (results is not None and stage in results.out_of_date):
+        begin()
+        return
+    mark = screen.state.marks[screen.STEP]
+    text = (
+        f"The run has a result that holds ({mark.words}). Nothing it rests on has changed since; what is stored stays."
+    )
+    answers = (Answer("no", "Not now", "n"), Answer("begin", "Do it again", "b", "warning"))
+    screen.app.push_screen(Choice(title, text, answers), lambda answer: begin() if answer == "begin" else None)
+
+
 def offer_whole_day(app: Host) -> None:
     """Plan, collect, calibrate, discover, push and verify in a new run."""
     profile, path = app.workspace.file_profile, app.workspace.profile_path
     if profile is None or path is None:
-        app.say(NO_PROFILE, "warning")
+        app.say(app.state.no_run, "warning")
         return
     folder, cell = new_folder(profile), Workspace(path, profile)
     arms = arms_words(cell)
@@ -133,23 +151,29 @@ def show_paths(app: Host, result: object) -> None:
         app.push_screen(Reading(markdown(path_tables(result), path_sentences(result))))
 
 
-def offer_to_quit(app: Host, leave: Callable[[bool], None]) -> None:
-    """Ask whether to stop the job that is in progress and quit; ``leave`` takes the answer."""
+def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[str] = ()) -> None:
+    """Ask whether to stop the job, or to lose what is not saved, and quit; ``leave`` takes the answer."""
+    lost = f"Not saved, and lost: {', '.join(unsaved)}. " if unsaved else ""
+    if not app.jobs.running:
+        lose = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, lose them", "y", "error"))
+        text = f"{lost}Key {SHOWN['save']} saves on the screen that has them."
+        app.push_screen(Choice("Quit?", text, lose), lambda answer: leave(answer == "leave"))
+        return
     if app.jobs.attached:
-        text = f"'{app.record.name}' runs in another process and goes on; quitting here does not stop its arms."
+        text = f"{lost}'{app.record.name}' runs in another process and goes on; its arms are not stopped."
         stay = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, it goes on", "y", "warning"))
         app.push_screen(Choice("Quit?", text, stay), lambda answer: leave(answer == "leave"))
         return
     brake = "Brake all arms, end it" if app.jobs.control.has_brakes else "End it"
     answers = (Answer("stay", "Continue", "n"), Answer("leave", "Stop and quit", "y", "error"))
-    question = Choice("Quit?", f"'{app.record.name}' is in progress. {brake} and quit?", answers)
+    question = Choice("Quit?", f"{lost}'{app.record.name}' is in progress. {brake} and quit?", answers)
     app.push_screen(question, lambda answer: leave(answer == "leave"))
 
 
 def offer_to_resume(app: Host, run: RunSummary) -> None:
     """Open a run that was interrupted while collecting, or one in which another process works now."""
     folder, title = Path(run.run), "Go on with the last run?"
-    text = f"{folder} was interrupted with {run.stops_left} stops left. Open it? Nothing moves yet."
+    text = f"{folder} was interrupted with {counted(run.stops_left, 'stop')} left. Open it? Nothing moves yet."
     if run.in_use:
         title = "Watch the job that runs now?"
         text = f"Another process works in {folder}. Open it? Its job goes on; Escape here stops its arms."

@@ -92,7 +92,8 @@ class UrgentDriver(LinuxDriver):
 
     def _presses_stop(self, message: Message) -> bool:
         if isinstance(message, events.Key):
-            return presses_stop(message.key)
+            closes = message.key not in _CTRL_C and cast(Host, self._app).escape_closes
+            return presses_stop(message.key) and not closes
         if isinstance(message, events.MouseDown) and message.button == _LEFT_BUTTON:
             return cast(Host, self._app).presses.region.contains(int(message.screen_x), int(message.screen_y))
         return False

@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from cellapp.interfaces.tui.dialogs.own_readings import OwnReadingsRequest
 
 
-VERIFY = "verify"
-"""Name of a push that measures: only its result says whether a verification held."""
-
-
 def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
     """The job of a verb; ``outputs`` says what it may replace."""
 
@@ -43,7 +39,8 @@ def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
         return verb.run(request, given)
 
     folder, moves = getattr(request, "folder", None), verb.moves_arms and request.moves()
-    return Job(request.job_name() or verb.name, work, folder, moves=moves)
+    name = request.job_name() or verb.name
+    return Job(name, work, folder, moves=moves, verb=verb, request=request)
 
 
 def job_of(verb: Verb, **values: Any) -> Job:

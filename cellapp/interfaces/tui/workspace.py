@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -14,15 +15,17 @@ if TYPE_CHECKING:
     from cellapp.cell.driving.records import CollectionResult
     from cellapp.cell.planning.design_records import PlanDesignResult
     from cellapp.cell.planning.planned_stops import PlannedStops
+    from cellapp.commands.conclusions import Conclusion
     from cellapp.commands.plan.result import StopsResult
     from cellapp.commands.report.result import RunResults
     from cellapp.commands.runs.result import CellKind
     from cellapp.commands.show.result import OverviewResult
+    from cellapp.estimation.uncertainty.records import Conformity
     from cellapp.ground.profile import Profile
+    from cellapp.ground.results import StageName
 
 Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs"]
 STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs")
-StepState = Literal["open", "next", "done", "out of date"]
 
 _STEP_OF_VERB: Mapping[str, Step] = {
     "plan": "plan",
@@ -34,11 +37,17 @@ _STEP_OF_VERB: Mapping[str, Step] = {
     "push": "targets",
     "verify": "targets",
     "path": "targets",
+    "follow": "targets",
     "iso9283": "accept",
     "check": "accept",
     "certificate": "accept",
     "report": "accept",
 }
+
+
+def step_of(verb: str) -> Step | None:
+    """The step that a verb or a stage belongs to."""
+    return _STEP_OF_VERB.get(verb)
 
 
 @dataclass(frozen=True)
@@ -61,6 +70,12 @@ class Workspace:
         The file of the profile was changed since the run was planned from it.
     in_use : str
         Which job used the run when it was read, as a phrase; empty if none did.
+    conclusions : mapping
+        Stage -> what it concluded.
+    conformity : str or None
+        The verdict on the tolerances; None where nothing is judged.
+    reported, read_only : bool
+        Whether the page of the run is written; whether its folder cannot be written.
     beside_run : Profile or None
         Where a run is open, what ``profile_path`` holds now: perhaps another cell than that of the run.
     """
@@ -78,6 +93,10 @@ class Workspace:
     edited: bool = False
     in_use: str = ""
     beside_run: Profile | None = None
+    conclusions: Mapping[StageName, Conclusion] = field(default_factory=dict)
+    conformity: Conformity | None = None
+    reported: bool = False
+    read_only: bool = False
 
     @property
     def file_profile(self) -> Profile | None:
@@ -104,30 +123,6 @@ class Workspace:
         if self.overview is None:
             return "plan"
         return _STEP_OF_VERB.get(self.overview.next_verb, "runs")
-
-    def states(self) -> dict[Step, StepState]:
-        """State of every step."""
-        states: dict[Step, StepState] = dict.fromkeys(STEPS, "open")
-        if self.profile is not None:
-            states["cell"] = "done"
-        if self.overview is not None:
-            states["plan"] = "done"
-            if any(arm.measured for arm in self.overview.arms.values()):
-                states["collect"] = "done"
-            for stage in self.overview.stages:
-                if (step := _STEP_OF_VERB.get(stage.name)) is not None:  # a later version may have others
-                    states[step] = "out of date" if stage.out_of_date else "done"
-            if self.overview.complaints:  # that screen names them all: stages, page, certificate
-                states["accept"] = "out of date"
-        if states[self.next_step] in ("open", "done"):
-            states[self.next_step] = "next"
-        return states
-
-
-NO_PROFILE = "No profile is open: choose one on the screen Cell (key 1)."
-NO_RUN = "No run is open: plan one (key 2), or open one on the screen Runs (key 8)."
-NOT_CALIBRATED = "This run is not calibrated yet: collect (key 3), then calibrate (key 4)."
-"""What screens say where there is nothing to work on."""
 
 
 def holds_run(folder: Path | None) -> bool:
@@ -161,18 +156,21 @@ def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:
 def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) -> Workspace:
     from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops
     from cellapp.cell.run import RunFile
+    from cellapp.cell.run.sqlite_file import FILE_NAME, REPORT_FILE
     from cellapp.commands.collect.state import collection_state
+    from cellapp.commands.conclusions import conformity, stage_conclusions
     from cellapp.commands.plan.run import planned_stops
     from cellapp.commands.report.result import read_results
     from cellapp.commands.show.overview import run_overview
 
     with RunFile.open(folder) as run:
+        results = read_results(run)
         return Workspace(
             profile_path,
             run.profile,
             folder,
             run_overview(run),
-            read_results(run),
+            results,
             collection_state(run),
             planned_stops(run),
             read_planned_stops(run),
@@ -180,6 +178,10 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
             edited=profile is not None and profile.name == run.profile.name and profile != run.profile,
             in_use=who_uses(folder),
             beside_run=profile,
+            conclusions=stage_conclusions(results),
+            conformity=conformity(run, results),
+            reported=(folder / REPORT_FILE).exists(),
+            read_only=not all(os.access(path, os.W_OK) for path in (folder, folder / FILE_NAME)),
         )
 
 

@@ -52,8 +52,8 @@ class Backlash(Effect):
     smooth
         As ``saturating``, each half play small by prior, of either sign.
 
-    Size: strain-wave gears are specified in arc minutes of lost motion (sourced), h some 10 to 150 urad; 40 urad are
-    25 to 55 um at a UR10's flange. 90 % visible with stops approached from both sides; from one side only it hides in
+    Size: strain-wave gears are specified in arc minutes of lost motion (sourced), h some 10 to 150 µrad; 40 µrad are
+    25 to 55 µm at a UR10's flange. 90 % visible with stops approached from both sides; from one side only it hides in
     the joint zero. Look-alikes: unsettled measurement where sign and step are correlated, friction wind-up.
     """
 
@@ -64,7 +64,7 @@ class Backlash(Effect):
     meaning = Meaning(
         cause="The gear of {place} has lost motion: the output lags behind the motor on each reversal.",
         size=(
-            "40 urad of half play are 25 to 55 um at the flange of a UR10; catalogues of strain-wave gears give arc"
+            "40 µrad of half play are 25 to 55 µm at the flange of a UR10; catalogues of strain-wave gears give arc"
             " minutes of lost motion"
         ),
         size_source="estimate",
@@ -151,7 +151,7 @@ class FrictionWindup(Effect):
     both
         Dry friction ``f_j`` [rad] as well.
 
-    Size: 1e-4 rad at 50 Nm (2e-6 rad/Nm) are 50 to 130 um at a UR10's flange (estimate, not sourced). 80 % visible with
+    Size: 1e-4 rad at 50 Nm (2e-6 rad/Nm) are 50 to 130 µm at a UR10's flange (estimate, not sourced). 80 % visible with
     stops approached from both sides under different loads. Look-alikes: backlash (0.7 of what is visible; a payload
     change distinguishes them), unsettled measurement.
     """
@@ -161,7 +161,7 @@ class FrictionWindup(Effect):
     arm_bound = True
     meaning = Meaning(
         cause="Friction in {place} holds the gear wound up against its last motion, more so under load.",
-        size="1e-4 rad at 50 Nm, 50 to 130 um at the flange of a UR10",
+        size="1e-4 rad at 50 Nm, 50 to 130 µm at the flange of a UR10",
         size_source="estimate",
         check=(
             "Warm the arm up: cold grease has more friction.",

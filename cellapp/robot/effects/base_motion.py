@@ -62,8 +62,8 @@ class BaseDrift(Effect):
         Half cycles ``cos(k pi f)``, k = 1 to 12, small by prior, the more so the faster (1 / k).
 
     Drift of the tracker is the same in one arm's readings: fixed nests, or the other arm, distinguish them.
-    Size: 10 to 50 um (estimate); a tracker of this class errs by tenths of a millimetre in its first two hours
-    (published), 10 to 40 um after (estimate). 49 % visible when linear, 22 % when warming up. Look-alikes: thermal
+    Size: 10 to 50 µm (estimate); a tracker of this class errs by tenths of a millimetre in its first two hours
+    (published), 10 to 40 µm after (estimate). 49 % visible when linear, 22 % when warming up. Look-alikes: thermal
     growth, a step of the base, joint drift.
     """
 
@@ -74,7 +74,7 @@ class BaseDrift(Effect):
             "The base moves slowly against the tracker: the tracker's stand or head warms up, a pedestal "
             "settles, or the floor creeps."
         ),
-        size="Tenths of a millimetre in a tracker's first two hours (published), 10 to 40 um after that (estimate)",
+        size="Tenths of a millimetre in a tracker's first two hours (published), 10 to 40 µm after that (estimate)",
         size_source="sourced",
         check=(
             "Let the tracker run for two hours before measuring.",
@@ -131,7 +131,7 @@ class BaseStep(Effect):
     """The base slips: twist ``(d, w)`` of the base frame after an onset, shift d [m] and rotation w [rad] as for drift.
 
     Onsets between readings are searched, none of them with fewer than 8 readings before or after it. A tracker that was
-    displaced looks the same in one arm's readings. Size: 10 to 50 um (estimate); 61 % visible. Look-alikes: drift of
+    displaced looks the same in one arm's readings. Size: 10 to 50 µm (estimate); 61 % visible. Look-alikes: drift of
     the base (0.5 to 0.6), slip of the target.
     """
 
@@ -139,7 +139,7 @@ class BaseStep(Effect):
     title = "step of the base (a step of the tracker looks the same)"
     meaning = Meaning(
         cause="The base or the tracker moved at once: a bumped stand, a bolt that slipped, a crane or fork-lift.",
-        size="10 to 50 um",
+        size="10 to 50 µm",
         size_source="estimate",
         check=(
             "Look in the log for what happened at the time of the step: people, doors, collisions, restarts.",

@@ -138,7 +138,7 @@ def _family(context: EffectContext, variable: Variable, constants: Mapping[str, 
     if variable.is_joint_angle:
         angle = variable.values(context)
         return [
-            (m, f"{letter}{m}_{label}", _or_zero(wave(m * angle)))
+            (m, f"{letter}{m}_{label}", np.asarray(np.nan_to_num(wave(m * angle)), dtype=np.float64))
             for m in range(1, order + 1)
             for letter, wave in (("cos", np.cos), ("sin", np.sin))
         ]
@@ -180,8 +180,3 @@ def _phase_text(m: int, k: int, labels: tuple[str, ...]) -> str:
     """``2*q1-q2`` and the like."""
     terms = [f"{count:+d}*{label}" for count, label in zip((m, k), labels, strict=True) if count]
     return "".join(terms).replace("+1*", "+").replace("-1*", "-").removeprefix("+")
-
-
-def _or_zero(values: Array) -> Array:
-    """Zero where an angle is unknown: a cosine's mean over the turn."""
-    return np.asarray(np.nan_to_num(values), dtype=np.float64)

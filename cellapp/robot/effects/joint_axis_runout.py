@@ -38,7 +38,7 @@ class JointAxisRunout(Effect):
 
     The law ``smooth`` has all n from 1 to ``cycles`` under a prior; it is not scanned.
 
-    Size: 10 to 50 um for bearings of this size, 8 to 27 um on a real UR10 (measured); some 80 % visible, with
+    Size: 10 to 50 µm for bearings of this size, 8 to 27 µm on a real UR10 (measured); some 80 % visible, with
     most of a turn of the joint. Look-alikes: wobble of the same axis, as only the lever to the target distinguishes
     them; errors of the angle, where the arm beyond the joint hardly moves.
     """
@@ -48,7 +48,7 @@ class JointAxisRunout(Effect):
     arm_bound = True
     meaning = Meaning(
         cause="The axis of {place} shifts as it turns: radial or axial run-out of its bearing, or a seat out of round.",
-        size="10 to 50 um; 8 to 27 um were found on a real UR10",
+        size="10 to 50 µm; 8 to 27 µm were found on a real UR10",
         size_source="estimate",
         check=(
             "Put a dial gauge to the flange side of {place} and turn it: its reading is the run-out.",

@@ -50,7 +50,7 @@ class JointAxisWobble(Effect):
 
     x and y are those of the D-H frame before the joint, both perpendicular to its axis; the tilt is about the frame's
     origin, and moves everything beyond the joint. With ``joint_axis_runout`` and errors of the angle itself these are
-    the six error motions of a rotary axis (ISO 230-7). Size: 5 to 20 urad, 5 to 25 um (estimate, not sourced); 79 %
+    the six error motions of a rotary axis (ISO 230-7). Size: 5 to 20 µrad, 5 to 25 µm (estimate, not sourced); 79 %
     visible, with most of a turn of the joint. Look-alikes: run-out of the same axis, as the lever to the target
     distinguishes them; slightly, two cycles per revolution of a neighbouring joint. Where the axis of the joint before
     meets this one at a right angle, an error of that joint that depends on this joint's angle is the same motion.
@@ -61,7 +61,7 @@ class JointAxisWobble(Effect):
     arm_bound = True
     meaning = Meaning(
         cause="The axis of {place} tilts as it turns: run-out of the bearing or ovality of its raceways.",
-        size="5 to 20 urad, 5 to 25 um",
+        size="5 to 20 µrad, 5 to 25 µm",
         size_source="estimate",
         check=(
             "Turn {place} slowly by hand or in jog and listen and feel for a rough or tight spot of its bearing.",

@@ -53,7 +53,7 @@ class PedestalCompliance(Effect):
         vertical [rad/Nm], shifts in any direction [m/Nm], and what the weight alone does about a pivot that is not
         below the base [rad/N, m/N].
 
-    Size: 2e6 Nm/rad under 127 Nm is 60 urad, 70 to 140 um on a UR10 (stiffness is an estimate, moment computed). 36 %
+    Size: 2e6 Nm/rad under 127 Nm is 60 µrad, 70 to 140 µm on a UR10 (stiffness is an estimate, moment computed). 36 %
     visible. Look-alikes: joint compliance (0.7 to 0.8), a bending link (0.6); an SMR on the pedestal shows it directly.
     """
 
@@ -61,7 +61,7 @@ class PedestalCompliance(Effect):
     title = "pedestal tilting under the arm's own weight"
     meaning = Meaning(
         cause="The pedestal or the plate under the arm tilts under the arm's own weight as it reaches out.",
-        size="2e6 Nm/rad (estimate) under 127 Nm (computed) are 60 urad, 70 to 140 um on a UR10",
+        size="2e6 Nm/rad (estimate) under 127 Nm (computed) are 60 µrad, 70 to 140 µm on a UR10",
         size_source="estimate",
         check=(
             "Tighten the bolts of base plate and anchors, and look for a gap under the plate with a feeler gauge.",
@@ -147,7 +147,7 @@ class PedestalCoupling(Effect):
     general
         The base also shifts along x, y, z [m/Nm].
 
-    Size: 57 Nm of a UR5 are 28 urad, 25 to 40 um on a UR10; the UR10's moves the UR5 by 50 to 100 um (stiffness is an
+    Size: 57 Nm of a UR5 are 28 µrad, 25 to 40 µm on a UR10; the UR10's moves the UR5 by 50 to 100 µm (stiffness is an
     estimate). 98 % visible where the other arm moves independently, nothing where it is parked. Look-alikes: none; a
     step of the base where the other arm is parked at a few poses in turn.
     """
@@ -157,7 +157,7 @@ class PedestalCoupling(Effect):
     meaning = Meaning(
         cause="The base tilts under the other arm's weight, through a common plate, frame or floor.",
         size=(
-            "25 to 40 um on a UR10 from a UR5's 57 Nm; 50 to 100 um the other way round: moments computed, "
+            "25 to 40 µm on a UR10 from a UR5's 57 Nm; 50 to 100 µm the other way round: moments computed, "
             "stiffness an estimate"
         ),
         size_source="estimate",

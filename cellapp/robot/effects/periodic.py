@@ -21,7 +21,7 @@ from cellapp.robot.kinematics.transforms import Array
 LINES_MAX = 210
 """Largest cycle count to search: twice the ratio of a 1:100 strain-wave gear, and a margin."""
 _LARGEST = 5e-3
-"""Bound of each amplitude [rad]: sixty times what a graduated disc 2 um off its axis gives."""
+"""Bound of each amplitude [rad]: sixty times what a graduated disc 2 µm off its axis gives."""
 _MANY = 8
 """Cycle counts from which powers of exp(i angle) are faster than a cosine each."""
 
@@ -43,8 +43,8 @@ ONE_SMOOTH = LawForm("smooth", "one cycle per revolution, small by prior", (AMPL
 class EncoderEccentricity(Effect):
     """One cycle per revolution: ``dq_j = (e / r) sin(q_j + phi) = A cos q_j + B sin q_j``, A and B in rad.
 
-    A graduated disc of radius r whose centre is e off the axis, read by one head; 2 um on 25 mm is 80 urad, 50 to
-    110 um at a UR10's flange (estimate, not sourced). A gear's first-order error has exactly this shape; only a second
+    A graduated disc of radius r whose centre is e off the axis, read by one head; 2 µm on 25 mm is 80 µrad, 50 to
+    110 µm at a UR10's flange (estimate, not sourced). A gear's first-order error has exactly this shape; only a second
     encoder distinguishes them. Visible with most of a turn of the joint; geometry takes some 40 % of it.
     Look-alikes: joint compliance, two cycles per revolution over a small range.
     """
@@ -58,7 +58,7 @@ class EncoderEccentricity(Effect):
             "The graduated disc or magnet ring of the encoder of {place} is off the axis; a first-order error of"
             " the gear has exactly the same shape."
         ),
-        size="2 um on a radius of 25 mm are 80 urad, 50 to 110 um at the flange of a UR10",
+        size="2 µm on a radius of 25 mm are 80 µrad, 50 to 110 µm at the flange of a UR10",
         size_source="estimate",
         check=(
             "After a repair of {place}: check how the encoder disc is seated and centred.",
@@ -108,7 +108,7 @@ class TransmissionError(Effect):
         All counts from 2 to ``cycles`` under a prior that prefers smooth curves, for an error with too many components
         to name each. Not scanned: the search proposes it where lines are not sufficient.
 
-    Size: 20 to 80 urad, 13 to 80 um at a UR10's flange (estimate; the spectrum with its components at flexspline, wave
+    Size: 20 to 80 µrad, 13 to 80 µm at a UR10's flange (estimate; the spectrum with its components at flexspline, wave
     generator and tooth frequency is published). Two cycles: 79 % visible; many cycles: 99 %, once the cycle count is
     right, else it passes for noise. Look-alikes: eccentricity for two cycles over a small range, else nothing smooth.
     """
@@ -121,7 +121,7 @@ class TransmissionError(Effect):
             "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles per revolution,"
             " the wave generator one or two cycles per revolution of the motor, the teeth more."
         ),
-        size="20 to 80 urad, 13 to 80 um at the flange of a UR10; only the cycle counts are published",
+        size="20 to 80 µrad, 13 to 80 µm at the flange of a UR10; only the cycle counts are published",
         size_source="estimate",
         check=(
             "Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.",

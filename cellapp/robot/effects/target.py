@@ -26,7 +26,7 @@ LATERAL = LawForm("lateral", "along and across the beam")
 class TargetSlip(Effect):
     """The SMR's mount slips: the SMR moves in the flange by ``d`` [m] along its x, y, z after an onset.
 
-    Onsets between readings are searched, none of them with fewer than 8 readings before or after it. Size: 20 to 200 um
+    Onsets between readings are searched, none of them with fewer than 8 readings before or after it. Size: 20 to 200 µm
     (estimate); 59 % visible, as it rotates with the wrist. Look-alikes: no close one; a step of the base where the
     wrist hardly rotates.
     """
@@ -36,7 +36,7 @@ class TargetSlip(Effect):
     title = "slip of the target in the flange"
     meaning = Meaning(
         cause="The SMR or its mount slipped in the flange at one moment of the run.",
-        size="20 to 200 um",
+        size="20 to 200 µm",
         size_source="estimate",
         check=(
             "Check the screws of the SMR's mount and whether the SMR sits fully in its nest.",
@@ -83,7 +83,7 @@ class TargetIncidence(Effect):
         Also ``dP = l (n - (n.b) b)``, n the SMR's axis and b the unit vector along the beam, which is sin th across the
         beam in the plane of incidence, l in m: dihedral errors of the three mirrors.
 
-    Size: 2 to 20 um, more for glass prisms (makers' notes on both; the sizes are an estimate). 43 % visible, the rest
+    Size: 2 to 20 µm, more for glass prisms (makers' notes on both; the sizes are an estimate). 43 % visible, the rest
     is an SMR offset. Visible with the same point at several wrist rolls. Look-alikes: none close once wrists rotate.
     """
 
@@ -95,7 +95,7 @@ class TargetIncidence(Effect):
             "The reading changes with the angle at which the beam meets the reflector: a vertex off the centre, "
             "mirrors that are not square, or a glass prism."
         ),
-        size="2 to 20 um, more for glass prisms",
+        size="2 to 20 µm, more for glass prisms",
         size_source="estimate",
         check=(
             "Clean the reflector and look for a damaged mirror.",

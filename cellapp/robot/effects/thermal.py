@@ -89,7 +89,7 @@ class ThermalGrowth(Effect):
         ``f = 1 - exp(-(t - first) / tau)``, alpha the whole strain [m/m]; tau is searched. Either sign: a cell that is
         switched on late warms up, one that was at work before cools down.
 
-    Size: aluminium 23e-6 1/K times 0.61 m times 5 to 10 K are 70 to 140 um a link (computed); drift of an IRB1200 was
+    Size: aluminium 23e-6 1/K times 0.61 m times 5 to 10 K are 70 to 140 µm a link (computed); drift of an IRB1200 was
     removed to 90 % by a temperature model (published). Only 27 % is visible, as the constant part is a link length.
     Visible with stretched and folded stops throughout the run. Look-alikes: drift of the base (0.4 to 0.6), joint
     drift; uniform growth at one moment is a scale of the tracker.
@@ -100,7 +100,7 @@ class ThermalGrowth(Effect):
     title = "thermal growth of links"
     meaning = Meaning(
         cause="The links grow with temperature, from their own joints and from the air.",
-        size="Aluminium, 23e-6 1/K, over 0.61 m and 5 to 10 K: 70 to 140 um a link",
+        size="Aluminium, 23e-6 1/K, over 0.61 m and 5 to 10 K: 70 to 140 µm a link",
         size_source="computed",
         check=(
             "Let the arm move for an hour before calibrating, and hold the hall's temperature.",
@@ -237,7 +237,7 @@ class JointDrift(Effect):
     joint_temperature
         ``f_j = T_j - T_j,mean`` [K], k in rad/K.
 
-    Size: 20 to 50 urad, 15 to 70 um at a UR10's flange (estimate, not sourced). Visible where poses and time are not
+    Size: 20 to 50 µrad, 15 to 70 µm at a UR10's flange (estimate, not sourced). Visible where poses and time are not
     correlated. Look-alikes: drift of the base, thermal growth. Joint temperatures, and cooling down, distinguish them.
     """
 
@@ -246,7 +246,7 @@ class JointDrift(Effect):
     title = "drift of joint zeros"
     meaning = Meaning(
         cause="The zero of {place} drifts, mostly as its housing or encoder warms up.",
-        size="20 to 50 urad, 15 to 70 um at the flange of a UR10",
+        size="20 to 50 µrad, 15 to 70 µm at the flange of a UR10",
         size_source="estimate",
         check=(
             "Warm the arm up before measuring.",

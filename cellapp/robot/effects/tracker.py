@@ -42,7 +42,7 @@ class TrackerScale(Effect):
         ``dP = k (T - T_mean) u`` with the air temperature, k in 1/K: the index is not corrected for the air in the
         beam. Unlike the first it is visible.
 
-    Refractive index: 1 ppm/K and 0.27 ppm/hPa of opposite signs (published); 1 to 10 ppm of 3 m are 3 to 30 um. It is
+    Refractive index: 1 ppm/K and 0.27 ppm/hPa of opposite signs (published); 1 to 10 ppm of 3 m are 3 to 30 µm. It is
     equivalent to a common scale error of all lengths of the arm, so that one arm alone cannot show it; a scale bar can.
     Visible only where lengths of the arm are held by a prior.
     """
@@ -55,7 +55,7 @@ class TrackerScale(Effect):
             "The tracker's lengths are too long or too short: wrong air temperature, pressure or humidity, or a "
             "bad reference."
         ),
-        size="1 ppm per K and 0.27 ppm per hPa of opposite sign (published): 1 to 10 ppm of 3 m are 3 to 30 um",
+        size="1 ppm per K and 0.27 ppm per hPa of opposite sign (published): 1 to 10 ppm of 3 m are 3 to 30 µm",
         size_source="computed",
         check=(
             "Check the readings of the weather station against another thermometer and barometer.",
@@ -91,7 +91,7 @@ class TrackerScale(Effect):
 class TrackerDistanceOffset(Effect):
     """A constant error of all distances: ``dP = k u / rho``, k in m.
 
-    Home distance or the absolute distance meter's zero: permissible errors are 5 and 10 um for a tracker of this class
+    Home distance or the absolute distance meter's zero: permissible errors are 5 and 10 µm for a tracker of this class
     (maker's manual). Only 12 % is visible, the rest is a shift of the base: short and long distances, or the target
     between two stations, show it. Look-alikes: errors of the tracker's angles (0.9).
     """
@@ -104,7 +104,7 @@ class TrackerDistanceOffset(Effect):
             "All distances are off by the same length: zero of the absolute distance meter, a wrong reflector "
             "type or home point."
         ),
-        size="Permissible: 5 um for home distance, 10 um for the meter (manual of the AT500; no AT960 page was found)",
+        size="Permissible: 5 µm for home distance, 10 µm for the meter (manual of the AT500; no AT960 page was found)",
         size_source="sourced",
         check=(
             (
@@ -136,7 +136,7 @@ class TrackerAngleError(Effect):
 
     Eccentricity and runout of the graduated circles; amplitudes in rad. Across the beam, azimuth moves the point by
     ``rho cos el d_az``, elevation by ``rho d_el``. Even orders survive two-face averaging (published). Size: half of
-    the permissible 15 um + 6 um/m is typical (maker's manual). 23 % is visible from one station. Look-alikes: the zero
+    the permissible 15 µm + 6 µm/m is typical (maker's manual). 23 % is visible from one station. Look-alikes: the zero
     of the distance, joint compliance; a second station, or both faces, distinguish them.
     """
 
@@ -148,7 +148,7 @@ class TrackerAngleError(Effect):
             "The tracker's angles err periodically: eccentricity and ovality of its graduated circles, or a "
             "tilted axis."
         ),
-        size="About half (estimate) of the permissible 15 um + 6 um/m (manual of the AT500; no AT960 page was found)",
+        size="About half (estimate) of the permissible 15 µm + 6 µm/m (manual of the AT500; no AT960 page was found)",
         size_source="sourced",
         check=(
             "Run the tracker's two-face check, and its field adjustment where that fails.",

@@ -45,7 +45,7 @@ class UnsettledMeasurement(Effect):
         As above, ``lag_j`` the fraction that is missing at the moment of rest; tau is searched where the dwell varies.
         An unknown dwell counts as the run's median.
 
-    Size: 5e-5 of a move of 1 rad are 30 to 70 um at a UR10's flange (estimate, not sourced). 91 % visible where step
+    Size: 5e-5 of a move of 1 rad are 30 to 70 µm at a UR10's flange (estimate, not sourced). 91 % visible where step
     and sign of the last motion are not correlated. Bounds allow overshoot as well, a negative lag. Look-alikes:
     backlash (0.6 where sign and step are correlated), friction wind-up. A longer dwell proves it.
     """
@@ -56,7 +56,7 @@ class UnsettledMeasurement(Effect):
         cause=(
             "The tracker measured before {place} had come to rest: servo tail, creep of the gear, or swing of the arm."
         ),
-        size="5e-5 of a move of 1 rad, 30 to 70 um at the flange of a UR10",
+        size="5e-5 of a move of 1 rad, 30 to 70 µm at the flange of a UR10",
         size_source="estimate",
         check=(
             "Raise the dwell before a measurement in the profile until the value no longer changes.",

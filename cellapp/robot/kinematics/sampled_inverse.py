@@ -27,7 +27,7 @@ _ROUNDS = 40
 _AT_ONCE = 1000
 """Poses at once: with their starts some tens of MB."""
 _SAME = 1e-5
-"""Solutions that agree to 10 urad in every joint are one; two branches meet only at a singularity."""
+"""Solutions that agree to 10 µrad in every joint are one; two branches meet only at a singularity."""
 _PULL, _PULL_ROUNDS, _CLOSE_ROUNDS = 0.5, 12, 25
 """Share of the way to the preferred configuration that each iteration goes within the positions' null space, the
 iterations with it, and those after it that close the position error."""

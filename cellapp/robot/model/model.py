@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import (
     EFFECTS,
@@ -76,7 +77,10 @@ class ArmModel:
 
     def __repr__(self) -> str:
         effects = ", ".join(dict.fromkeys(term.slug for term in self.effects)) or "none"
-        return f"ArmModel({self.geometry.joints} joints, {len(self.identified)} parameters, effects: {effects:.100})"
+        return (
+            f"ArmModel({self.geometry.joints} joints, {counted(len(self.identified), 'parameter')}, effects:"
+            f" {effects:.100})"
+        )
 
     def context(
         self,

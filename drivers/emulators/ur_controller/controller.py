@@ -22,6 +22,7 @@ from drivers.emulators.ur_controller.personality import ControllerConfig
 from drivers.emulators.ur_controller.program import Program, ScriptError
 from drivers.emulators.ur_controller.slider import SpeedSlider
 from drivers.emulators.ur_controller.streamed import Values
+from drivers.emulators.ur_controller.watchdog import Watchdog
 
 _TEMPERATURE_EVERY_S = 0.5
 _MAX_PAUSE_S = 0.05
@@ -95,10 +96,7 @@ class Controller:
         self._move_from = np.zeros(6)
         self._rest_since_s = -math.inf
         self._temperature_due_s = -math.inf
-        self._watchdog: tuple[float, int] | None = None
-        self._watchdog_start_s = 0.0
-        self._running_s = 0.0
-        self._written_s: dict[int, float] = {}
+        self._watchdog = Watchdog()
         self._pose_inputs: tuple[Values, Values, Values] | None = None
         self._q: Values = tuple(float(v) for v in motions.q(self.name))
         self._qd: Values = _ZERO6
@@ -177,7 +175,7 @@ class Controller:
         if name.startswith("input_int_register_"):
             if name in _COMMAND_REGISTERS and value != before and value[0] in _STOPPING:
                 self.journal.note("stop", f"rtde: {_STOPPING[value[0]]}")
-            self._written_s[int(name[19:])] = self._running_s
+            self._watchdog.written(int(name[19:]))
 
     def set_slider(self, fraction: float) -> None:
         """Move the speed slider; a value that is not a finite number is refused and logged."""
@@ -187,8 +185,7 @@ class Controller:
 
     def set_watchdog(self, least_hz: float, register: int) -> None:
         """Stop the program if an input register is written less often than ``least_hz``; 0 switches this off."""
-        self._watchdog = (1.0 / least_hz, register) if least_hz > 0.0 else None
-        self._watchdog_start_s = self._running_s
+        self._watchdog.watch(least_hz, register)
 
     # -- motion ------------------------------------------------------------------------------------------------------
 
@@ -261,7 +258,7 @@ class Controller:
         if reason or self.runtime is not Runtime.STOPPED:
             self.journal.note("stop", reason or "a new program")
         self._uploaded = None
-        self._watchdog = None
+        self._watchdog.watch(0.0, 0)
         if self.runtime in (Runtime.STOPPED, Runtime.STOPPING):
             return
         if reason:
@@ -370,7 +367,7 @@ class Controller:
 
     def cycle(self, now_s: float) -> None:
         """Execute one control period at ``now_s`` (``time.monotonic``), after the cell's time has been advanced."""
-        self._running_s += min(now_s - self.now_s, _MAX_PAUSE_S)
+        self._watchdog.run_s += min(now_s - self.now_s, _MAX_PAUSE_S)
         self.now_s = now_s
         self.brakes.cycle(now_s)
         if self.slider.follow(self.motions.clock_s - self._clock_s) and not self.brakes.braking:
@@ -385,7 +382,8 @@ class Controller:
             self.safety_mode = SafetyMode.NORMAL
             self.log.append("protective stop released")
             self._publish_modes()
-        self._check_watchdog()
+        if self.runtime is Runtime.PLAYING and (silent := self._watchdog.complaint()):
+            self.stop_program(silent)
         self._step_program()
 
     def _read_drives(self) -> None:
@@ -416,15 +414,6 @@ class Controller:
             if max(map(abs, self._qd)) >= self._stop_trigger.speed or travel >= self._stop_trigger.travel:
                 self.protective_stop("armed for this motion")
 
-    def _check_watchdog(self) -> None:
-        if self._watchdog is None or self.runtime is not Runtime.PLAYING:
-            return
-        period_s, register = self._watchdog
-        written_s = max(self._written_s.get(register, -math.inf), self._watchdog_start_s)
-        silent_s = self._running_s - written_s
-        if silent_s > period_s:
-            self.stop_program(f"watchdog: input_int_register_{register} not written for {silent_s:.3f} s")
-
     def _step_program(self) -> None:
         moving = self.moving
         if self.runtime is Runtime.STOPPING and not moving:
@@ -438,7 +427,7 @@ class Controller:
         elif self.runtime is Runtime.STOPPED and self._uploaded is not None and self.now_s >= self._uploaded[0]:
             if not moving:
                 program, self._uploaded = self._uploaded[1], None
-                self._watchdog = None
+                self._watchdog.watch(0.0, 0)
                 self.program = program
                 self._set_runtime(Runtime.PLAYING)
                 self._run_step(program.begin)
@@ -488,8 +477,4 @@ class Controller:
         if self._pose_inputs == now:
             return
         self._pose_inputs = now
-        frames = poses.chain(self.config.personality.rows, self._q)
-        tool = poses.composed(frames[-1], poses.frame(self.tcp))
-        values = self.values
-        values["actual_TCP_pose"] = values["target_TCP_pose"] = poses.pose(tool)
-        values["actual_TCP_speed"] = values["target_TCP_speed"] = poses.speed(frames, self._qd, tool.p)
+        self.values |= streamed.of_tool(self.config.personality.rows, *now)

@@ -81,7 +81,7 @@ def _is_command(line: str, command: str) -> bool:
 
 def _questions(controller: Controller) -> dict[str, str]:
     personality = controller.config.personality
-    safety = _safety(controller)
+    safety = SafetyMode(controller.safety_mode).name
     known = {
         "PolyscopeVersion": personality.software,
         "get robot model": personality.model,
@@ -111,10 +111,6 @@ def _loaded(controller: Controller) -> str:
     if isinstance(controller.program, ForeignProgram):
         return f"Loaded program: /programs/{controller.program.name}"
     return "No program loaded"
-
-
-def _safety(controller: Controller) -> str:
-    return SafetyMode(controller.safety_mode).name
 
 
 def _commands(controller: Controller) -> dict[str, Callable[[], str]]:

@@ -234,18 +234,15 @@ class UrControllerServer:
     def stop(self) -> None:
         """Let ``run`` return; from any thread."""
         self._closing = True
-        self._wake_up()
+        if self._wake is not None:
+            with suppress(OSError):  # full: the loop wakes anyway; closed: it has ended
+                self._wake[0].send(b"!")
 
     def _run_in_thread(self) -> None:
         try:
             self.run()
         except Exception as error:  # noqa: BLE001 - reported by ``failure``
             self.failure = error
-
-    def _wake_up(self) -> None:
-        if self._wake is not None:
-            with suppress(OSError):  # full: the loop wakes anyway; closed: it has ended
-                self._wake[0].send(b"!")
 
     def control(self) -> Control:
         """Return a new connection to the control channel; the caller closes it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from drivers.emulators.ur_controller import poses
 from drivers.emulators.ur_controller.modes import (
     JOINT_MODE,
     JOINT_POWER_OFF,
@@ -10,6 +11,7 @@ from drivers.emulators.ur_controller.modes import (
     Runtime,
     SafetyMode,
 )
+from drivers.emulators.ur_controller.personality import Rows
 from drivers.emulators.ur_controller.variables import zeros
 
 Values = tuple[float, ...]
@@ -46,3 +48,11 @@ def of_modes(robot_mode: RobotMode, safety_mode: SafetyMode, runtime: Runtime) -
 def of_load(mass: float, center: Values, inertia: Values, tcp: Values) -> dict[str, Values]:
     """Return the variables that show payload and TCP."""
     return {"payload": (mass,), "payload_cog": center, "payload_inertia": inertia, "tcp_offset": tcp}
+
+
+def of_tool(rows: Rows, q: Values, qd: Values, tcp: Values) -> dict[str, Values]:
+    """Return the variables that show pose and speed of the TCP, at joint positions and speeds (6,) [rad, rad/s]."""
+    frames = poses.chain(rows, q)
+    tool = poses.composed(frames[-1], poses.frame(tcp))
+    pose = poses.pose(tool)
+    return {"actual_TCP_pose": pose, "target_TCP_pose": pose, "actual_TCP_speed": poses.speed(frames, qd, tool.p)}

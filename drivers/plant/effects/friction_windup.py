@@ -29,7 +29,7 @@ class FrictionWindup(Effect):
         return torque
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        wound = self.friction_torque(situation, posture.gravity_torques) / self.stiffness
+        wound = self.friction_torque(situation, posture.torques) / self.stiffness
         step = np.abs(situation.last_step)
         return Deflection(joints=-situation.approach * np.where(step == 0.0, wound, np.minimum(wound, step)))
 
@@ -73,18 +73,14 @@ def friction_windup(parameters: Parameters) -> Effect:
     law, parameters = parameters.by_law("proportional", "stribeck", "root_load")
     extra = {"proportional": (), "stribeck": ("rise", "short"), "root_load": ("typical_load",)}[law]
     parameters.require("friction", "load_friction", "stiffness", *extra)
-    windup = _proportional(parameters)
+    windup = FrictionWindup(
+        parameters.numbers("friction", least=0.0),
+        parameters.numbers("load_friction", least=0.0),
+        parameters.stiffnesses("stiffness"),
+    )
     plain = windup.friction, windup.load_friction, windup.stiffness
     if law == "stribeck":
         return StribeckWindup(*plain, parameters.number("rise"), parameters.number("short", above=0.0))
     if law == "root_load":
         return RootLoadWindup(*plain, parameters.numbers("typical_load", least=0.0))
     return windup
-
-
-def _proportional(parameters: Parameters) -> FrictionWindup:
-    return FrictionWindup(
-        parameters.numbers("friction", least=0.0),
-        parameters.numbers("load_friction", least=0.0),
-        parameters.stiffnesses("stiffness"),
-    )

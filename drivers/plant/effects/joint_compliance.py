@@ -18,7 +18,7 @@ class JointCompliance(Effect):
     stiffness: Array
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        return Deflection(joints=posture.gravity_torques / self.stiffness)
+        return Deflection(joints=posture.torques / self.stiffness)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class HardeningJointCompliance(Effect):
     knee: Array
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        torque = posture.gravity_torques
+        torque = posture.torques
         soft = np.clip(torque, -self.knee, self.knee)
         return Deflection(joints=soft / self.soft_stiffness + (torque - soft) / self.stiffness)
 
@@ -46,7 +46,7 @@ class ThreeStageCompliance(Effect):
     knees: Array  # (2, N)
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        torque = posture.gravity_torques
+        torque = posture.torques
         first, second = (np.clip(torque, -knee, knee) for knee in self.knees)
         parts = (first, second - first, torque - second)
         angles = [part / stiffness for part, stiffness in zip(parts, self.stiffnesses, strict=True)]
@@ -65,7 +65,7 @@ class StiffeningCompliance(Effect):
     knee: Array
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        torque = posture.gravity_torques
+        torque = posture.torques
         extra = (1.0 / self.soft_stiffness - 1.0 / self.stiffness) * self.knee * np.tanh(torque / self.knee)
         return Deflection(joints=torque / self.stiffness + extra)
 
@@ -82,7 +82,7 @@ class HardeningSpring(Effect):
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
         size = np.sqrt(self.stiffness / (3.0 * self.cubic))
-        turned = np.arcsinh(posture.gravity_torques / (2.0 * self.cubic * size**3))
+        turned = np.arcsinh(posture.torques / (2.0 * self.cubic * size**3))
         return Deflection(joints=2.0 * size * np.sinh(turned / 3.0))
 
 

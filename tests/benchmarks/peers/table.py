@@ -11,7 +11,7 @@ OURS, OURS_PLAIN = "cellapp", "cellapp-dh"
 _MISSED = 5.0
 """A fit has missed where its mean error is this many times that of the best solver on the same readings."""
 _HEAD = (
-    "| solver | parameters | time | cellapp's times | mean error, lowest .. highest [um] | largest [um] | failures |\n"
+    "| solver | parameters | time | cellapp's times | mean error, lowest .. highest [µm] | largest [µm] | failures |\n"
     "| --- | --- | --- | --- | --- | --- | --- |"
 )
 

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.collect import CollectSummary, collect_run
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_share, reference_drifts
@@ -82,7 +83,7 @@ class Bench:
             cell.tracker.measure = acting  # type: ignore[method-assign]
             yield cell
 
-    def collect(self, **options: Any) -> CollectSummary:
+    def collect(self, **options: Any) -> CollectResult:
         return collect_run(self.run, self.heard.append, self.control, opened=self.opened, **options)
 
     @property

@@ -14,7 +14,7 @@ from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.together import one_by_one
 from cellapp.cell.planning.plan import plan_stops
-from cellapp.cell.planning.stop_conditions import StopConditions, write_stop_conditions
+from cellapp.cell.planning.stop_conditions import STOP_CONDITIONS_RESULT, StopConditions, stop_conditions_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.ground.progress import Cancelled, CancelToken
@@ -57,9 +57,8 @@ def test_nothing_moves_that_the_gate_refuses(
     beyond = few["right"][2] + 20.0
     with RunFile.create(tmp_path / "run", small_twin(3)) as run:
         run.write_plan(few)
-        write_stop_conditions(
-            run, {1: {"left": StopConditions(into_the_floor)}, 2: {"right": StopConditions(beyond, 1.0)}}
-        )
+        conditions = {1: {"left": StopConditions(into_the_floor)}, 2: {"right": StopConditions(beyond, 1.0)}}
+        run.write_result(STOP_CONDITIONS_RESULT, stop_conditions_json(conditions))
         notes = collect_run(run).notes
         assert run.stops_done() == {0}
         assert [note[:34] for note in notes[:2]] == [
@@ -84,7 +83,8 @@ def test_via_and_dwell_of_one_arm_are_honoured(
     via = few["left"][1] - 0.03
     with RunFile.create(tmp_path / "run", small_twin(2)) as run:
         run.write_plan(few)
-        write_stop_conditions(run, {1: {"left": StopConditions(via, 30.0), "right": StopConditions()}})
+        conditions = {1: {"left": StopConditions(via, 30.0), "right": StopConditions()}}
+        run.write_result(STOP_CONDITIONS_RESULT, stop_conditions_json(conditions))
         collect_run(run)
         left, right = run.readings("left"), run.readings("right")
     assert left.step is not None

@@ -16,7 +16,7 @@ from cellapp.cell.planning.stop_conditions import (
     StopConditions,
     proposed_stops,
     read_stop_conditions,
-    write_stop_conditions,
+    stop_conditions_json,
 )
 from cellapp.cell.planning.stored_stops import (
     PLANNED_STOPS_RESULT,
@@ -47,7 +47,8 @@ def test_an_old_run_has_straight_ways_and_its_listed_stops_are_proposed(tmp_path
     with RunFile.create(tmp_path / "run", small_twin(4)) as run:
         run.write_plan(q)
         same_stops(read_planned_stops(run), straight_stops(q))
-        write_stop_conditions(run, {3: {"left": StopConditions(q["left"][3] - 0.1, 2.0)}})
+        conditions = {3: {"left": StopConditions(q["left"][3] - 0.1, 2.0)}}
+        run.write_result(STOP_CONDITIONS_RESULT, stop_conditions_json(conditions))
         stops = read_planned_stops(run)
         assert proposed_stops(read_stop_conditions(run)) == {3}
     np.testing.assert_array_equal(stops.approach_starts(3)["left"], q["left"][3] - 0.1)

@@ -17,7 +17,8 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.doctor.run import LONGEST_PROBE_S, examine, examine_run, probe_devices, repeatable_devices
-from cellapp.commands.emulate.run import EmulatedArm, emulate, emulated_arms
+from cellapp.commands.emulate.result import EmulatedArm
+from cellapp.commands.emulate.run import emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
@@ -396,7 +397,7 @@ def test_a_port_in_use_is_named_and_nothing_is_left_open(twin: Profile) -> None:
     with UrControllerServer([other]) as server:
         _, taken = server.addresses.arms["other"]["dashboard"]
         left, right = on_free_ports(twin)
-        arms = [left, replace(right, dashboard_port=taken)]
+        arms = [left, right.model_copy(update={"dashboard_port": taken})]
         with pytest.raises(HardwareError, match=rf"arm right: cannot listen on 127\.0\.0\.3:{taken}"):
             emulate(twin, CancelToken(), lambda _: None, arms)
     assert threading.active_count() == before

@@ -192,7 +192,7 @@ def test_results_that_no_longer_hold_are_said_and_not_compared(worn: Path, tmp_p
         object.__setattr__(readings, "configuration", readings.configuration + 1000)
         run.add_readings("left", readings)
     result = fleet([tmp_path])
-    assert any("'calibrate' is out of date (1 readings were added since)" in note for note in result.runs[1].notes)
+    assert any("'calibrate' is out of date (1 reading was added since)" in note for note in result.runs[1].notes)
     assert result.arms["UR10-77"].compared == (str(tmp_path / "m0"),)
     assert result.arms["UR10-77"].condition == "not compared"
 

@@ -625,7 +625,15 @@ def test_the_table_for_the_readme_ends_with_date_seed_and_program() -> None:
     )  # fmt: skip
     text = markdown(judge_tables(result), judge_sentences(result))
     last = text.rstrip().splitlines()[-1]
-    for word in ("2026-02-03", "cellapp 0.1.0", "seed 1234", "noise heavy", "2026-01-02", "run-0009: broken", "1 runs"):
+    for word in (
+        "2026-02-03",
+        "cellapp 0.1.0",
+        "seed 1234",
+        "noise heavy",
+        "2026-01-02",
+        "run-0009: broken",
+        "1 run was",
+    ):
         assert word in last, word
     assert last.endswith(judge_sentences(result)[-1])
     titles = [table.title for table in judge_tables(result)]

@@ -9,7 +9,8 @@ import pytest
 
 from drivers.arms.protocol import ArmError
 from drivers.arms.ur_answers import arm_error
-from drivers.arms.ur_motion import Unrest, WorkerSample
+from drivers.arms.ur_motion import Unrest
+from drivers.arms.ur_rtde_reader import UrSample
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor
 from tests.drivers.arms.emulated_ur_cell import AWAY, HOME
 
@@ -107,9 +108,9 @@ def test_live_says_so_too(delayed: Delayed) -> None:
     assert not client.supervisor.live.moving
 
 
-def sample(time_s: float, speed: float) -> WorkerSample:
+def sample(time_s: float, speed: float) -> UrSample:
     zeros = (0.0,) * 6
-    return WorkerSample(time_s, zeros, (speed, *zeros[1:]), zeros, "RUNNING", "NORMAL", "PLAYING", None, None, 1.0)
+    return UrSample(time_s, zeros, (speed, *zeros[1:]), "RUNNING", "NORMAL", "PLAYING", 1.0, None, None, zeros)
 
 
 def test_rest_counts_only_from_states_after_the_end_and_for_a_while() -> None:

@@ -77,8 +77,8 @@ def test_a_second_arm_or_another_size_changes_no_other_draw(make_arm, make_plant
     errors = GeometryErrors(length=3e-4, angle=1e-3)
     alone = make_plant(left, errors=errors).smr_positions("left", q)
     assert np.array_equal(alone, make_plant(left, right, errors=errors).smr_positions("left", q))
-    offset = make_plant(left, errors=GeometryErrors(smr=1e-3)).true_smr_offset("left")
-    both = make_plant(left, errors=GeometryErrors(length=1e-2, smr=1e-3)).true_smr_offset("left")
+    offset = make_plant(left, errors=GeometryErrors(smr=1e-3)).true_mechanism("left").smr
+    both = make_plant(left, errors=GeometryErrors(length=1e-2, smr=1e-3)).true_mechanism("left").smr
     assert np.array_equal(offset, both)
 
 
@@ -86,7 +86,7 @@ def test_base_to_base_fits_base_to_tracker(make_arm, make_plant):
     errors = GeometryErrors(base_length=5e-3, base_angle=5e-3)
     plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2), errors=errors)
     expected = np.linalg.inv(plant.true_T_M_B("right")) @ plant.true_T_M_B("left")
-    assert np.abs(plant.true_T_B_B("right", "left") - expected).max() < 1e-13
+    assert np.abs((inverse(plant.true_T_C_B("right")) @ plant.true_T_C_B("left")) - expected).max() < 1e-13
 
 
 def test_turning_one_joint_moves_the_smr_on_a_circle_about_the_true_axis(make_plant):

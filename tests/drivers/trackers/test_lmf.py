@@ -30,7 +30,6 @@ from drivers.trackers.protocol import (
     TrackerTimeout,
     Unstable,
     WrongTarget,
-    measure_nests,
 )
 from tests.drivers.trackers.fake_lmf import E, LmfException, Scene
 
@@ -361,7 +360,7 @@ def test_a_shaking_target(tracker: Callable[..., LmfTracker], scene: Scene) -> N
     shaken = driver.measure(LEFT, 1.0)
     assert np.trace(shaken.covariance_M) == pytest.approx((80e-6) ** 2)
     scene.precision_m = 150e-6
-    with pytest.raises(Unstable, match="precision 150 um"):
+    with pytest.raises(Unstable, match="precision 150 µm"):
         driver.measure(LEFT, 1.0)
 
 
@@ -429,12 +428,6 @@ def test_the_beam_breaks(tracker: Callable[..., LmfTracker], scene: Scene) -> No
         driver.measure(LEFT, 1.0)
     assert type(caught.value) is TrackerError
     assert driver.measure(LEFT, 1.0).p_M == pytest.approx(LEFT)
-
-
-def test_nests(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
-    points, missed = measure_nests(tracker(), {"a": LEFT, "b": LEFT + 1.0, "c": RIGHT}, 1.0)
-    assert list(points) == ["a", "c"]
-    assert isinstance(missed["b"], TargetLost)
 
 
 def test_warnings_of_lmf_come_with_the_point(tracker: Callable[..., LmfTracker], scene: Scene) -> None:

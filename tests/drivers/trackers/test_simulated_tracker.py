@@ -18,7 +18,6 @@ from drivers.trackers.protocol import (
     TrackerLinkLost,
     Unstable,
     WrongTarget,
-    measure_nests,
 )
 from drivers.trackers.simulated import (
     FACE_CHANGE_S,
@@ -430,19 +429,6 @@ def test_an_smr_too_far_from_its_prediction_is_refused_if_configured(make_arm, m
     tracker.covered.add("left")
     with pytest.raises(WrongTarget, match="it locked an SMR 60 mm from where one was expected"):
         tracker.measure(left, 1.0)
-
-
-def test_nests_return_points_and_errors(make_plant):
-    plant = make_plant()
-    nests = {"floor": NEST, "wall": np.array([0.8, 3.0, 0.1]), "gone": np.array([2.3, 2.0, -0.4])}
-    tracker = _ready(plant, nests={name: nests[name] for name in ("floor", "wall")})
-    points, missed = measure_nests(tracker, nests, 1.0)
-    assert {name: tuple(point.p_M) for name, point in points.items()} == {n: tuple(nests[n]) for n in ("floor", "wall")}
-    assert list(missed) == ["gone"]
-    assert isinstance(missed["gone"], TargetLost)
-    tracker.cut_link()
-    with pytest.raises(TrackerLinkLost):
-        measure_nests(tracker, nests, 1.0)
 
 
 def test_it_answers_while_its_link_is_open(make_plant):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.commands.discover.result import arm_result
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import ArmDiscoveryResult
 from cellapp.estimation.readings import Readings
@@ -43,7 +42,7 @@ def discovered(sign: int) -> ArmDiscoveryResult:
         sigma_m=np.full(STOPS, SIGMA_M),
         split=("identify",) * (STOPS - HELD_OUT) + ("validate",) * HELD_OUT,
     )
-    return arm_result(discover_arm(profile, "left", model, readings))
+    return discover_arm(profile, "left", model, readings).result
 
 
 def test_backlash_of_the_opposite_sign_is_said_and_unknown() -> None:

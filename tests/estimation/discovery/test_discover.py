@@ -13,7 +13,7 @@ from cellapp.cell.driving.cell import build_plant, plant_arm
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.discover.result import arm_result, discover_result
+from cellapp.commands.discover.result import discover_result
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import CALIBRATION_FILE
@@ -76,7 +76,7 @@ def discovered(folder, plan, effects, **seeds):
 
 
 def names(discovery):
-    return {finding.term.slug for finding in discovery.accepted}
+    return {term.slug for term in discovery.terms}
 
 
 def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_path, plan):
@@ -89,13 +89,14 @@ def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_pa
         approach[readings.in_split("validate")] *= -1
         found = discover_arm(run.profile, "left", model, replace(readings, approach=approach))
     assert names(as_recorded) == {"backlash"}
-    assert found.accepted == ()
+    assert found.terms == ()
+    assert found.result.accepted == ()
     assert found.model.effects == ()
-    assert found.after.rms == pytest.approx(found.before.rms)
-    assert found.verdict == "unknown effect"
-    assert "backlash" in found.sentence
-    assert "made held-out errors larger" in found.sentence
-    assert "dropped in review: backlash" in found.steps[-1].what
+    assert found.result.heldout_mm.after == pytest.approx(found.result.heldout_mm.before)
+    assert found.result.verdict == "unknown effect"
+    assert "backlash" in found.result.sentence
+    assert "made held-out errors larger" in found.result.sentence
+    assert "dropped in review: backlash" in found.result.steps[-1].what
 
 
 def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan):
@@ -103,11 +104,11 @@ def test_nothing_is_named_in_a_cell_without_effects(tmp_path, plan):
         _, found, _ = discovered(tmp_path / str(seed), plan, {}, seed=seed, noise_seed=seed)
         for discovery in found.values():
             assert names(discovery) == set()
-            assert discovery.verdict == "nothing missing"
-            assert max(discovery.candidates.values()) < 0.5
-            assert discovery.structure is not None
-            assert {test.against for test in discovery.structure.tests} > {"joints", "approach", "position"}
-            assert discovery.after.rms == pytest.approx(discovery.noise_floor_mm, rel=0.25)
+            assert discovery.result.verdict == "nothing missing"
+            assert max(discovery.result.candidates.values()) < 0.5
+            assert discovery.result.structure is not None
+            assert {test.against for test in discovery.result.structure.tests} > {"joints", "approach", "position"}
+            assert discovery.result.heldout_mm.after == pytest.approx(discovery.result.noise_floor_mm, rel=0.25)
 
 
 @pytest.mark.parametrize("seed", [7, 30])
@@ -128,24 +129,22 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
         "half_play3": 0.5 * PLAY[2],
     }
     for discovery in (left, right):
-        assert discovery.verdict == "explained"
-        assert discovery.after.rms < 1.2 * discovery.noise_floor_mm
-        assert discovery.after.rms < 0.4 * discovery.before.rms
-        for finding in discovery.accepted:
-            assert finding.p_value < 0.01
-            assert finding.posterior == discovery.candidates[finding.term.slug] > 0.9
-            assert finding.heldout_after_mm < finding.heldout_before_mm
-            for name, value, error in zip(
-                finding.term.names, finding.term.values, finding.term.standard_errors, strict=True
-            ):
+        assert discovery.result.verdict == "explained"
+        assert discovery.result.heldout_mm.after < 1.2 * discovery.result.noise_floor_mm
+        assert discovery.result.heldout_mm.after < 0.4 * discovery.result.heldout_mm.before
+        for finding, term in zip(discovery.result.accepted, discovery.terms, strict=True):
+            assert finding.evidence.corrected_p < 0.01
+            assert finding.posterior == discovery.result.candidates[finding.effect] > 0.9
+            assert finding.evidence.heldout_mm.after < finding.evidence.heldout_mm.before
+            for name, value, error in zip(term.names, term.values, term.standard_errors, strict=True):
                 if name in truths:
                     assert abs(value - truths.pop(name)) < 4.0 * error
     assert truths == {}
-    amplitude = {n: v for f in left.accepted for n, v in zip(f.term.names, f.term.values, strict=True)}
+    amplitude = {n: v for term in left.terms for n, v in zip(term.names, term.values, strict=True)}
     assert np.hypot(amplitude["cos1q1"], amplitude["sin1q1"]) == pytest.approx(2.0e-6 / 0.025, rel=0.1)
     for name, discovery in found.items():
         shown = stored["arms"][name]["validate"]
-        assert shown["effects"]["position_mm"]["rms"] == pytest.approx(discovery.after.rms)
+        assert shown["effects"]["position_mm"]["rms"] == pytest.approx(discovery.result.heldout_mm.after)
         assert shown["effects"]["position_mm"]["mean"] < shown["geometry"]["position_mm"]["mean"]
         assert calibration.arms[name].best_stage == "geometry"
         assert {term.slug for term in discovery.model.effects} == names(discovery)
@@ -188,18 +187,18 @@ def drawn(slug, seed):
 def test_every_effect_with_a_visible_size_is_named(plan, slug):
     found = blind(plan, {slug: drawn(slug, 21)}, seed=21)
     assert names(found) == {slug}
-    assert found.verdict in ("explained", "ambiguous")
+    assert found.result.verdict in ("explained", "ambiguous")
     # a free curve of 40 cycles has some hundred coefficients, which three hundred readings leave uncertain
-    dense = any(finding.term.law.name == "curve" for finding in found.accepted)
-    assert found.after.rms < (1.4 if dense else 1.15) * found.noise_floor_mm
-    assert found.steps[0].heldout_mm == found.before.rms > found.after.rms
+    dense = any(term.law.name == "curve" for term in found.terms)
+    assert found.result.heldout_mm.after < (1.4 if dense else 1.15) * found.result.noise_floor_mm
+    assert found.result.steps[0].heldout_mm == found.result.heldout_mm.before > found.result.heldout_mm.after
 
 
 @pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])
 def test_noise_other_than_stated_is_not_named_as_an_effect(plan, noise):
     found = blind(plan, {}, 31, noise)
     assert names(found) == set()
-    assert found.verdict == "nothing missing"
+    assert found.result.verdict == "nothing missing"
 
 
 @pytest.mark.parametrize(
@@ -215,13 +214,13 @@ def test_noise_other_than_stated_is_not_named_as_an_effect(plan, noise):
 )
 def test_an_effect_outside_the_library_is_called_unknown_and_described(plan, slug, channel, variables):
     found = blind(plan, {slug: drawn(slug, 5)}, seed=5)
-    assert found.verdict == "unknown effect"
+    assert found.result.verdict == "unknown effect"
     assert names(found) == {"unknown"}
-    description = found.accepted[0].description
+    description = found.result.accepted[0].description
     assert description.channel == channel
     assert set(description.variables) == variables
-    assert channel in found.sentence
-    assert found.after.rms < 1.15 * found.noise_floor_mm
+    assert channel in found.result.sentence
+    assert found.result.heldout_mm.after < 1.15 * found.result.noise_floor_mm
     # it is part of the model from then on, as a data-driven term
     assert found.model.effects[0].note == description.sentence
     text = CellModel(arms={"left": found.model}).to_json()
@@ -249,21 +248,21 @@ def test_look_alikes_that_the_data_cannot_distinguish_are_an_answer_set(plan):
     )
     model = calibrate_arm(profile, "left", tied)[0].model
     found = discover_arm(profile, "left", model, tied)
-    assert found.verdict == "ambiguous"
-    answers = set(found.accepted[0].answer_set)
+    assert found.result.verdict == "ambiguous"
+    answers = set(found.result.accepted[0].answer_set)
     assert {"backlash", "unsettled_measurement"} <= answers
     # they share the probability
-    shares = [found.candidates[slug] for slug in answers]
+    shares = [found.result.candidates[slug] for slug in answers]
     assert max(shares) < 0.6
     assert min(shares) == pytest.approx(max(shares), abs=0.05)
-    assert sum(found.candidates.values()) == pytest.approx(1.0, abs=0.1)
+    assert sum(found.result.candidates.values()) == pytest.approx(1.0, abs=0.1)
 
 
 def test_effects_that_the_data_cannot_show_are_listed(plan):
     found = blind(plan, {}, seed=2)
-    invisible = {entry.effect: entry for entry in found.invisible}
+    invisible = {entry.effect: entry for entry in found.result.invisible}
     assert "tracker_scale" in invisible
-    seen = {entry.effect: entry for entry in found.not_found}
+    seen = {entry.effect: entry for entry in found.result.not_found}
     smallest_mm, visible = seen["backlash"].smallest_seen_rms_mm, seen["pedestal_coupling"].visible_share
     assert smallest_mm is not None
     assert smallest_mm < 0.02
@@ -277,16 +276,16 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     with import_csv(profile, ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv", tmp_path / "run") as run:
         discovery = calibrated_and_searched(run).arms["left"]
         inside = np.median(run.readings("left").q, axis=0)[None]
-    invisible = {entry.effect: entry for entry in discovery.invisible}
+    invisible = {entry.effect: entry for entry in discovery.result.invisible}
     for slug in ("backlash", "friction_windup", "base_step", "payload_compliance"):
         assert invisible[slug].reason.startswith("not testable: ")
         assert invisible[slug].smallest_seen is None
-    periodic = next(f for f in discovery.accepted if f.term.slug == "transmission_error")
-    assert periodic.term.law.name == "curve"
-    assert {1, 2, 3, 4, 5} <= set(periodic.joints)
-    assert discovery.after.rms < 0.4 * discovery.before.rms
+    periodic = next(one for one in discovery.result.accepted if one.effect == "transmission_error")
+    assert periodic.law.name == "curve"
+    assert {1, 2, 3, 4, 5} <= set(periodic.where.joints)
+    assert discovery.result.heldout_mm.after < 0.4 * discovery.result.heldout_mm.before
     # what is left is five times the tracker's noise, so the verdict must not be "explained"
-    assert discovery.verdict == "unknown effect"
+    assert discovery.result.verdict == "unknown effect"
     # beyond the trained range the uncertainty grows
     outside = inside.copy()
     outside[0, 1] = 0.0  # joint 2 was trained from -186 to -90 degrees
@@ -307,5 +306,5 @@ def test_the_pure_computation_needs_no_run_file(plan):
     conditions = conditions_of_arms(models, readings)
     alone = discover_arm(profile, "left", models["left"], readings["left"], conditions=conditions["left"])
     assert set(found) == {"left", "right"}
-    together, single = (arm_result(one).model_copy(update={"seconds": None}) for one in (found["left"], alone))
+    together, single = (one.result.model_copy(update={"seconds": None}) for one in (found["left"], alone))
     assert together == single

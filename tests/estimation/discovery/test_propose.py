@@ -113,7 +113,7 @@ def tied(searched: tuple[Path, CellDiscovery], tmp_path_factory: pytest.TempPath
 def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_random_ones(tied: Tied) -> None:
     _, found, proposal = tied
     for discovery in found.arms.values():
-        assert set(discovery.accepted[0].answer_set) == {"backlash", "unsettled_measurement"}
+        assert set(discovery.result.accepted[0].answer_set) == {"backlash", "unsettled_measurement"}
     assert len(proposal.stops) == PROPOSED
     for arm in ("left", "right"):
         answers = {(a.effect, a.against): a for a in proposal.predictions if a.arm == arm}
@@ -128,7 +128,7 @@ def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_rand
 def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
     with measured_run(tmp_path / "run", {"left": SOFT}, plan, tied=False) as run:
         found = calibrated_and_searched(run)
-        assert {"joint_compliance", "link_bending"} <= set(found.arms["left"].accepted[0].answer_set)
+        assert {"joint_compliance", "link_bending"} <= set(found.arms["left"].result.accepted[0].answer_set)
         proposal = proposed(run, found, 2 * PROPOSED, Effort(drawn=200, kept=140, candidates=3000))
         elastic = {"joint_compliance", "link_bending"}
         answers = [a for a in proposal.predictions if a.arm == "left" and {a.effect, a.against} == elastic]
@@ -244,7 +244,7 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(
 ) -> None:
     folder, found = searched
     with RunFile.open(shutil.copytree(folder, tmp_path / "run"), write=True) as run:
-        assert all(len(discovery.accepted[0].answer_set) == 2 for discovery in found.arms.values())
+        assert all(len(discovery.result.accepted[0].answer_set) == 2 for discovery in found.arms.values())
         proposal = proposed(run, found, 3 * PROPOSED, EFFORT)
         append_proposed_stops(run, proposal.stops)
         held_out = {name: run.readings(name).in_split("validate") for name in run.arms()}
@@ -264,8 +264,8 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(
                 np.testing.assert_array_equal(readings.approach[row], np.sign(stop.q[name] - asked.via))
                 assert asked.dwell_s < readings.dwell_s[row] < asked.dwell_s + 10.0
         for name, discovery in calibrated_and_searched(run).arms.items():
-            assert discovery.accepted[0].term.slug == "backlash", name
-            assert discovery.accepted[0].answer_set == ("backlash",), name
+            assert discovery.result.accepted[0].effect == "backlash", name
+            assert discovery.result.accepted[0].answer_set == ("backlash",), name
 
 
 def test_the_pure_computation_is_reproducible(tied: Tied) -> None:

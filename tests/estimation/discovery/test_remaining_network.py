@@ -38,13 +38,17 @@ def searched(plan):
     readings = blind_readings(profile, plan, 2)["left"]
     model = calibrate_arm(profile, "left", readings)[0].model
     discovery = discover_arm(profile, "left", model, readings)
-    assert discovery.accepted
+    assert discovery.terms
     return profile, readings, model, discovery
 
 
-def trained(searched, readings, **changes):
+def judged(discovery, verdict):
+    return replace(discovery, result=discovery.result.model_copy(update={"verdict": verdict}))
+
+
+def trained(searched, readings, verdict="explained", **changes):
     profile, _, model, discovery = searched
-    discovery = replace(discovery, **changes)
+    discovery = replace(judged(discovery, verdict), **changes)
     return with_network(profile, model, discovery, readings, measurement_conditions(readings), CancelToken())
 
 
@@ -59,33 +63,33 @@ def trained(searched, readings, **changes):
 )
 def test_a_network_is_trained_where_the_profile_asks(searched, network, kind, explained, unknown):
     discovery, profile = searched[3], asking(network, kind)
-    assert needs_network(profile, replace(discovery, verdict="explained")) == explained
-    assert needs_network(profile, replace(discovery, verdict="unknown effect")) == unknown
+    assert needs_network(profile, judged(discovery, "explained")) == explained
+    assert needs_network(profile, judged(discovery, "unknown effect")) == unknown
 
 
 def test_explained_effects_leave_nothing_to_a_network(searched):
     found = trained(searched, searched[1])
-    assert found.network_mm.after < 0.01
+    assert found.result.network_mm.after < 0.01
     assert found.model.network is None
 
 
 def test_a_network_models_what_has_no_name(searched):
     _, readings, model, discovery = searched
     # as if compliance had no name: the geometry alone stands for the accepted terms
-    found = trained(searched, readings, verdict="unknown effect", model=model, after=discovery.before)
+    found = trained(searched, readings, verdict="unknown effect", model=model)
     assert found.model.network is not None
-    assert found.after.rms < 0.8 * discovery.before.rms
-    assert found.steps[-1].heldout_mm == found.after.rms
+    assert found.result.heldout_mm.after < 0.8 * discovery.result.heldout_mm.before
+    assert found.result.steps[-1].heldout_mm == found.result.heldout_mm.after
     assert trained(searched, readings, model=model).model.network is None  # explained: the effects are the model
 
 
 def test_held_out_readings_do_not_choose_the_network(searched):
-    _, readings, model, discovery = searched
+    _, readings, model, _ = searched
     p_M = readings.p_M.copy()
     rows = readings.in_split("validate")
     p_M[rows] += np.random.default_rng(1).normal(0.0, 5e-3, (len(rows), 3))
     found = [
-        trained(searched, data, verdict="unknown effect", model=model, after=discovery.before)
+        trained(searched, data, verdict="unknown effect", model=model)
         for data in (readings, replace(readings, p_M=p_M))
     ]
     texts = [json.dumps(network_to_json(one.model.network)) for one in found]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cellapp.estimation.discovery.outcome import AcceptedEffect
+from cellapp.estimation.discovery.accepted import accepted_effect
+from cellapp.estimation.discovery.records import AcceptedEffect, BeforeAfter, Evidence, Place, RunnerUp
 from cellapp.estimation.discovery.search.comparison import Scatter
-from cellapp.estimation.discovery.search.state import Rival
 from cellapp.estimation.discovery.sentences import remaining_structure
 from cellapp.estimation.discovery.structure import CHANCE
 from cellapp.estimation.discovery.verdict import verdict
@@ -22,10 +22,15 @@ STRUCTURE = remaining_structure({"joints": 0.4, "time": 1e-6}, CHANCE)
 UNTESTED = remaining_structure({}, CHANCE)
 
 
-def accepted(*rivals: Rival) -> AcceptedEffect:
+def rival(*, distinguishable: bool) -> RunnerUp:
+    return RunnerUp(effect="friction_windup", statistic=45.0, distinguishable=distinguishable)
+
+
+def accepted(*rivals: RunnerUp) -> AcceptedEffect:
     law = EFFECTS["backlash"].law("constant")
     term = EffectTerm("backlash", ("half_play1",), np.ones(1), np.ones(1), ("rad",), law)
-    return AcceptedEffect(term, (1,), ("joint 1",), 50.0, 0.001, 0.2, 0.1, rivals, None)
+    evidence = Evidence(statistic=50.0, corrected_p=0.001, heldout_mm=BeforeAfter(before=0.2, after=0.1))
+    return accepted_effect(term, Place(joints=(1,), acts_on=("joint 1",)), evidence, 0.9, runners_up=rivals)
 
 
 @pytest.mark.parametrize(
@@ -40,9 +45,9 @@ def accepted(*rivals: Rival) -> AcceptedEffect:
         ([], 0.3, None, STRUCTURE, "unknown effect"),
         ([accepted()], 0.1, NOISE, NONE, "explained"),
         ([accepted()], 0.1, NOISE, STRUCTURE, "explained"),
-        ([accepted(Rival("friction_windup", 45.0, True))], 0.1, NOISE, NONE, "explained"),
-        ([accepted(Rival("friction_windup", 45.0, False))], 0.1, NOISE, NONE, "ambiguous"),
-        ([accepted(Rival("friction_windup", 45.0, False))], 0.3, None, STRUCTURE, "unknown effect"),
+        ([accepted(rival(distinguishable=True))], 0.1, NOISE, NONE, "explained"),
+        ([accepted(rival(distinguishable=False))], 0.1, NOISE, NONE, "ambiguous"),
+        ([accepted(rival(distinguishable=False))], 0.3, None, STRUCTURE, "unknown effect"),
         ([accepted()], 0.3, FAR_ABOVE, STRUCTURE, "unknown effect"),
         ([accepted()], 0.3, FAR_ABOVE, NONE, "explained"),
         ([accepted()], 0.3, FAR_ABOVE, UNTESTED, "explained"),

@@ -187,6 +187,7 @@ def test_drift_and_paths_of_an_arm_that_does_not_drift() -> None:
         "rectangle, rounded corners",
         "large circle",
         "small circle",
+        "line P2 to P4, turning",
     ]
     by_name = {path.path: path for path in tests.path}
     for path in tests.path:
@@ -244,7 +245,7 @@ def test_poses_and_paths_are_repeated_at_other_speeds() -> None:
     assert [one.pose for one in series.pose] == [one.pose for one in found.pose]
     for one, other in zip(found.pose, series.pose, strict=True):
         assert other.accuracy.value_mm == pytest.approx(one.accuracy.value_mm, abs=1e-6)  # an arm without dynamics
-    assert [one.speed_mm_s for one in series.path] == [125.0] * 5
+    assert [one.speed_mm_s for one in series.path] == [125.0] * 6
     assert len(findings.measured.visits) == 2 * 2 * 5
     at_half = [runs for runs in findings.paths if runs.series == 0.5]
     assert len(at_half[0].tracks[0].p_M) == pytest.approx(len(findings.paths[0].tracks[0].p_M), rel=0.3)

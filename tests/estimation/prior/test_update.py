@@ -146,8 +146,8 @@ def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: Simu
     outcome = updated_arm(worn.profile, "left", readings, conditions, earlier)
     model = stated_model(outcome.found, 0)
     found = SearchWithPriors({"left": earlier})(worn.profile, "left", model, readings, conditions=conditions)
-    assert [effect.term.slug for effect in found.accepted] == ["encoder_eccentricity"]
-    assert "joint 2 has appeared since 2026-03-01" in found.sentence
+    assert [effect.effect for effect in found.result.accepted] == ["encoder_eccentricity"]
+    assert "joint 2 has appeared since 2026-03-01" in found.result.sentence
     assert [term.slug for term in found.model.effects] == ["joint_compliance", "encoder_eccentricity"]
     np.testing.assert_allclose(found.model.effects[1].values, 1e-4, atol=3e-5)
 

@@ -17,11 +17,10 @@ import typer
 
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile
-from cellapp.commands.record import Writes
 from cellapp.estimation.readings import Reading
 from cellapp.ground import outputs
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs
+from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs, Writes
 from cellapp.interfaces import cli
 from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.cli.command_outputs import written_by

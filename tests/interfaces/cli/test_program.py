@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,17 @@ def test_short_and_long_help_are_the_same(call: Any, verb: tuple[str, ...]) -> N
     assert short.code == long.code == 0
     assert "Usage" in short.out
     assert short.out == long.out
+
+
+def test_the_list_of_commands_is_that_of_the_whole_program_and_loads_none_of_them() -> None:
+    asked = "import sys; sys.argv = ['cellapp', '--help']; from cellapp.interfaces.cli{} import main; main()"
+    loaded = "import atexit, sys; atexit.register(lambda: print({*sys.modules} & {'pydantic', 'numpy'} or 'light')); "
+    short, whole = (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True).stdout
+        for code in (loaded + asked.format(""), asked.format(".app"))
+    )
+    assert "calibrate" in whole
+    assert short == f"{whole}light\n"
 
 
 @pytest.mark.parametrize(("words", "expected"), [("cellapp calib", "calibrate"), ("cellapp plan --che", "--check")])

@@ -130,7 +130,7 @@ def data_driven_term(formula: str = "c |sin(q2)|", gain: float | None = 12.3) ->
             formula=formula,
             gain_over_curve=gain,
             curve=((0.0, 0.0), (1.0, 1e-4)),
-            sentence="joint 5 depends on q2, about c |sin(q2)|; 22 um rms at the SMR",
+            sentence="joint 5 depends on q2, about c |sin(q2)|; 22 µm rms at the SMR",
         ),
     )
 
@@ -193,7 +193,7 @@ def unknown_effect(name: str) -> ArmDiscoveryResult:
         ),
         validate_={"effects": StageErrors(position_mm=ERRORS)},
         verdict="unknown effect",
-        sentence=f"arm {name}: something that the library does not have; 31 um rms held out",
+        sentence=f"arm {name}: something that the library does not have; 31 µm rms held out",
     )
 
 
@@ -210,7 +210,7 @@ def nothing_missing(name: str) -> ArmDiscoveryResult:
         invisible=unknown_effect(name).invisible,
         not_found=unknown_effect(name).not_found,
         verdict="nothing missing",
-        sentence=f"arm {name}: 23 um rms held out against a noise floor of 22 um",
+        sentence=f"arm {name}: 23 µm rms held out against a noise floor of 22 µm",
     )
 
 

@@ -120,6 +120,19 @@ def test_folding_and_contents_need_no_script(browser: Browser, report: Path) -> 
     context.close()
 
 
+def test_a_table_that_is_wider_than_a_phone_says_that_it_scrolls(browser: Browser, report: Path) -> None:
+    page = browser.new_page(viewport={"width": 390, "height": 844})
+    page.goto(report.as_uri(), timeout=LONGEST_MS)
+    page.locator("#fold").click()
+    page.wait_for_function("document.querySelector('#accuracy .table.scrolls') !== null", timeout=LONGEST_MS)
+    wide, said = "e => e.scrollWidth > e.clientWidth + 1", "e => e.classList.contains('scrolls')"
+    frames = page.locator("details.section .table:visible").all()
+    assert [frame.evaluate(said) for frame in frames] == [frame.evaluate(wide) for frame in frames]
+    hint = "getComputedStyle(document.querySelector('#accuracy .scrolls'), '::before').content"
+    assert "scroll" in page.evaluate(hint)
+    page.close()
+
+
 def test_the_reader_chooses_light_or_dark(wide: Page) -> None:
     ground = "getComputedStyle(document.body).backgroundColor"
     before = wide.evaluate(ground)
@@ -162,6 +175,8 @@ def test_paper_has_summary_and_certificate_on_two_pages_then_the_appendix(report
     assert "Appendix" not in pages[0] + pages[1]
     assert "Appendix" in pages[2].splitlines()[:2], "only the number of the page may stand before it"
     text = "\n".join(pages)
-    assert "SHA-256 of calibration.json" in text, "what is folded on the screen is open on paper"
+    assert "SHA-256 of calibration.json" in text, "a section that is folded on the screen is open on paper"
+    assert "With 20 simulations without effects" not in text, "details stay folded"
+    assert len(pages) <= 15
     assert "Unfold all" not in text
     assert "Contents" not in text

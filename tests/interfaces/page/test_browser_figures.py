@@ -109,9 +109,19 @@ def stroke(figure: Locator) -> str:
     return str(figure.locator(".live .xtick text").first.evaluate("e => getComputedStyle(e).fill"))
 
 
+def test_logarithmic_axes_are_labelled_by_whole_numbers_that_ascend(opened: Open) -> None:
+    """Not 2, 1, 5, 2, the first digits alone."""
+    figure = alive(opened(), "accuracy-1")
+    labels = figure.locator(".live .ytick text")
+    labels.first.wait_for()
+    values = [float(words) for words in labels.all_text_contents() if words]
+    assert len(values) >= 2
+    assert values == sorted(values)
+
+
 def test_values_are_under_the_pointer_and_the_legend_hides_series(opened: Open) -> None:
     page = opened()
-    figure = alive(page, "errors1")
+    figure = alive(page, "accuracy-1")
     assert not figure.locator(".drawing").is_visible()
     points = figure.locator(".live .scatterlayer .trace")
     stages = points.count()
@@ -124,14 +134,14 @@ def test_values_are_under_the_pointer_and_the_legend_hides_series(opened: Open) 
     assert " mm" in text
     figure.get_by_role("button", name="nominal").click()
     page.wait_for_function(
-        "n => document.querySelectorAll('#errors1 .scatterlayer .trace').length === n", arg=stages - 1
+        "n => document.querySelectorAll('#accuracy-1 .scatterlayer .trace').length === n", arg=stages - 1
     )
 
 
 def test_the_cell_turns(opened: Open) -> None:
     page = opened()
-    figure = alive(page, "cell-space")
-    camera = "JSON.stringify(document.querySelector('#cell-space .live')._fullLayout.scene._scene.getCamera().eye)"
+    figure = alive(page, "cell-1")
+    camera = "JSON.stringify(document.querySelector('#cell-1 .live')._fullLayout.scene._scene.getCamera().eye)"
     before = json.loads(page.evaluate(camera))
     box = figure.locator(".live canvas").first.bounding_box()
     assert box is not None
@@ -149,11 +159,11 @@ def test_the_cell_turns(opened: Open) -> None:
 
 def test_figures_follow_the_theme_and_print_as_still_pictures(opened: Open) -> None:
     page = opened(color_scheme="light")
-    figure = alive(page, "errors1")
+    figure = alive(page, "accuracy-1")
     light = stroke(figure)
     page.emulate_media(color_scheme="dark")
     page.wait_for_function(
-        "was => getComputedStyle(document.querySelector('#errors1 .live .xtick text')).fill !== was", arg=light
+        "was => getComputedStyle(document.querySelector('#accuracy-1 .live .xtick text')).fill !== was", arg=light
     )
     page.emulate_media(media="print")
     assert figure.locator(".drawing svg").is_visible()
@@ -171,6 +181,6 @@ def test_without_a_script_every_figure_is_a_still_picture_with_a_message(opened:
 
 def test_without_webgl_the_cell_stays_a_still_picture(opened: Open) -> None:
     page = opened(before=NO_WEBGL)
-    figure = shown(page, "cell-space")
+    figure = shown(page, "cell-1")
     figure.get_by_text("the picture does not turn").wait_for()
     assert figure.locator(".drawing svg").is_visible()

@@ -10,6 +10,7 @@ from playwright.sync_api import sync_playwright
 from pypdf import PdfReader
 
 from cellapp.commands.certificate.result import (
+    SIMULATED,
     CertificateResult,
     CertifiedArm,
     CertifiedData,
@@ -108,6 +109,14 @@ def test_marks_come_first_and_the_rule_is_said() -> None:
     assert said[1].startswith("MARK: out of date")
     assert any("not given: location; left" in one for one in said)
     assert len(certificate_tables(certificate("left"))) == 4
+
+
+@pytest.mark.fast
+def test_a_simulated_cell_is_called_so_in_the_first_line() -> None:
+    simulated = certificate("left").model_copy(update={"warnings": (f"{SIMULATED}: no real arm was measured",)})
+    first = "Simulated cell: no calibration of real arms."
+    assert certificate_page(simulated).split('<p class="cert-soft">')[1].startswith(first)
+    assert first not in certificate_page(certificate("left"))
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")

@@ -13,7 +13,6 @@ from cellapp.commands.calibrate.charts_accuracy import (
     pair_histogram_chart,
     stage_chart,
 )
-from cellapp.commands.calibrate.charts_map import cell_map_chart
 from cellapp.commands.collect.charts import (
     NO_READINGS,
     NO_REFERENCES,
@@ -23,6 +22,7 @@ from cellapp.commands.collect.charts import (
     standard_error_chart,
 )
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
+from cellapp.commands.plan.charts_map import cell_map_chart
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.view.charts import Axis, Chart, Series, bar_chart, enumerated, mm
 from cellapp.estimation.calibration.records import PairHeldOut, PairMethodResult
@@ -238,7 +238,7 @@ def test_a_histogram_of_the_pair() -> None:
     pair = {"proposed": PairMethodResult(cooperative_mm=ERRORS, held_out=held_out)}
     chart = pair_histogram_chart(calibration("left", "right").model_copy(update={"pair": pair}))
     assert chart.series[0].y.sum() == 3.0
-    assert "Median error: 0.200 mm (geometry and a network in the base frame)." in chart.message
+    assert "Median error: 0.200 mm (network in the base frame)." in chart.message
 
 
 def test_the_worst_part_of_a_joint_is_named() -> None:

@@ -12,6 +12,7 @@ from cellapp.commands.check.charts import check_charts, error_chart, evidence_ch
 from cellapp.commands.check.view import check_sentences, check_tables
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import out_of_date_lines
+from cellapp.commands.report.sections import report_sections
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.tables import overview_sentences
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
@@ -25,7 +26,7 @@ from cellapp.estimation.monitoring.check.records import (
     WeakChange,
 )
 from cellapp.ground.results import CHECK
-from cellapp.interfaces.page.page_parts import page_parts
+from cellapp.interfaces.page.drawn import drawn_sections
 from cellapp.interfaces.page.templates import template
 
 ODD = "<b>left</b>"
@@ -141,12 +142,11 @@ def test_the_page_and_the_overview_show_it(finished_copy: Path) -> None:
         append_stage(run, CHECK, result(notes=(ODD,)), basis)
         assert "do not use it as it is: the last 'check' found: arm changed" in overview_sentences(run_overview(run))
         data = read_report_data(run)
-        section = page_parts(run, data).check
+        (section,) = (one for one in report_sections(run, data) if one.key == "check")
     warned = dict(out_of_date_lines(data))
     assert warned["Check of the calibration"].endswith("arm changed (arm left: zero of joint 3)")
-    assert section is not None
     assert section.message.startswith("An arm changed (arm left: zero of joint 3)")
-    drawn = template("sections/check.html").render(check=section)
+    drawn = template("sections/layout.html").module.folding(drawn_sections([section])[0])  # type: ignore[attr-defined]
     assert "zero of joint 3 by 0.2985 +- 0.0052 mrad" in drawn
     assert "Check: evidence over the stops" in drawn
     assert "&lt;b&gt;left" in drawn

@@ -13,10 +13,11 @@ from cellapp.cell.run import Outcome, ReferenceRow, RunFile
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.collect.state import collection_state
-from cellapp.commands.collect.view import collect_lines, collection_tables, other_notes
+from cellapp.commands.collect.view import collect_lines, collection_tables, other_notes, stored_view
 from cellapp.commands.plan.run import plan_new_run
-from cellapp.interfaces.page.collection_section import drift_figures
+from cellapp.commands.view.charts import Chart
 from cellapp.interfaces.page.page import page_text
+from cellapp.interfaces.render.chart_style import legend_of
 from tests.interfaces.page.parsed_page import NOON
 from tests.twin import small_twin
 
@@ -59,17 +60,16 @@ def test_sessions_requests_missing_readings_drift_and_errors_are_tables(run: Run
     assert [row[1] for row in drift.text_rows()] == ["0.0000", "0.0200", "0.0500"]
     assert "limit 0.100 mm" in drift.title
     assert {row[0] for row in errors.text_rows()} == {"left", "right"}
-    (figure,) = drift_figures(state)
-    assert [(entry.look and entry.look.colour, entry.text) for entry in figure.legend] == [
+    (chart,) = (part for part in stored_view(state).parts if isinstance(part, Chart))
+    assert [(entry.look and entry.look.colour, entry.text) for entry in legend_of(chart)] == [
         ("arm1", "nest A"),
         ("ink", "limit"),
     ]
-    assert "the limit is 0.100 mm" in figure.note
+    assert "the limit is 0.100 mm" in chart.message
 
 
 def test_a_run_without_sessions_shows_nothing(single: RunFile) -> None:
     assert collection_state(single) is None
-    assert drift_figures(None) == []
     assert "<h2>Collecting</h2>" not in page_text(single, NOON)
 
 

@@ -21,11 +21,10 @@ from cellapp.commands.discover.tables import (
     size_tables,
     structure_table,
 )
-from cellapp.commands.discover.view import (
+from cellapp.commands.discover.view import discovery_lines, meaning_lines
+from cellapp.commands.discover.words import (
     contradiction_sentences,
     description_sentences,
-    discovery_lines,
-    meaning_lines,
     misfit_sentences,
     picture_words,
     remainder_sentences,
@@ -71,7 +70,7 @@ def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
         "0.0299  a data-driven term added",
         "0.0312  final model",
         "0.0223  noise floor",
-        "joint 1: 9-37 (212 urad rms), joint 2: 14 (80 urad rms)",
+        "joint 1: 9-37 (212 µrad rms), joint 2: 14 (80 µrad rms)",
         "joint 5 depends on q2, about c |sin(q2)|",
         "or instead   of joint_compliance: pedestal_compliance or link_bending",
         "not visible  backlash: no approach signs\n",
@@ -85,7 +84,7 @@ def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
     (row,) = [line.split() for line in left.splitlines() if line.startswith("  joint_compliance")]
     assert row == ["joint_compliance", "joints", "2-4,", "6", "87", "%", "0.005", "0.4512", "->", "0.0312"]
     assert "accepted" not in right
-    assert "verdict      nothing missing: 23 um rms" in right
+    assert "verdict      nothing missing: 23 µm rms" in right
 
 
 def test_long_words_are_wrapped_and_long_reasons_are_cut() -> None:

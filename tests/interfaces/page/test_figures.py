@@ -18,12 +18,12 @@ from cellapp.commands.calibrate.charts_accuracy import certainty_chart
 from cellapp.commands.calibrate.charts_vectors import scale_length_mm, vector_chart
 from cellapp.commands.discover.charts import is_line
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, bar_chart, series
+from cellapp.commands.view.scene import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.estimation.discovery.records import Picture
 from cellapp.interfaces.page import plotly_script
 from cellapp.interfaces.page.cell_figures import scene_figure
-from cellapp.interfaces.page.cell_scene import Capsules, CellScene, ErrorVectors, SceneArm
-from cellapp.interfaces.page.chart_figure import chart_figure
 from cellapp.interfaces.page.chart_svg import chart_svg
+from cellapp.interfaces.page.figure import chart_figure
 from cellapp.interfaces.page.plotly_script import plotly_base64, plotly_notice
 from cellapp.interfaces.render.chart_axis import equal_scales, scale_of
 from cellapp.interfaces.render.chart_data import chart_data, rounded

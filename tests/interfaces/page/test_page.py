@@ -6,6 +6,7 @@ import hashlib
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,17 +41,19 @@ from cellapp.commands.discover.tables import (
     parameter_table,
 )
 from cellapp.commands.export.run import calibrated_arms
+from cellapp.commands.plan.section import plan_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import read_results
+from cellapp.commands.report.sections import report_sections
 from cellapp.commands.report.tables import all_tables
 from cellapp.commands.stages import CALIBRATION_FILE, append_stage, read_stages
+from cellapp.commands.view.charts import Chart
+from cellapp.commands.view.parts import Section
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, VERIFY
 from cellapp.interfaces.page.page import page_text, write_page
-from cellapp.interfaces.page.page_figures import joint_curve_figures
-from cellapp.interfaces.page.plan_section import plan_section
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
@@ -83,6 +86,18 @@ def drawn_figures(page: Page) -> int:
     return [tag for tag, _ in page.elements].count("figure")
 
 
+def charts_of(section: Section) -> list[Chart]:
+    return [part for part in section.parts if isinstance(part, Chart)]
+
+
+def sections_in(section: Section) -> Iterator[Section]:
+    """The sections inside of one, at any depth."""
+    for part in section.parts:
+        if isinstance(part, Section):
+            yield part
+            yield from sections_in(part)
+
+
 def with_arm(result: CalibrateResult, name: str, **changes: Any) -> CalibrateResult:
     """The result with attributes of one arm replaced."""
     return result.model_copy(update={"arms": {**result.arms, name: result.arms[name].model_copy(update=changes)}})
@@ -100,12 +115,14 @@ def test_is_well_formed(whole: RunFile, whole_page: Page) -> None:
     certainties = sum(arm.uncertainty_mm is not None for arm in found.arms.values())
     plan = plan_section(whole)
     assert plan is not None
-    curves = sum(len(charts) for charts in joint_curve_figures(read_report_data(whole)).values())
+    (found_section,) = (one for one in report_sections(whole, read_report_data(whole)) if one.key == "discovery")
+    curves = sum(len(one.parts) for one in sections_in(found_section) if one.title == "What effects turn joints by")
     assert curves
-    # errors, histogram, run, four of vectors, targets, their uncertainty, steps, effects and joints of each arm; stated
-    # bounds; two of the pair; three of the cell
-    drawn = 26 + curves + len(pictures) + certainties + len(plan.figures)
+    # errors, histogram, run, three of vectors, targets, their uncertainty, steps, effects and joints of each arm;
+    # stated bounds; two of the pair; three of the cell
+    drawn = 24 + curves + len(pictures) + certainties + len(charts_of(plan))
     assert drawn_figures(whole_page) == drawn
+    assert drawn <= 60
 
 
 def test_the_page_is_below_five_megabytes(whole_text: str) -> None:
@@ -203,6 +220,12 @@ def test_mentions_every_step(whole: RunFile, whole_page: Page) -> None:
     assert "Out of date" not in text
 
 
+def test_a_simulated_cell_is_called_so_in_the_first_line(whole_page: Page, whole_text: str, single_text: str) -> None:
+    assert whole_page.words.split("Calibration report: ")[2].startswith(f"{' '.join(NAME.split())} (simulated cell)")
+    assert 'content: "simulated cell"' in whole_text
+    assert "simulated cell" not in single_text, "its readings are given; nothing is simulated"
+
+
 def test_hostile_names_are_only_text(whole_page: Page) -> None:
     for name in (LEFT, RIGHT, NAME, TARGET, UNREACHABLE, EVENT):
         assert name in whole_page.text
@@ -243,7 +266,7 @@ def test_errors_stand_beside_their_intervals_and_the_tracker(whole: RunFile, who
     summary = calibrate.pair["effects"].cooperative_mm
     assert summary.mean_ci95 is not None
     low, high = summary.mean_ci95
-    shown = {row[0]: dict(zip(tables[-1].headings, row)) for row in tables[-1].text_rows()}["effects"]
+    shown = {row[0]: dict(zip(tables[-1].headings, row)) for row in tables[-1].text_rows()}["geometry and effects"]
     assert shown["95 % of mean"] == f"{low:.4f} to {high:.4f}"
     assert shown["p95"] == f"{summary.p95:.4f}"
     left, right = (arm.tracker_mm for arm in calibrate.arms.values())
@@ -295,12 +318,12 @@ def test_says_what_is_missing_and_how_to_get_it(single_text: str) -> None:
     page = Page(single_text)
     text = page.text
     assert page.faults == []
-    assert drawn_figures(page) == 10  # errors, histogram, run, four of vectors; three of the cell
+    assert drawn_figures(page) == 9  # errors, histogram, run, three of vectors; three of the cell
     assert "cellapp discover DIR" in text
     assert "the profile has no devices" in text
     assert "cellapp push DIR TARGETS --verify" in text
     assert "the profile has 1 arm(s)" in text
-    assert "Verification at new targets:" in text
+    assert "Verification at new targets" in page.texts
     assert "Arm only, verified" not in text
     assert "no effects: not searched for yet" in text
     assert "Missing effects were not searched for yet." in text
@@ -367,14 +390,14 @@ def test_discovery_shows_everything_that_was_found(double: RunFile) -> None:
     store_discovery(double, discovery(LEFT, RIGHT))
     text = page_text(double, NOON)
     page = Page(text)
-    assert len([key for key in page.values("id") if key.startswith("effect1-")]) == len(unknown_effect(LEFT).pictures)
+    assert page.text.count("The effect is ") == len(unknown_effect(LEFT).pictures)
     assert page.faults == []
     ids = page.values("id")
     assert len(set(ids)) == len(ids)
     assert f"Arm {LEFT}: unknown effect" in page.texts
     assert f"Arm {RIGHT}: nothing missing" in page.texts
     for words in (
-        "Something that the library does not have; 31 um rms held out.",
+        "Something that the library does not have; 31 µm rms held out.",
         "pedestal_compliance or link_bending would explain these data as well as joint_compliance",
         "Nearly as good as joint_compliance, but ruled out by these data: tracker_angle_error.",
         "There is no figure of joint_compliance for joint 6: the SMR hardly moves with this joint.",
@@ -402,7 +425,7 @@ def test_nothing_missing_is_said(double: RunFile) -> None:
     store_discovery(double, DiscoverResult(arms={name: nothing_missing(name) for name in (LEFT, RIGHT)}))
     text = page_of(double).text
     assert "Out of date" not in text
-    assert "nothing missing: 23 um rms held out" in text
+    assert "nothing missing: 23 µm rms held out" in text
     assert "no effects: none was found" in text
 
 
@@ -472,7 +495,7 @@ def test_says_what_files_for_other_programs_do_not_hold(whole: RunFile, whole_te
 
 def test_other_readings_have_another_hash(single: RunFile, tmp_path: Path) -> None:
     def hash_on(run: RunFile) -> str:
-        texts = page_of(run).texts
+        texts = [text for text in page_of(run).texts if text]
         return texts[texts.index("SHA-256 of the readings of arm only") + 1]
 
     before = hash_on(single)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import date
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -16,13 +15,15 @@ from cellapp.commands.report.before_after import BeforeAfterFigure, ComparedErro
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.judged import judged_matrix, judgement_table
 from cellapp.commands.report.result import RunResults
+from cellapp.commands.report.sections import SECTIONS, placed
 from cellapp.commands.report.summary import summary, verdict
 from cellapp.commands.view.acceptance_words import CHARACTERISTIC_WORDS, judged_sentence
+from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Instrument, Tolerances, Traceability
-from cellapp.interfaces.page.page_sections import SECTIONS, page_sections
 from tests.interfaces.page.cases import discovery
 from tests.twin import PROFILES
 
@@ -76,9 +77,11 @@ def test_the_verdict_is_the_worst_of_all(states: list[Conformity]) -> None:
     assert found.state == worst
     assert ("does not" in found.title) == (worst == "does not conform")
     if worst == "conforms":
-        assert found.sentence == f"All {len(states)} errors with a tolerance are inside it."
+        assert found.sentence == f"All {counted(len(states), 'error')} with a tolerance are inside it."
     else:
-        assert found.sentence.startswith(f"{states.count('conforms')} of {len(states)} errors with a tolerance conform")
+        assert found.sentence.startswith(
+            f"{states.count('conforms')} of {counted(len(states), 'error')} with a tolerance"
+        )
 
 
 def test_what_does_not_conform_is_named() -> None:
@@ -219,21 +222,14 @@ def test_a_tracker_whose_calibration_is_due_is_named(day: date, due: bool) -> No
 # -- sections and tables ----------------------------------------------------------------------------------------------
 
 
-def test_sections_without_a_message_are_left_out_and_the_others_keep_their_order() -> None:
-    messages = dict.fromkeys(reversed(list(SECTIONS)), "Something.") | {"paths": ""}
-    sections = page_sections(messages, {"calibrate": "readings were added"})
+def test_sections_that_have_nothing_are_left_out_and_the_others_keep_their_order() -> None:
+    made = {key: None if key == "paths" else Section("", [], "Something.") for key in reversed(list(SECTIONS))}
+    sections = placed(made, {"calibrate": "readings were added"})
     assert [section.key for section in sections] == [key for key in SECTIONS if key != "paths"]
     marked = {section.key for section in sections if section.outdated}
     assert {"accuracy", "residuals", "parameters"} <= marked
-    assert all(section.is_open for section in sections if section.outdated)
+    assert not any(section.folded for section in sections if section.outdated)
     assert "discovery" not in marked, "what does not hold there is left out"
-
-
-def test_every_section_has_a_template() -> None:
-    import cellapp.interfaces.page
-
-    folder = Path(cellapp.interfaces.page.__file__).parent / "sections"
-    assert not [key for key in SECTIONS if not (folder / f"{key}.html").is_file()]
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))

@@ -37,7 +37,7 @@ from cellapp.commands.report.result import RunResults
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.table import most_urgent, part_table
 from cellapp.estimation.uncertainty.records import UncertaintyParts
-from cellapp.interfaces.page.chart_figure import chart_figure
+from cellapp.interfaces.page.figure import chart_figure
 from cellapp.interfaces.tui.plots.drawing import draw
 from tests.interfaces.page.cases import ERRORS
 
@@ -145,7 +145,7 @@ def test_compensate_says_what_is_in_and_out_unknown_and_refused() -> None:
     assert "temperature is not stated: thermal_growth may move the SMR by 0.040 mm at one; state conditions:" in text
     assert "not seen by the tracker, so that a push cannot measure them: both" in text
     assert "target far: out of reach; move the target nearer to the arm" in text
-    assert compensate_lines(OLD) == ["1 of 1 targets compensated"]
+    assert compensate_lines(OLD) == ["1 of 1 target compensated"]
 
 
 def test_a_verification_is_one_sentence_and_what_needs_more() -> None:
@@ -298,7 +298,7 @@ def test_corrections_and_targets_out_of_tolerance_are_marked() -> None:
     assert points(pair_chart(VERIFIED), "out of tolerance") == [(1.0, 0.06)]
     rounds = rounds_chart(VERIFIED)
     assert points(rounds, "mean") == [(0.0, 0.05), (1.0, 0.02)]
-    assert rounds.message == "Mean error at 1 targets: 0.050 mm by the model alone, 0.020 mm in the end."
+    assert rounds.message == "Mean error at 1 target: 0.050 mm by the model alone, 0.020 mm in the end."
 
 
 def test_the_bound_is_compared_with_what_was_measured() -> None:

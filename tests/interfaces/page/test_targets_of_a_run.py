@@ -7,12 +7,13 @@ import math
 from cellapp.cell.run import RunFile
 from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.details import stored_state, target_details
+from cellapp.commands.compensate.section import targets_section
 from cellapp.commands.compensate.tables import measured_tables, refusal_tables, uncertainty_tables
 from cellapp.commands.compensate.target_list import target_list
 from cellapp.commands.compensate.words import PART_WORDS, compensate_lines, verify_message
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import read_results
-from cellapp.interfaces.page.targets_section import targets_section
+from cellapp.commands.view.charts import Chart
 from tests.interfaces.page.runs import LEFT, RIGHT, TARGET, UNREACHABLE, targets_of
 
 
@@ -61,7 +62,8 @@ def test_one_target_in_its_details(whole: RunFile) -> None:
 
 
 def test_the_page_begins_with_the_message(whole: RunFile) -> None:
-    section = targets_section(read_report_data(whole))
-    assert section is not None
+    data = read_report_data(whole)
+    floors_mm = {name: arm.tracker_mm for name, arm in data.calibrate.arms.items()}
+    section = targets_section(data.results.compensate, data.verify, floors_mm)
     assert section.message.startswith("Mean error ")
-    assert len(section.figures) == 5
+    assert sum(isinstance(part, Chart) for part in section.parts) == 5

@@ -140,13 +140,13 @@ async def test_the_verdict_what_comes_next_and_the_report(finished_copy: Path, m
         await until(pilot, lambda: "Errors against their tolerances [mm]" in shown_text(app), "the judgements")
         assert not app.day_screen.query_one("#outdated").display
         await pilot.press(*["pagedown"] * 5)
-        await until(pilot, lambda: "cellapp check" in shown_text(app), "what comes next")
-        for name, says in (("check", "k measures"), ("iso9283", "i measures"), ("certificate", "s writes")):
+        await until(pilot, lambda: "keys 7, k" in shown_text(app), "what comes next")
+        for name, says in (("check", "k measures"), ("iso9283", "m measures"), ("certificate", "e writes")):
             await pilot.press("t")
             await until(pilot, lambda name=name: tab(app) == f"{name}-pane", "the tab")  # type: ignore[misc]
             await until(pilot, lambda says=says: says in shown_text(app), "what can be done")  # type: ignore[misc]
         for answer in ("w", "d"):
-            await ask(pilot, app, "o", Choice)
+            await ask(pilot, app, "b", Choice)
             await pilot.press(answer)
             await ended(pilot, app)
     assert printed == [None, finished_copy / "report.pdf"]
@@ -168,7 +168,7 @@ async def test_what_is_out_of_date_is_loud_on_every_tab(finished_copy: Path) -> 
         for _ in range(4):
             assert "! OUT OF DATE" in shown_text(app)
             await pilot.press("t")
-        await ask(pilot, app, "i", VerbQuestion)
+        await ask(pilot, app, "m", VerbQuestion)
         assert "The model is not up to date" in shown_text(app)
         assert "Use this model all the same (u)" in shown_text(app)
 
@@ -179,17 +179,17 @@ async def test_what_is_missing_is_said_with_a_way_on(tmp_path: Path) -> None:
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, None)
         assert decision(app).startswith("No run is open")
-        for key in ("k", "s", "o"):
+        for key in ("k", "e", "b"):
             app.say("")
             await pilot.press(key)
             assert app.message.startswith("No run is open")
         app.open_run(tmp_path / "run", TWIN)
         await until(pilot, lambda: decision(app).startswith("Not calibrated yet"), "the verdict")
-        for key in ("k", "o"):
+        for key in ("k", "b"):
             app.say("")
             await pilot.press(key)
-            assert app.message.startswith("This run is not calibrated yet")
-        await ask(pilot, app, "i", VerbQuestion)
+            assert app.message.startswith("Not calibrated yet")
+        await ask(pilot, app, "m", VerbQuestion)
         kinds = [box.id for box in app.screen.query(Checkbox) if str(box.id).startswith("commands")]
         assert kinds == ["commands-nominal"], "without a calibration only the nominal commands are possible"
         await pilot.press("n")
@@ -256,7 +256,7 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)
-        await ask(pilot, app, "i", VerbQuestion)
+        await ask(pilot, app, "m", VerbQuestion)
         marked = {str(box.id) for box in app.screen.query(Checkbox) if box.value}
         assert marked == {"tests-pose", "commands-nominal", "commands-calibrated"}
         app.screen.query_one("#tests-pose", Checkbox).value = False
@@ -298,7 +298,7 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_accept(pilot, app, finished_copy)
-        await ask(pilot, app, "g", VerbQuestion)
+        await ask(pilot, app, "+", VerbQuestion)
         fill(app, path="mine.pem", passphrase=PASSPHRASE)
         app.screen.query_one("#passphrase-again", Input).value = "another one"
         await pilot.press("enter")
@@ -310,7 +310,7 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
         assert "mine.pub" in shown_text(app)
         await pilot.press("q")
         for passphrase, says in (("wrong", "wrong passphrase"), (PASSPHRASE, "was written")):
-            await ask(pilot, app, "s", VerbQuestion)
+            await ask(pilot, app, "e", VerbQuestion)
             assert app.screen.query_one("#key", Input).value == "mine.pem", "the key that was made"
             fill(app, number="K-1", passphrase=passphrase)
             await pilot.press("enter")
@@ -321,7 +321,7 @@ async def test_a_certificate_is_signed_checked_and_a_changed_one_is_found(finish
         for content, says in ((b"", "signature valid"), (b" ", "signature wrong")):
             certificate = finished_copy / "certificate.json"
             certificate.write_bytes(certificate.read_bytes() + content)
-            await ask(pilot, app, "f", VerbQuestion)
+            await ask(pilot, app, "i", VerbQuestion)
             app.screen.query_one("#public-key", Input).value = "mine.pub"
             await pilot.press("enter")
             await ended(pilot, app)

@@ -107,11 +107,11 @@ async def test_a_stopped_job_says_how_to_go_on_from_the_step_it_was_in() -> None
         await opened(pilot, app)
         for last, way in (
             (Progress("plan", 3, 30), "nothing is left to resume"),
-            (Progress("plan", 30, 30), "cellapp collect 'my run' --resume"),
-            (Progress("collect", 3, 30), "cellapp collect 'my run' --resume"),
-            (Progress("calibrate", 1, 3), "cellapp calibrate 'my run'"),
-            (Progress("discover", 0, 2), "cellapp discover 'my run'"),
-            (Progress("push", 0, 2), "cellapp push 'my run' TARGETS --verify"),
+            (Progress("plan", 30, 30), "keys 3, b go on"),
+            (Progress("collect", 3, 30), "keys 3, b go on"),
+            (Progress("calibrate", 1, 3), "keys 4, b go on"),
+            (Progress("discover", 0, 2), "keys 5, b go on"),
+            (Progress("push", 0, 2), "keys 6, m go on"),
         ):
             held.events = (last,)
             app.start_job(held.job(folder=Path("my run")))
@@ -133,7 +133,7 @@ async def test_errors_are_sentences() -> None:
         await opened(pilot, app)
         for error, text in (
             (InputError("a.yaml: seed: expected [int]"), "a.yaml: seed: expected [int]"),
-            (HardwareError("left: no answer"), "left: no answer; then go on here"),
+            (HardwareError("left: no answer"), "left: no answer; then keys 3, b go on"),
         ):
             held.error = error
             app.start_job(held.job(folder=Path("here")))
@@ -174,7 +174,7 @@ async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) ->
         await until(pilot, lambda: "sede" in app.message, "the sentence")
         assert "bad.yaml" in app.message
         await pilot.press("f5")
-        assert app.message.startswith("No profile is open")
+        assert "sede" in app.message, "what is wrong with it, not that none is open"
         assert not app.jobs.running
         assert not Path("logs").exists()
 

@@ -168,7 +168,7 @@ async def test_a_job_on_another_computer_is_named_and_nothing_is_begun(tmp_path:
         await until(pilot, lambda: "in use by a job on computer 'cell-pc'" in app.message, "where it runs")
         await pilot.press("3")
         await until(pilot, lambda: "IN USE by a job on computer" in " ".join(shown_text(app).split()), "the headline")
-        await pilot.press("e")
+        await pilot.press("b")
         assert not isinstance(app.screen, Choice)
         assert not app.jobs.running
         (RUN / JOB_FILE).unlink()

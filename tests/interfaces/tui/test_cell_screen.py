@@ -50,7 +50,7 @@ async def test_a_profile_stands_in_words_and_the_doctor_has_one_line(size: tuple
         await until(pilot, lambda: "UR10, 6 joints" in shown_text(app), "the profile in words")
         assert line(app, "cell-verdict").startswith("Not checked yet")
         assert [row[2] for row in device_rows(app)] == ["never"] * 3
-        await pilot.press("d")
+        await pilot.press("b")
         await ended(pilot, app)
         assert line(app, "cell-verdict") == "Ready: nothing would be refused."
         assert app.day_screen.query_one("#cell-tabs", TabbedContent).active == "tab-doctor"
@@ -89,7 +89,7 @@ async def test_a_doctor_that_is_old_or_of_another_file_is_shown_as_old(tmp_path:
     app = CellApp(tmp_path / "profiles")
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
-        await pilot.press("d")
+        await pilot.press("b")
         await ended(pilot, app)
         screen = cell_screen(app)
         screen._doctor_at = datetime.now() - timedelta(minutes=11)

@@ -34,6 +34,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens.collect_state import headline
 from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
@@ -113,7 +114,7 @@ def test_each_state_says_what_can_be_done(state: JobState, request_: Request, wo
     record = JobRecord()
     record.begin("collect")
     record.add(Progress("collect", 1, 9, detail=StateChange(state, "because")))
-    found = headline(Workspace(), record, request_)
+    found = headline(run_state(Workspace(), record), record, request_)
     assert found.word == word
     assert sentence in found.sentence
     assert ("because" in found.sentence) == (state != "running")
@@ -121,12 +122,13 @@ def test_each_state_says_what_can_be_done(state: JobState, request_: Request, wo
 
 def test_a_stopped_job_says_what_a_person_may_do_though_an_arm_gives_no_data() -> None:
     record = JobRecord(name="collect", state="stopped", reason="arm right: link lost", lost=("arm right",))
-    found = headline(Workspace(), record, "none")
+    found = headline(run_state(Workspace(), record), record, "none")
     assert (found.word, found.sentence) == (
         "STOPPED",
         "arm right: link lost. c resumes when the cell is clear; x ends it.",
     )
-    assert headline(Workspace(), replace(record, state="running"), "none").word == "NO DATA"
+    running = replace(record, state="running")
+    assert headline(run_state(Workspace(), running), running, "none").word == "NO DATA"
 
 
 @pytest.mark.parametrize("state", ["running", "stopped"])
@@ -134,11 +136,11 @@ def test_a_replay_says_that_nothing_moves_whatever_was_recorded(state: JobState)
     record = JobRecord()
     record.begin("replay x10")
     record.add(Progress("replay", 1, 9, detail=StateChange(state, "a fault of arm left")))
-    found = headline(Workspace(), record, "none")
+    found = headline(run_state(Workspace(), record), record, "none")
     assert found.word == "REPLAY x10, nothing moves"
     assert "clear" not in found.sentence
     assert ("Recorded: STOPPED, a fault of arm left." in found.sentence) == (state == "stopped")
-    assert headline(Workspace(), record, "pause").word.endswith("PAUSED")
+    assert headline(run_state(Workspace(), record), record, "pause").word.endswith("PAUSED")
 
 
 # -- a job -------------------------------------------------------------------------------------------------------------
@@ -173,7 +175,8 @@ async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int])
             assert app.screen.region.contains_region(widget.region), name
         assert app.screen.query_one(LogView).size.height >= 5
         await see_plots(pilot, app)
-        await pilot.press("l")
+        while not app.screen.has_class("log"):
+            await pilot.press("t")
         assert app.focused is app.screen.query_one(LogView)
         await finished(pilot, app, held)
 
@@ -235,7 +238,7 @@ async def test_a_flood_of_events_keeps_the_keys_answered() -> None:
         view = app.screen.query_one(LogView)
         await pilot.press("D")
         await until(pilot, lambda: view.rows.counts["debug"] > 500, "the flood")
-        for key, shown in (("g", "plots"), ("t", "collected"), ("l", "log")):
+        for key, shown in (("g", "plots"), ("t", "collected"), ("t", "log")):
             await pilot.press(key)
             assert app.screen.has_class(shown)
             assert app.jobs.running
@@ -266,12 +269,12 @@ async def test_without_a_run_it_says_how_to_come_to_one() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app)
-        assert "NO RUN  No run is open: plan one (key 2), or open one on the screen Runs" in shown_text(app)
-        await pilot.press("b", "e", "a")
+        assert "NO RUN  No run is open: plan one (keys 2, b), or open one on the screen Runs" in shown_text(app)
+        await pilot.press("b", "d")
         assert not app.jobs.running
         assert app.screen is app.day_screen
         await pilot.press("o")
-        await until(pilot, lambda: "No run is open, so there is no stored log." in shown_text(app), "the sentence")
+        await until(pilot, lambda: app.message.startswith("No run is open"), "the sentence")
 
 
 @pytest.fixture
@@ -300,7 +303,7 @@ async def test_begin_asks_and_collects_the_planned_run(asked: list[tuple[HeldJob
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
         assert "READY, 4 stops  b begins." in shown_text(app)
-        await pilot.press("e", "a")  # there is nothing to resume
+        await pilot.press("d")  # there is no drift
         assert app.screen is app.day_screen
         await pilot.press("b")
         assert isinstance(app.screen, Choice)
@@ -317,10 +320,10 @@ async def test_an_interrupted_run_is_resumed(asked: list[tuple[HeldJob, dict[str
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        assert "INTERRUPTED, 2 of 4 stops  e measures the 2 stops that are left." in shown_text(app)
-        await pilot.press("b", "a")
+        assert "INTERRUPTED, 2 of 4 stops  b measures the 2 stops that are left." in shown_text(app)
+        await pilot.press("d")
         assert app.screen is app.day_screen
-        await pilot.press("e", "enter")
+        await pilot.press("b", "enter")
         await begin_and_end(pilot, app, asked[0][0])
         assert asked[0][1] == {"folder": run, "resume": True, "accept_drift": False}
 
@@ -333,7 +336,7 @@ async def test_real_arms_ask_with_their_first_path_instead(
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        await pilot.press("e")
+        await pilot.press("b")
         assert not isinstance(app.screen, Choice)
         await begin_and_end(pilot, app, asked[0][0])
 
@@ -344,7 +347,7 @@ async def test_a_complete_run_leads_on(asked: list[tuple[HeldJob, dict[str, Any]
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
         assert "COMPLETE, 4 stops  n goes to the next step." in shown_text(app)
-        await pilot.press("b", "e", "a")
+        await pilot.press("b", "d")
         assert not asked
 
 
@@ -353,7 +356,7 @@ async def test_stops_that_were_planned_since_are_offered() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        assert "1 MORE STOPS  3 are measured; e measures those that were planned since." in shown_text(app)
+        assert "1 MORE STOPS  3 are measured; b measures those that were planned since." in shown_text(app)
 
 
 def drifted_run(folder: Path, drift_m: float) -> Path:
@@ -376,14 +379,14 @@ async def test_a_drift_is_shown_and_accepted_only_beyond_its_limit(
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, near)
-        await pilot.press("a")
+        await pilot.press("d")
         assert app.screen is app.day_screen
         app.open_run(far)
-        await until(pilot, lambda: "a accepts that and resumes." in " ".join(shown_text(app).split()), "the run")
+        await until(pilot, lambda: "d accepts that and resumes." in " ".join(shown_text(app).split()), "the run")
         await pilot.press("g", "g", "g")
         await pilot.pause()
         assert "beyond the limit" in " ".join(shown_text(app).split())
-        await pilot.press("a")
+        await pilot.press("d")
         assert isinstance(app.screen, Choice)
         await pilot.press("b")
         await begin_and_end(pilot, app, asked[0][0])
@@ -405,9 +408,9 @@ async def test_a_job_that_holds_for_a_drift_is_resumed_by_accepting_it() -> None
     )
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app)
-        await begun(pilot, app, held, last="a accepts the")
+        await begun(pilot, app, held, last="d accepts the")
         app.jobs.control.hold()
-        await pilot.press("a")
+        await pilot.press("d")
         assert app.jobs.control.request == "none"
         await finished(pilot, app, held)
 
@@ -419,14 +422,15 @@ async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> N
         await show_collect(pilot, app, run)
         await until(pilot, lambda: "Sessions of collecting" in shown_text(app), "the tables")
         assert "failed" in shown_text(app)
-        await pilot.press("l")
+        await pilot.press("t")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log")
         assert "the reference moved" in shown_text(app)
         await pilot.press("o")
         await until(pilot, lambda: "Log of this session" in shown_text(app), "the log of this session")
         await pilot.press("o")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log again")
-        await pilot.press("t")
+        while not app.screen.has_class("collected"):
+            await pilot.press("t")
         held = HeldJob(EVERY_KIND)
         await begun(pilot, app, held)
         assert "Log of this session" in shown_text(app)

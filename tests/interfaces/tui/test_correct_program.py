@@ -25,7 +25,7 @@ async def ask_for_program(pilot: Pilot[None], app: CellApp) -> None:
     await until(pilot, lambda: app.workspace.results is not None, "the run")
     await pilot.press("6")
     await until(pilot, lambda: app.day_screen.STEP == "targets", "the screen")
-    await pilot.press("c")
+    await pilot.press("e")
     await until(pilot, lambda: isinstance(app.screen, FilePicker), "the question for the program")
     app.screen.query_one("#path", Input).value = "old.script"
     await pilot.press("enter")
@@ -46,7 +46,7 @@ async def test_a_program_is_corrected(finished_run: Path) -> None:
         app.screen.query_one("#arm", Input).value = "left"
         await pilot.press("enter")
         await until(pilot, lambda: isinstance(app.screen, Reading), "what was written")
-        assert "1 targets corrected" in shown_text(app)
+        assert "1 target corrected" in shown_text(app)
         await pilot.press("escape")
         assert Path("old-corrected.script").read_bytes() == Path("command.script").read_bytes()
         await until(pilot, lambda: "movej" in shown_text(app), "the table")

@@ -9,6 +9,7 @@ import pytest
 from cellapp.cell.run import sqlite_file
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.commands.push.request import VERB as PUSH
+from cellapp.commands.run.request import VERB as DAY
 from cellapp.commands.run.result import WholeRunResult
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import work
@@ -24,9 +25,8 @@ HELD = VerifyResult(arms={"left": ArmVerification(nominal_mm=LARGE_MM, compensat
 WORSE = VerifyResult(arms={"left": ArmVerification(nominal_mm=SMALL_MM, compensated_mm=LARGE_MM)}, targets=TARGETS)
 
 
-def ended(name: str, result: Result | None) -> tuple[str, int]:
-    job = Job(name, lambda listener, control, ask: result, RUN)
-    ending = ending_of(JobEnded(job, result), None)
+def ended(job: Job, result: Result | None) -> tuple[str, int]:
+    ending = ending_of(JobEnded(job, result, None if result is None else job.view(result)), None)
     return ending.text, ending.code
 
 
@@ -37,7 +37,7 @@ def ended(name: str, result: Result | None) -> tuple[str, int]:
 def test_a_day_names_its_report_and_says_whether_the_verification_held(
     verify: VerifyResult | None, words: str, code: int
 ) -> None:
-    text, exit_code = ended("run", WholeRunResult(run=str(RUN), verify=verify))
+    text, exit_code = ended(work.job_of(DAY, profile=RUN, folder=RUN), WholeRunResult(run=str(RUN), verify=verify))
     assert words in text
     assert str(RUN / "report.html") in text
     assert exit_code == code
@@ -49,11 +49,15 @@ def test_the_page_is_named_as_it_is_written() -> None:
 
 
 def test_only_a_push_that_measured_is_judged() -> None:
-    pushed, verified = (work.job_of(PUSH, folder=RUN, targets=TARGETS, verify=verify).name for verify in (False, True))
+    pushed, verified = (work.job_of(PUSH, folder=RUN, targets=TARGETS, verify=verify) for verify in (False, True))
+    assert (pushed.name, verified.name) == ("push", "verify")
     assert ended(verified, WORSE)[1] == 1
     assert "the verification held" in ended(verified, HELD)[0]
     assert ended(pushed, VerifyResult(arms={}, targets=TARGETS))[1] == 0
 
 
 def test_other_jobs_name_their_run() -> None:
-    assert ended("plan", None) == (f"plan: done; the run is in {RUN}.", 0)
+    assert ended(Job("plan", lambda listener, control, ask: None, RUN), None) == (
+        f"plan: done; the run is in {RUN}.",
+        0,
+    )

@@ -153,13 +153,13 @@ async def test_search_as_it_is_typed_and_the_next_matches() -> None:
         assert f"match {len(found)} of {len(found)}" in shown_text(app)
         await pilot.press("enter")
         assert app.focused is view
-        await pilot.press("m")  # after the last comes the first
+        await pilot.press(".")  # after the last comes the first
         await pilot.pause()
         assert f"match 1 of {len(found)}" in shown_text(app)
         assert view.chosen() == [view.rows.shown[found[0]]]
-        await pilot.press("m")
+        await pilot.press(".")
         assert view.chosen() == [view.rows.shown[found[1]]]
-        await pilot.press("M", "M")
+        await pilot.press(",", ",")
         assert view.chosen() == [view.rows.shown[found[-1]]]
         await pilot.press("slash")
         app.screen.query_one("#log-field", Input).value = "nowhere"

@@ -68,7 +68,7 @@ async def test_marked_stops_are_frozen_and_others_are_added() -> None:
         before = stored()
         assert np.flatnonzero(before.frozen).tolist() == [1, 2]
         await until(pilot, lambda: str(table(app).get_row_at(1)[2]) == "yes", "what is frozen, in the list")
-        await pilot.press("a")
+        await pilot.press("+")
         await fill(pilot, app, VerbQuestion, "#add", "many")
         assert "further stops: expected a whole number" in str(app.screen.query_one("#why", Static).render())
         await fill(pilot, app, VerbQuestion, "#add", "2")
@@ -87,7 +87,7 @@ async def test_a_plan_is_designed_and_designed_again_around_what_is_frozen() -> 
     async with app.run_test(size=SMALL) as pilot:
         app.open_profile(path)
         await until(pilot, lambda: app.workspace.profile_path == path, "the profile")
-        await pilot.press("2", "g")
+        await pilot.press("2", "b")
         await fill(pilot, app, NewRunQuestion, "#folder", str(RUN))
         await ended(pilot, app)
         await until(pilot, lambda: app.workspace.design is not None, "what is known of the design")
@@ -113,7 +113,7 @@ async def test_a_table_is_written_checked_by_line_and_becomes_a_run() -> None:
     app = CellApp(Path("profiles"))
     async with app.run_test(size=SMALL) as pilot:
         await shown(pilot, app)
-        await pilot.press("w")
+        await pilot.press("e")
         await fill(pilot, app, SaveAs, "#path", "plan.csv")
         await ended(pilot, app)
         lines = Path("plan.csv").read_text("utf-8").splitlines()
@@ -121,13 +121,13 @@ async def test_a_table_is_written_checked_by_line_and_becomes_a_run() -> None:
         place = lines[0].split(",").index("q2")
         broken[place] = "0.6"  # bent down
         Path("broken.csv").write_text("\n".join([*lines[:3], ",".join(broken), *lines[4:], ""]), "utf-8")
-        await pilot.press("i")
+        await pilot.press("o")
         await fill(pilot, app, FilePicker, "#path", "broken.csv")
         await ended(pilot, app)
         refusals = app.day_screen.query_one("#refusals", PairsTable)
         await until(pilot, lambda: "broken.csv: Not safe" in refusals.selected_text, "the verdict")
         assert str(refusals.get_row_at(1)[1]).startswith("broken.csv:")
-        await pilot.press("i")
+        await pilot.press("o")
         await fill(pilot, app, FilePicker, "#path", "plan.csv")
         await until(pilot, lambda: isinstance(app.screen, Choice), "what to do with it")
         await pilot.press("n")

@@ -72,7 +72,7 @@ async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
         assert line(app, "plan-safety").startswith("Safe: 24 stops and 25 ways")
         await pilot.press("t", "t", "t")
         assert "f computes" in line(app, "plan-detail")
-        await pilot.press("f")
+        await pilot.press("j")
         await ended(pilot, app)
         assert line(app, "plan-time").startswith("Collecting takes about")
         assert line(app, "plan-safety").startswith("Safe"), "the reloaded run has the same plan"
@@ -150,7 +150,7 @@ async def test_a_new_run_goes_into_the_folder_that_one_names(tmp_path: Path) -> 
     async with app.run_test(size=SMALL) as pilot:
         await shown(pilot, app, None)
         assert "No run is open: plan one with g" in line(app, "plan-state")
-        await pilot.press("g")
+        await pilot.press("b")
         await until(pilot, lambda: isinstance(app.screen, NewRunQuestion), "the dialog")
         field = app.screen.query_one("#folder", Input)
         assert re.fullmatch(r"logs/twin-\d{8}-\d{6}", Path(field.value).as_posix())
@@ -212,7 +212,7 @@ async def test_a_profile_that_was_edited_meanwhile_is_told(tmp_path: Path, plann
         assert "edited since" in line(app, "plan-state"), "the run has 24 stops, the profile 400"
         twin = tmp_path / "profiles" / "twin.yaml"
         twin.write_text(twin.read_text("utf-8").replace("sede:", "seed:").replace("seed: 1 ", "sede: 1 "), "utf-8")
-        await pilot.press("g")
+        await pilot.press("b")
         await until(pilot, lambda: isinstance(app.screen, NewRunQuestion), "the dialog")
         await pilot.press("enter")
         await ended(pilot, app)

@@ -34,7 +34,7 @@ async def test_the_earlier_run_is_chosen_and_shown(finished_run: Path) -> None:
         await until(pilot, lambda: app.workspace.results is not None, "the run")
         await pilot.press("4")
         await until(pilot, lambda: app.day_screen.STEP == "calibrate", "the screen")
-        await pilot.press("p")
+        await pilot.press("i")
         await until(pilot, lambda: isinstance(app.screen, FilePicker), "the dialog")
         app.screen.query_one("#path", Input).value = str(EARLIER / "run.sqlite")
         await pilot.press("enter")

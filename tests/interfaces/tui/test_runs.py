@@ -142,12 +142,12 @@ async def test_two_marked_runs_are_compared_over_the_screen(logs: Path, monkeypa
     app = app_without_offer(monkeypatch)
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app)
-        await pilot.press("c")
+        await pilot.press("=")
         for name in ("broken", "second", "third"):
             await go_to(pilot, app, name)
             await pilot.press("space")
         await until(pilot, lambda: shown_text(app).count("●") == 2, "the marks")
-        await pilot.press("c")
+        await pilot.press("=")
         await until(pilot, lambda: isinstance(app.screen, Comparison), "the comparison")
         await until(pilot, lambda: f"a: {LOGS / 'second'}" in shown_text(app), "its sentences")
         assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
@@ -155,7 +155,7 @@ async def test_two_marked_runs_are_compared_over_the_screen(logs: Path, monkeypa
         await pilot.press("escape")
         await until(pilot, lambda: app.screen is app.day_screen, "the list")
         (LOGS / "third" / "run.sqlite").write_text("spoiled meanwhile")
-        await pilot.press("c")
+        await pilot.press("=")
         await until(pilot, lambda: "is not a run file" in app.message, "the sentence")
         await pilot.press("space")
         await until(pilot, lambda: shown_text(app).count("●") == 1, "one mark is gone")
@@ -170,7 +170,7 @@ async def test_three_marked_runs_and_the_list_are_shown_as_a_fleet(logs: Path, m
             await pilot.press("space")
         await until(pilot, lambda: shown_text(app).count("●") == 3, "the marks")
         assert "3 runs are marked" in app.message
-        await pilot.press("c")
+        await pilot.press("=")
         await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history of the marked runs")
         await until(pilot, lambda: "not compared" in shown_text(app), "a word about runs without a calibration")
         await pilot.press("t")
@@ -207,10 +207,10 @@ async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")
-        await pilot.press("e")
+        await pilot.press("b")
         assert "was not interrupted" in app.message
         await go_to(pilot, app, "second")
-        await pilot.press("e")
+        await pilot.press("b")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the offer")
         await pilot.press("o")
         await until(pilot, lambda: app.workspace.folder == LOGS / "second", "the run")
@@ -230,7 +230,7 @@ async def test_a_run_is_replayed_at_a_speed(logs: Path, monkeypatch: pytest.Monk
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")
-        await pilot.press("y")
+        await pilot.press("v")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         await pilot.press("3")
         await until(pilot, lambda: started == [(LOGS / "first", "replay x100")], "the replay")

@@ -64,7 +64,7 @@ async def show_targets(pilot: Pilot[None], app: CellApp, run: Path | None, targe
 
 
 async def open_list(pilot: Pilot[None], app: CellApp, path: Path) -> None:
-    await pilot.press("i")
+    await pilot.press("o")
     await until(pilot, lambda: isinstance(app.screen, FilePicker), "the file picker")
     app.screen.query_one("#path", Input).value = str(path)
     await pilot.press("enter")
@@ -118,7 +118,7 @@ async def test_the_list_of_the_profile_with_what_the_run_says(finished_copy: Pat
         await pilot.press("t")
         await until(pilot, lambda: "noise floor" in shown_text(app), "the errors of the left arm")
         assert ("Arm right" in shown_text(app)) == (size != SMALL)
-        await pilot.press("a")
+        await pilot.press(".")
         await until(pilot, lambda: "No target was measured" in shown_text(app), "those of the right arm")
         await pilot.press("t")
         await until(pilot, lambda: "left, uncompensated" in shown_text(app), "the tables")
@@ -183,7 +183,7 @@ async def test_edits_are_not_left_without_a_question(few: Path) -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_targets(pilot, app, None, few)
-        await pilot.press("-", "i")
+        await pilot.press("-", "o")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         await pilot.press("k")
         assert app.screen is app.day_screen
@@ -220,14 +220,14 @@ async def test_what_is_missing_is_said_with_a_way_on(tmp_path: Path, few: Path) 
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_targets(pilot, app, None, few)
-        for key in ("b", "g", "v"):
+        for key in ("b", "P", "m"):
             app.say("")
             await pilot.press(key)
-            assert app.message.startswith("No run is open: plan one (key 2)")
+            assert app.message.startswith("No run is open: plan one (keys 2, b)")
         app.open_run(tmp_path / "run", TWIN)
         await until(pilot, lambda: app.workspace.results is not None, "the run")
         await pilot.press("b")
-        assert app.message.startswith("This run is not calibrated yet")
+        assert app.message.startswith("Not calibrated yet")
         assert not app.jobs.running
 
 
@@ -259,7 +259,7 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
         await pilot.press("ctrl+end", "-", "ctrl+home", "b")
         await until(pilot, lambda: column(app, 3) == ["in, predicted", "out, predicted"], "the predictions")
         await ended(pilot, app)
-        await pilot.press("v")
+        await pilot.press("m")
         await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the question")
         assert "arm left to 2 targets" in asked(app)
         assert "the arms are simulated" in asked(app)
@@ -269,9 +269,9 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
         app.screen.query_one("#iterate", Input).value = ""
         await pilot.press("b")
         await until(pilot, lambda: column(app, 3) == ["in, measured", "cannot say, measured"], "the verdicts")
-        await pilot.press("s")
+        await pilot.press("f")
         await until(pilot, lambda: column(app, 0) == ["left-02"], "what needs attention")
-        await pilot.press("s")
+        await pilot.press("f")
         await until(pilot, lambda: grid(app).row_count == 2, "all targets")
         assert "1 of 2 targets with a tolerance are out of it: left-02" in log_text(app)
         assert "out of date" not in heading(app)
@@ -300,7 +300,7 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
     async with app.run_test(size=SMALL) as pilot:
         await show_targets(pilot, app, finished_copy, few)
         for answer in ("enter", "u"):
-            await pilot.press("g")
+            await pilot.press("P")
             await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
             assert "'discover' is out of date (new readings)" in asked(app)
             await pilot.press(answer)

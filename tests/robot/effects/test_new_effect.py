@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.commands.discover.result import arm_result
 from cellapp.commands.discover.tables import accepted_table
-from cellapp.estimation.discovery.describe import Description
+from cellapp.estimation.discovery.accepted import accepted_effect, contradictions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import Discovery
-from cellapp.estimation.discovery.records import Contradiction, DiscoverResult, Noise
+from cellapp.estimation.discovery.records import Contradiction, DiscoverResult, Noise, Place, TermDescription
 from cellapp.estimation.discovery.sentences import remaining_structure
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectTerm, term_from_json, term_to_json
@@ -72,20 +71,19 @@ def discovery(plugin: None) -> Discovery:
 
 
 def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discovery: Discovery) -> None:
-    (accepted,) = discovery.accepted
-    assert (accepted.term.slug, accepted.joints) == (HOSE, (1, 2))
-    assert discovery.verdict == "explained"
+    ((accepted,), (term,)) = discovery.result.accepted, discovery.terms
+    assert (accepted.effect, term.slug, accepted.where.joints) == (HOSE, HOSE, (1, 2))
+    assert discovery.result.verdict == "explained"
     effect = EFFECTS[HOSE]
-    slack = accepted.term.law.constants["slack"]
+    slack = term.law.constants["slack"]
     nearest = min((0.6, 1.0, 1.6), key=lambda one: abs(one - TRUE_SLACK))
     assert abs(slack - TRUE_SLACK) < 0.02 < abs(nearest - TRUE_SLACK), "tuned off the grid"
-    pulls = dict(zip(accepted.term.names, accepted.term.values.tolist(), strict=True))
+    pulls = dict(zip(term.names, term.values.tolist(), strict=True))
     assert pulls["pull1"] == pytest.approx(TRUE_PULL[0], rel=0.05)
     assert pulls["pull2"] == pytest.approx(TRUE_PULL[1], rel=0.05)
-    result = arm_result(discovery)
-    assert result.accepted[0].meaning is not None
-    assert result.accepted[0].meaning.cause.startswith("The hose package at each of joints 1 and 2 is too short")
-    table = accepted_table("left", result)
+    assert accepted.meaning is not None
+    assert accepted.meaning.cause.startswith("The hose package at each of joints 1 and 2 is too short")
+    table = accepted_table("left", discovery.result)
     assert table is not None
     titles = [column.title for column in table.columns]
     (row,) = (dict(zip(titles, row, strict=True)) for row in table.rows)
@@ -95,36 +93,47 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
 
 @pytest.mark.fast
 def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discovery) -> None:
-    (accepted,) = discovery.accepted
+    ((accepted,), (its,)) = discovery.result.accepted, discovery.terms
     structure = remaining_structure({"joints": 0.4, "order": 0.02}, chance=0.01)
     form = form_without_bounds(EFFECTS["backlash"], EFFECTS["backlash"].form("constant"))
     sentence = "behaves like backlash of the opposite sign at joint 2: check the approach convention"
     term = EffectTerm(
         "unknown", ("half_play2",), np.array([-4e-5]), np.array([1e-6]), ("rad",), form.law(), note=sentence
     )
-    described = Description("joint 2", ("approach",), 31.4, "", None, (), f"{sentence}; 31 um rms at the SMR")
-    wrong = replace(accepted, term=term, joints=(2,), acts_on=("joint 2",), description=described)
-    modulation = Modulation(accepted.term.law_names[0], Variable(Quantity.PAYLOAD), 1, low=0.5, high=5.0)
+    described = TermDescription(
+        channel="joint 2",
+        variables=("approach",),
+        size_um=31.4,
+        formula="",
+        gain_over_curve=None,
+        sentence=f"{sentence}; 31 µm rms at the SMR",
+    )
+    second = Place(joints=(2,), acts_on=("joint 2",))
+    wrong = accepted_effect(term, second, accepted.evidence, 0.9, description=described)
+    modulation = Modulation(its.law_names[0], Variable(Quantity.PAYLOAD), 1, low=0.5, high=5.0)
     free = replace(
-        accepted.term,
-        names=(*accepted.term.law_names, modulation.name),
-        values=np.append(accepted.term.values[: len(accepted.term.law_names)], 1e-6),
-        standard_errors=np.append(accepted.term.standard_errors[: len(accepted.term.law_names)], 1e-7),
-        units=(*accepted.term.units[: len(accepted.term.law_names)], "rad"),
+        its,
+        names=(*its.law_names, modulation.name),
+        values=np.append(its.values[: len(its.law_names)], 1e-6),
+        standard_errors=np.append(its.standard_errors[: len(its.law_names)], 1e-7),
+        units=(*its.units[: len(its.law_names)], "rad"),
         modulations=(modulation,),
         law_misfit=0.12,
     )
-    found = replace(
-        discovery,
-        accepted=(replace(accepted, term=free, posterior=0.97), wrong),
-        noise_mm=Noise(rms=0.017, source="estimated"),
-        candidates={HOSE: 0.97, "backlash": 0.01},
-        structure=structure,
+    named = accepted_effect(free, accepted.where, accepted.evidence, 0.97)
+    found = discovery.result.model_copy(
+        update={
+            "accepted": (named, wrong),
+            "contradictions": contradictions((free, term), (named, wrong)),
+            "noise_mm": Noise(rms=0.017, source="estimated"),
+            "candidates": {HOSE: 0.97, "backlash": 0.01},
+            "structure": structure,
+        }
     )
-    written = DiscoverResult(arms={"left": arm_result(found)}).to_json()
+    written = DiscoverResult(arms={"left": found}).to_json()
     arm = DiscoverResult.from_json(written, "here").arms["left"]
     assert (arm.accepted[0].posterior, arm.accepted[0].law_misfit) == (0.97, 0.12)
-    assert tuple(arm.accepted[0].parameters) == accepted.term.law_names, "not those of the free part"
+    assert tuple(arm.accepted[0].parameters) == its.law_names, "not those of the free part"
     assert arm.accepted[0].meaning is not None
     assert arm.accepted[0].meaning.check == EFFECTS[HOSE].meaning.at("each of joints 1 and 2").check
     assert (arm.noise_mm, arm.candidates) == (found.noise_mm, found.candidates)
@@ -134,8 +143,8 @@ def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discov
     assert meaning is not None
     assert "Check the approach convention of the readings." in meaning.check
     assert "Measure 10 poses twice" in meaning.settle[0]
-    uncertain = replace(found, accepted=(replace(discovery.accepted[0], posterior=math.nan),))
-    assert arm_result(uncertain).accepted[0].posterior is None, "what was not computed is not claimed"
+    uncertain = accepted_effect(free, accepted.where, accepted.evidence, math.nan)
+    assert uncertain.posterior is None, "what was not computed is not claimed"
 
 
 def a_term() -> EffectTerm:

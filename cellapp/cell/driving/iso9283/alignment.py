@@ -17,6 +17,7 @@ from cellapp.cell.targets.choice import admissible_configurations
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.plan_forecast import nominal_model
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, parameter_names
@@ -109,8 +110,8 @@ def align(profile: Profile, name: str, q: Array, p_M: Array) -> Alignment:
     """
     if len(q) < FEWEST_POSITIONS:
         raise InputError(
-            f"iso9283: arm {name}: {len(q)} positions were measured to find its base and SMR, at least"
-            f" {FEWEST_POSITIONS} are needed; look for a covered SMR, or calibrate the cell first"
+            f"iso9283: arm {name}: {counted(len(q), 'position was', 'positions were')} measured to find its base"
+            f" and SMR, at least {FEWEST_POSITIONS} are needed; look for a covered SMR, or calibrate the cell first"
         )
     arm = profile.arms[name]
     start = start_from_nominal(nominal_arm(arm), q, p_M, tool_unknown=arm.smr.offset == "unknown")

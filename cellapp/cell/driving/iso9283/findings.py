@@ -17,8 +17,10 @@ from cellapp.estimation.iso9283.evaluate import (
     drift_characteristics,
     pose_characteristics,
 )
+from cellapp.estimation.iso9283.evaluate_compliance import compliance_characteristics
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, path_characteristics
 from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns, settling_characteristics
+from cellapp.estimation.iso9283.evaluate_weaving import WeavingRuns, weaving_characteristics
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import (
@@ -26,10 +28,13 @@ from cellapp.estimation.iso9283.records import (
     BaseAlignment,
     CommandedTests,
     IsoAbility,
+    LoadSeries,
     PairIso9283,
     PathCharacteristics,
+    PersonStep,
     SpeedSeries,
 )
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
@@ -54,7 +59,10 @@ class IsoFindings:
     paths: list[PathRuns] = field(default_factory=list)
     abilities: list[IsoAbility] = field(default_factory=list)
     also_speeds: tuple[float, ...] = ()
+    also_loads: tuple[float, ...] = ()
     settling: list[SettlingRuns] = field(default_factory=list)
+    weaving: list[WeavingRuns] = field(default_factory=list)
+    by_person: list[PersonStep] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
@@ -99,16 +107,22 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
         groups = found.measured.groups(place) or [0]
         n = min(len(found.measured.at(place, group)) for group in groups)
         if n < wanted:
-            words.append(f"{place}: {n} of {wanted} cycles: {found.missed.get(place, _ENDED)}")
+            words.append(f"{place}: {n} of {counted(wanted, 'cycle')}: {found.missed.get(place, _ENDED)}")
     for runs in found.paths:
         if (n := len(runs.tracks)) < runs.wanted:
             at = f", {runs.series:.0%} of the speed" if runs.series else ""
             where = f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}"
-            words.append(f"{where}: {n} of {runs.wanted} cycles: {'; '.join(runs.problems) or _ENDED}")
+            words.append(f"{where}: {n} of {counted(runs.wanted, 'cycle')}: {'; '.join(runs.problems) or _ENDED}")
+    for weaves in found.weaving:
+        if (n := len(weaves.tracks)) < weaves.wanted:
+            where = f"weaving of {weaves.arm}, {weaves.commands} commands"
+            words.append(f"{where}: {n} of {counted(weaves.wanted, 'cycle')}: {'; '.join(weaves.problems) or _ENDED}")
     for motions in found.settling:
         if (n := len(motions.tracks)) < motions.wanted:
             where = f"stabilisation of {motions.arm}, {motions.commands} commands"
-            words.append(f"{where}: {n} of {motions.wanted} motions: {'; '.join(motions.problems) or _ENDED}")
+            words.append(
+                f"{where}: {n} of {counted(motions.wanted, 'motion')}: {'; '.join(motions.problems) or _ENDED}"
+            )
     for name, refused in found.refused.items():
         if set(tests) - {"cooperative"} <= set(refused):
             words += [f"arm {name}: {reason}" for reason in dict.fromkeys(refused.values())]
@@ -129,6 +143,10 @@ def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.
         )
         for share in found.also_speeds
     ]
+    loads = [
+        LoadSeries(payload_kg=load, pose=pose_characteristics(arm, measured, base_M, rng, load_kg=load))
+        for load in found.also_loads
+    ]
     return CommandedTests(
         pose=pose_characteristics(arm, measured, base_M, rng),
         multidirectional=directional_characteristics(arm, measured, base_M, rng),
@@ -144,6 +162,16 @@ def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.
             None,
         ),
         series=tuple(one for one in series if one.pose or one.path),
+        loads=tuple(one for one in loads if one.pose),
+        weaving=next(
+            (
+                one
+                for runs in found.weaving
+                if (runs.arm, runs.commands) == (name, kind) and (one := weaving_characteristics(runs)) is not None
+            ),
+            None,
+        ),
+        compliance=compliance_characteristics(arm, measured, base_M),
     )
 
 

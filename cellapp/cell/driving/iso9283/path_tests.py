@@ -11,7 +11,14 @@ from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.following import INTERVAL_S, follow_and_track, run_up
 from cellapp.cell.driving.iso9283.findings import IsoFindings
 from cellapp.cell.driving.iso9283.instrument import mpe_factor
-from cellapp.cell.driving.iso9283.paths import corners_of, path_specs, places_along
+from cellapp.cell.driving.iso9283.paths import (
+    corners_of,
+    path_specs,
+    places_along,
+    weaving_axes,
+    weaving_spec,
+    weaving_turns,
+)
 from cellapp.cell.driving.motion import MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.targets.goals import goals_of_arm
@@ -19,6 +26,7 @@ from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.plan_path import PathPlan, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
+from cellapp.estimation.iso9283.evaluate_weaving import WeavingRuns
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
@@ -27,6 +35,9 @@ from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.timing import Trajectory
 from drivers.arms.protocol import PathFollower
 from drivers.trackers.protocol import StreamingTracker, TrackerError
+
+_CLOSE = 2000
+"""Points of the commanded zigzag."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +73,8 @@ class PathTests:
                 reason = self._drive(spec, plan, kind)
                 if reason:
                     self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {reason}")
+        if not self.series:
+            self._weave(name, commands, arm.path_period_s)
 
     @property
     def _interval_s(self) -> float:
@@ -76,17 +89,55 @@ class PathTests:
             return f"the driver of arm {name} cannot follow a stream of joint positions"
         return ""
 
+    def _weave(self, name: str, commands: tuple[IsoCommands, ...], period_s: float) -> None:
+        """Drive a line with weaving over all cycles with each kind of commands; why not is kept."""
+        cube = self.findings.cubes[name]
+        spec = weaving_spec(name, cube, self.speed_share)
+        plan = plan_path(self.profile, self.model, spec, period_s)
+        for kind in commands:
+            chosen = _chosen(plan, kind)
+            if isinstance(chosen, str):
+                self.findings.refuse(name, ["path"], f"{spec.name}, {kind} commands: {chosen}")
+                continue
+            trajectory, path = chosen
+            arm = self.model.arms[name]
+            base_M = (arm.nominal if kind == "nominal" else arm.geometry).T_M_B()[:3, :3]
+            along, across = weaving_axes(cube)
+            runs = WeavingRuns(
+                arm=name,
+                commands=kind,
+                speed=spec.speed,
+                commanded_M=path.positions(np.linspace(0.0, path.length, _CLOSE)),
+                along_M=base_M @ along,
+                across_M=base_M @ across,
+                turns=weaving_turns(cube),
+                tracker=self._tracker_at(path),
+                wanted=self.cycles,
+                slowed=trajectory.slowed,
+            )
+            self.findings.weaving.append(runs)
+            self._repeat(runs, name, trajectory, path)
+
+    def _tracker_at(self, path: CartesianPath) -> Array:
+        """Covariance (3, 3) of a point at the beginning of a path [m^2]."""
+        start_M = path.positions(np.zeros(1))
+        return np.asarray(mpe_factor(self.profile) * tracker_covariance(self.profile.tracker, start_M)[0])
+
+    def _repeat(self, runs: PathRuns | WeavingRuns, name: str, trajectory: Trajectory, path: CartesianPath) -> None:
+        """Drive a path once for each cycle; why fewer were driven is kept."""
+        try:
+            for _ in range(self.cycles):
+                self.hold()
+                runs.tracks.append(self._run(name, trajectory, path))
+        except (MotionRefused, TrackerError) as error:
+            runs.problems.append(str(error))
+
     def _drive(self, spec: PathSpec, plan: PathPlan, kind: IsoCommands) -> str:
         """Drive one path over all cycles; return why not, empty if it was driven."""
-        if plan.refusal:
-            return plan.refusal
-        trajectory, path = plan.trajectory, plan.path
-        if kind == "nominal":
-            trajectory, path = plan.nominal, plan.nominal_path
-        if trajectory is None or path is None:
-            return "the published geometry cannot be driven along it"
-        if plan.unseen_m is not None:
-            return f"the tracker does not see the SMR at {plan.unseen_m * 1e3:.0f} mm"
+        chosen = _chosen(plan, kind)
+        if isinstance(chosen, str):
+            return chosen
+        trajectory, path = chosen
         s, commanded, tangents = places_along(path)
         programme = self.findings.programmes.get((spec.arm, kind))
         runs = PathRuns(
@@ -99,7 +150,7 @@ class PathTests:
             tangents_M=tangents,
             s=s,
             tracks=[],
-            tracker=mpe_factor(self.profile) * tracker_covariance(self.profile.tracker, path.positions(np.zeros(1)))[0],
+            tracker=self._tracker_at(path),
             frame=np.zeros((3, 3)) if programme is None else programme.frame["P1"],
             wanted=self.cycles,
             corners=corners_of(spec, _poses_M(self.model, spec, kind)),
@@ -107,12 +158,7 @@ class PathTests:
             series=self.series,
         )
         self.findings.paths.append(runs)
-        try:
-            for _ in range(self.cycles):
-                self.hold()
-                runs.tracks.append(self._run(spec.arm, trajectory, path))
-        except (MotionRefused, TrackerError) as error:
-            runs.problems.append(str(error))
+        self._repeat(runs, spec.arm, trajectory, path)
         return ""
 
     def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> PathTrack:
@@ -123,6 +169,20 @@ class PathTests:
         track, _ = follow_and_track(self.cell, self.mover, self.reaction, name, trajectory, start_M, self._interval_s)
         assert track is not None
         return PathTrack(track.time_s, track.p_M)
+
+
+def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPath] | str:
+    """What is driven with one kind of commands, or why nothing is."""
+    if plan.refusal:
+        return plan.refusal
+    trajectory, path = plan.trajectory, plan.path
+    if kind == "nominal":
+        trajectory, path = plan.nominal, plan.nominal_path
+    if trajectory is None or path is None:
+        return "the published geometry cannot be driven along it"
+    if plan.unseen_m is not None:
+        return f"the tracker does not see the SMR at {plan.unseen_m * 1e3:.0f} mm"
+    return trajectory, path
 
 
 def _poses_M(model: CellModel, spec: PathSpec, kind: IsoCommands) -> Array:

@@ -16,7 +16,8 @@ from cellapp.estimation.iso9283.cube import (
     circle_positions,
     rectangle_positions,
 )
-from cellapp.robot.kinematics.transforms import Array, xyz_of, zyx_angles
+from cellapp.estimation.iso9283.norm import REORIENTED_LINE
+from cellapp.robot.kinematics.transforms import Array, rotation_zyx, xyz_of, zyx_angles
 from cellapp.robot.paths.cartesian import CartesianPath
 
 PATH_SPEED = 0.25
@@ -33,8 +34,18 @@ _BLEND_SHARE = 0.1
 _REACH_SHARE = 0.4
 """How far from a corner points belong to it, as share of the rectangle's shorter side."""
 
+_REORIENTED_RAD = float(np.radians(20.0))
+"""By how much the flange turns about its own axis along a line with reorientation."""
+_WEAVING_SPEED = 0.05
+"""Of the SMR along the zigzag at 100 % [m/s]: an arm that swings several times a second cuts its turns."""
+_WAVES = 5
+_WAVE_SHARE, _STROKE_SHARE = 0.08, 0.06
+"""Length of a wave and its height from one side to the other, as shares of the cube's edge."""
+_TURN_BLEND = 0.25
+"""Where the turns of a zigzag are rounded, as share of its legs."""
+
 LINE, RECTANGLE, ROUNDED = "line P2 to P4", "rectangle", "rectangle, rounded corners"
-LARGE, SMALL = "large circle", "small circle"
+LARGE, SMALL, WEAVING = "large circle", "small circle", "weaving"
 
 
 def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec] | str:
@@ -52,11 +63,48 @@ def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec
         ROUNDED: _straight(sides, rpy, blend),
         LARGE: _round(circle_positions(at, cube.edge, LARGE_CIRCLE), rpy),
         SMALL: _round(circle_positions(at, cube.edge, SMALL_CIRCLE), rpy),
+        REORIENTED_LINE: _reoriented(at["P2"], at["P4"], cube.rotation_B),
     }
     return [
         PathSpec(name=words, arm=name, tolerance=_TOLERANCE_M, speed=PATH_SPEED * speed_share, poses=poses)
         for words, poses in shapes.items()
     ]
+
+
+def weaving_spec(name: str, cube: ChosenCube, speed_share: float) -> PathSpec:
+    """A line with weaving about P1 in the plane of the poses, from P2 towards P4."""
+    yaw, pitch, roll = zyx_angles(cube.rotation_B)
+    along, across = weaving_axes(cube)
+    half = 0.5 * _WAVE_SHARE * cube.edge
+    legs = np.arange(2 * _WAVES + 1)
+    points = (
+        cube.position_B["P1"]
+        + np.outer((legs - _WAVES) * half, along)
+        + np.outer(0.5 * _STROKE_SHARE * cube.edge * np.where(legs % 2 == 1, 1.0, -1.0), across)
+    )
+    blend = _TURN_BLEND * float(np.hypot(half, _STROKE_SHARE * cube.edge))
+    return PathSpec(
+        name=WEAVING,
+        arm=name,
+        tolerance=_TOLERANCE_M,
+        speed=_WEAVING_SPEED * speed_share,
+        poses=_straight(points, (roll, pitch, yaw), blend),
+    )
+
+
+def weaving_axes(cube: ChosenCube) -> tuple[Array, Array]:
+    """Unit vectors of the line and of the weaving in the arm's base; both lie in the plane of the poses."""
+    at = cube.position_B
+    along = at["P4"] - at["P2"]
+    along = along / np.linalg.norm(along)
+    across = at["P5"] - at["P3"]
+    across = across - (across @ along) * along
+    return along, across / np.linalg.norm(across)
+
+
+def weaving_turns(cube: ChosenCube) -> Array:
+    """How far along the line each turn is, from the beginning of the zigzag [m]; without its ends."""
+    return 0.5 * _WAVE_SHARE * cube.edge * np.arange(1.0, 2.0 * _WAVES)
 
 
 def places_along(path: CartesianPath) -> tuple[Array, Array, Array]:
@@ -95,6 +143,15 @@ def _straight(
         PathPose(position=xyz_of(point), rpy=rpy if k == 0 else None, blend=blend if 0 < k < last else 0.0)
         for k, point in enumerate(points)
     )
+
+
+def _reoriented(start: Array, end: Array, rotation_B: Array) -> tuple[PathPose, ...]:
+    turned = rotation_B @ rotation_zyx(_REORIENTED_RAD, 0.0, 0.0)
+    poses = []
+    for position, rotation in ((start, rotation_B), (end, turned)):
+        yaw, pitch, roll = zyx_angles(rotation)
+        poses.append(PathPose(position=xyz_of(position), rpy=(roll, pitch, yaw)))
+    return tuple(poses)
 
 
 def _round(points: Array, rpy: tuple[float, float, float]) -> tuple[PathPose, ...]:

@@ -17,6 +17,7 @@ from cellapp.cell.driving.iso9283.alignment import align, alignment_configuratio
 from cellapp.cell.driving.iso9283.chosen_cube import choose_cube, same_cube
 from cellapp.cell.driving.iso9283.commands import arm_programme
 from cellapp.cell.driving.iso9283.findings import IsoFindings
+from cellapp.cell.driving.iso9283.hands import Hands
 from cellapp.cell.driving.iso9283.instrument import abilities, mpe_factor
 from cellapp.cell.driving.iso9283.path_tests import PathTests
 from cellapp.cell.driving.iso9283.programme import (
@@ -36,17 +37,18 @@ from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, Gate
+from cellapp.cell.safety.gate import CellBodies, remembered
 from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.cube import POSES
 from cellapp.estimation.iso9283.evaluate import Measured
+from cellapp.estimation.iso9283.evaluate_compliance import POSE
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
+from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import IsoCube
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Notice, Progress, ignore
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.protocol import NotReady, Point, TrackerError
 
@@ -65,7 +67,8 @@ class IsoTask:
 
     ``profile`` has the tracker of a simulated cell where it stands. ``model`` is the calibrated one; without it base
     and SMR of each arm are found first. ``cycles`` are asked for, ``speed`` is the share of the profile's speed,
-    ``drift_s`` how long drift is observed. Pose and path tests are repeated at ``also_speeds``.
+    ``drift_s`` how long drift is observed. Pose and path tests are repeated at ``also_speeds``, pose tests with the
+    payloads ``also_loads`` [kg]; static compliance is tested under ``forces`` [N].
     ``cubes`` are those of an earlier test, by arm: an arm without one gets its own.
     """
 
@@ -78,6 +81,8 @@ class IsoTask:
     speed: float
     drift_s: float
     also_speeds: tuple[float, ...] = ()
+    also_loads: tuple[float, ...] = ()
+    forces: tuple[float, ...] = ()
     cubes: Mapping[str, IsoCube] = field(default_factory=dict)
 
 
@@ -129,19 +134,6 @@ def drive_tests(
     listener(Progress("iso9283", session.total, session.total, "done"))
 
 
-def remembered(gate: Gate) -> Gate:
-    """A gate that answers for the same bodies, from and to exactly the same positions, as it did before."""
-    known: dict[tuple[object, ...], tuple[CellBodies, str]] = {}
-
-    def answer(cell: CellBodies, start: Mapping[str, Array], end: Mapping[str, Array]) -> str:
-        key = (id(cell), *((name, q.tobytes()) for ends in (start, end) for name, q in ends.items()))
-        if key not in known:
-            known[key] = cell, gate(cell, start, end)  # the bodies are kept, so that no others get their id
-        return known[key][1]
-
-    return answer
-
-
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
@@ -182,7 +174,7 @@ class _Session:
                 self.listener(Progress("find base", done, len(q), f"arm {name}"))
                 self._hold()
                 try:
-                    state = self.driver.to([name], _command(target), {})[name]
+                    state = self.driver.to([name], lambda name, start, target=target: target, {})[name]
                     points.append(self._at_rest(name, state.q).p_M)
                     reached.append(state.q)
                 except (MotionRefused, TrackerError) as error:
@@ -206,16 +198,7 @@ class _Session:
                 continue
             found.cubes[name] = chosen
             for kind in self.task.commands:
-                programme = arm_programme(
-                    model,
-                    name,
-                    chosen,
-                    kind,
-                    self.homes,
-                    rested_s=DWELL_S + 0.5 * profile.tracker.averaging,
-                    payload_kg=profile.arms[name].payload.mass,
-                    alignment=found.alignments.get(name),
-                )
+                programme = self._programme(name, kind, profile.arms[name].payload.mass)
                 if isinstance(programme, str):
                     found.notes.append(f"arm {name}: no {kind} commands: {programme}")
                 else:
@@ -227,6 +210,20 @@ class _Session:
                 found.notes.append(
                     f"arms {first} and {second}: {len(pairs)} of {len(POSES)} pairs of poses can be measured"
                 )
+
+    def _programme(self, name: str, kind: IsoCommands, payload_kg: float) -> ArmProgramme | str:
+        """What an arm is commanded to in its cube with a payload, or why it cannot be."""
+        assert self.findings.model is not None
+        return arm_programme(
+            self.findings.model,
+            name,
+            self.findings.cubes[name],
+            kind,
+            self.homes,
+            rested_s=DWELL_S + 0.5 * self.task.profile.tracker.averaging,
+            payload_kg=payload_kg,
+            alignment=self.findings.alignments.get(name),
+        )
 
     def say_what_can_be_told(self) -> None:
         """Compare the tolerances with what the tracker can tell from here; say where it cannot tell them."""
@@ -244,10 +241,11 @@ class _Session:
         if self.task.profile.moves_hardware:
             self._rehearse()
         self.mover.speed = self.task.speed
-        self.findings.also_speeds = self.task.also_speeds
+        self.findings.also_speeds, self.findings.also_loads = self.task.also_speeds, self.task.also_loads
         visits = self._visits()
         series = {share: self._poses_at(share) for share in self.task.also_speeds}
-        self.total = max(len(visits) + sum(map(len, series.values())), 1)
+        loads = [(load, name, self._poses_with(load, name)) for load in self.task.also_loads for name in self._tested()]
+        self.total = max(len(visits) + sum(map(len, series.values())) + sum(len(own) for *_, own in loads), 1)
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
@@ -261,6 +259,38 @@ class _Session:
             self._visit_all(own)
             if "path" in tests:
                 self._paths(share, share)
+        self.mover.speed = self.task.speed
+        self._by_hand(loads)
+
+    def _by_hand(self, loads: Sequence[tuple[float, str, Sequence[Visit]]]) -> None:
+        """The tests for which a person does something at an arm: other loads, forces on the flange."""
+        cycles = wanted_cycles("compliance", self.task.cycles)
+        hands = Hands(self.cell, self.findings, self.control, self.listener, self._hold, cycles)
+        for load, name, visits in loads:
+            self.mover.go_home()
+            if hands.hang(name, load):
+                self._visit_all(visits)
+        if loads:
+            self.mover.go_home()
+            for name in self._tested():
+                hands.hang(name, self.task.profile.arms[name].payload.mass)
+        for name in self._tested() if "compliance" in self.task.tests else ():
+            self.mover.go_home()
+            programme = self._last_programme(name)
+            if programme is None:
+                continue
+            self._visit(Visit({name: programme.q[POSE, "P2"]}, None, 0))
+            hands.under_forces(programme, self.task.forces, self._measure_here)
+            self.mover.go_home([name])
+
+    def _tested(self) -> list[str]:
+        """The arms with a cube."""
+        return list(self.findings.cubes)
+
+    def _last_programme(self, name: str) -> ArmProgramme | None:
+        """The commands of an arm by the calibrated model where there are some."""
+        kinds = [kind for kind in self.task.commands if (name, kind) in self.findings.programmes]
+        return self.findings.programmes[name, kinds[-1]] if kinds else None
 
     def _settling(self) -> None:
         """How each arm comes to rest, the others at home."""
@@ -293,6 +323,18 @@ class _Session:
             for programme in self.findings.programmes.values()
             for visit in pose_visits(programme, self.task.cycles, share)
         ]
+        self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
+        return found
+
+    def _poses_with(self, load_kg: float, name: str) -> list[Visit]:
+        """The pose test of an arm with another payload."""
+        found: list[Visit] = []
+        for kind in self.task.commands if "pose" in self.task.tests else ():
+            programme = self._programme(name, kind, load_kg)
+            if isinstance(programme, str):
+                self.findings.notes.append(f"arm {name}: no {kind} commands with {load_kg:g} kg: {programme}")
+            else:
+                found += pose_visits(programme, self.task.cycles, load_kg=load_kg)
         self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
         return found
 
@@ -350,10 +392,9 @@ class _Session:
 
     def _drift(self, name: str) -> None:
         """Groups of cycles over the time asked for; in between the arm moves as in the cycles."""
-        kind = next((kind for kind in reversed(self.task.commands) if (name, kind) in self.findings.programmes), None)
-        if kind is None:
+        programme = self._last_programme(name)
+        if programme is None:
             return
-        programme = self.findings.programmes[name, kind]
         cycles, limit_s = wanted_cycles("drift", self.task.cycles), self.task.drift_s
         self.findings.wanted[programme.place("drift", "P1")] = cycles
         began_s, group = self.cell.clock.now_s(), 0
@@ -385,8 +426,12 @@ class _Session:
             _raise_if_not_ready(error)
             self._miss(visit, str(error))
             return
+        self._keep(visit, points, group)
+
+    def _keep(self, visit: Visit, points: Mapping[str, Point], group: int) -> None:
         self._missed = 0
-        first, share = points[names[0]], mpe_factor(self.task.profile)
+        assert visit.place is not None
+        first, share = points[visit.place.arms[0]], mpe_factor(self.task.profile)
         self.findings.measured.visits.append(
             Measured(
                 place=visit.place,
@@ -398,6 +443,18 @@ class _Session:
                 group=group,
             )
         )
+
+    def _measure_here(self, place: Place, cycle: int, group: int) -> None:
+        """Measure an arm where it stands: a person may have hands on it, and it must not move."""
+        self._hold()
+        (name,) = place.arms
+        try:
+            points = {name: self._at_rest(name, self.mover.positions()[name])}
+        except TrackerError as error:
+            _raise_if_not_ready(error)
+            self._miss(Visit({}, place, cycle), str(error))
+            return
+        self._keep(Visit({}, place, cycle), points, group)
 
     def _at_rest(self, name: str, q: Vector) -> Point:
         self.mover.rest(name, DWELL_S, self.control)
@@ -415,10 +472,6 @@ class _Session:
 
     def _hold(self) -> None:
         hold_while_paused(self.cell, self.control, self.reaction)
-
-
-def _command(target: Vector) -> Callable[[str, Vector], Vector]:
-    return lambda name, start: target
 
 
 def _raise_if_not_ready(error: Exception) -> None:

@@ -150,7 +150,7 @@ class ArmHypotheses:
         """From the outcome of discovery in the arm's readings."""
         arm = profile.arms[name]
         rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
-        rows = rows[~np.isin(readings.configuration[rows], discovery.left_out)]
+        rows = rows[~np.isin(readings.configuration[rows], discovery.result.left_out_configurations)]
         geometry_only = ArmData.of(profile, model.arms[name], readings.take(rows), conditions.take(rows))
         data, fit = refitted_discovery(geometry_only, discovery)
         others = [(other, model.arms[other]) for other in model.arms if other != name]

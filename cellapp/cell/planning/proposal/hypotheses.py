@@ -114,7 +114,7 @@ def _bound_precision(column: EffectColumn) -> float:
 
 def refitted_discovery(data: ArmData, discovery: Discovery) -> tuple[ArmData, JointFit]:
     """The fit of what discovery accepted, with its weights, as its search left it."""
-    terms = tuple(_model_term(effect.term, discovery.scatter_m) for effect in discovery.accepted)
+    terms = tuple(_model_term(term, discovery.scatter_m) for term in discovery.terms)
     return refit(data, terms)
 
 

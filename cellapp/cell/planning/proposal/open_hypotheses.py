@@ -36,9 +36,9 @@ def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: 
     Accepted effects against those that the data cannot distinguish from them; else against their declared look-alikes;
     else, and where nothing was accepted, the effects that are hardest to see.
     """
-    least = discovery.threshold
+    least = discovery.result.threshold
     found: list[Hypothesis] = []
-    for number, effect in enumerate(discovery.accepted):
+    for number, effect in enumerate(discovery.result.accepted):
         for slug in effect.answer_set[1:]:
             found += _hypotheses_against(data, fit, number, slug, least, joined)
             found += _swapped_hypotheses(data, fit, number, slug, least, joined)
@@ -97,9 +97,9 @@ def _swapped_hypotheses(
 
 def _faint_effects(data: ArmData, fit: JointFit, discovery: Discovery, joined: EffectContext) -> list[Hypothesis]:
     """The effects of which this plan shows least, and those it cannot show because a factor did not vary."""
-    faint = sorted(discovery.not_found, key=lambda entry: entry.visible_share or 0.0)
+    faint = sorted(discovery.result.not_found, key=lambda entry: entry.visible_share or 0.0)
     slugs = [entry.effect for entry in faint[:_MOST_FAINT]]
-    for entry in discovery.invisible:
+    for entry in discovery.result.invisible:
         effect = EFFECTS[entry.effect]
         if effect.variables & _VARIABLE_CONDITIONS and effect.missing_data(data.context):
             slugs.append(effect.slug)
@@ -113,7 +113,7 @@ def _faint_effects(data: ArmData, fit: JointFit, discovery: Discovery, joined: E
         columns = [column for column in data.columns(slug, law) if column.name in further][:_MOST_COLUMNS]
         if not columns:
             continue
-        needed = discovery.threshold + math.log(3 * len(data)) + choice_price(law)
+        needed = discovery.result.threshold + math.log(3 * len(data)) + choice_price(law)
         sizes = np.diag([_signal_size(fit, column, further[column.name], needed) for column in columns])
         names = tuple(column.name for column in columns)
         found.append(Hypothesis(slug, "", needed, data, fit, None, law, names, sizes))

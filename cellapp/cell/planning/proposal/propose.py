@@ -15,6 +15,7 @@ from cellapp.cell.planning.stop_conditions import StopConditions
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.readings import Readings
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
@@ -91,7 +92,7 @@ def propose_stops(
     if not chosen:
         raise InputError("propose: the gate refused every candidate; make plan.clearance smaller, or move the bases")
     if len(chosen) < count:
-        notes.append(f"only {len(chosen)} of {count} stops: the gate refused the other candidates")
+        notes.append(f"only {len(chosen)} of {counted(count, 'stop')}: the gate refused the other candidates")
     predictions: list[PredictedDiscrimination] = []
     advice: list[str] = []
     for number, arm in enumerate(arms):

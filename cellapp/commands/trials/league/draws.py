@@ -104,8 +104,8 @@ def run_draw(entrant: Entrant, task: DrawTask) -> LeagueDraw:
             group: _score({name: off[some] for name, off in left.items()}, sd[some])
             for group, some in rows.held_out.items()
         },
-        names=tuple(effect.term.slug for effect in found.accepted),
-        verdict=found.verdict,
+        names=tuple(effect.effect for effect in found.result.accepted),
+        verdict=found.result.verdict,
         seconds=seconds,
     )
 

@@ -15,6 +15,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import read_readings_csv
 from cellapp.cell.run.csv_import import joint_limits
 from cellapp.estimation.readings import Readings
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Record
@@ -178,7 +179,8 @@ def draw_rows(entrant: Entrant, rows: Rows, seed: int, learnable: int | None = N
     first_held_out = max(count, learnable or 0)
     if first_held_out > len(pool) or (first_held_out == len(pool) and not len(published)):
         raise InputError(
-            f"--rows: series {entrant.name} has {len(pool)} rows to learn from; ask for fewer than {count}, or for all"
+            f"--rows: series {entrant.name} has {counted(len(pool), 'row')} to learn from; ask for fewer than"
+            f" {count}, or for all"
         )
     others = np.sort(order[first_held_out:])
     groups: dict[Group, NDArray[np.intp]] = {"all": np.concatenate([others, published])}

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from cellapp.commands.trials.league.series import SERIES
 from cellapp.commands.trials.league.trial import CURVE_SERIES, LeagueLine, LeagueResult, bar_words
-from cellapp.commands.trials.skeleton import table_of
-from cellapp.commands.view.table import Number, Table
+from cellapp.commands.view.table import Number, Table, table_of
+from cellapp.ground.counting import counted
 
 _MM = ".4f"
 
@@ -27,7 +27,8 @@ def league_sentences(result: LeagueResult) -> list[str]:
     names = dict.fromkeys(line.series for line in result.lines)
     titles = ", ".join(f"{name}: {SERIES[name].title}" for name in names)
     said = [
-        f"{titles}; approach and step follow from the order of the rows. Errors are means over {result.seeds} draws of"
+        f"{titles}; approach and step follow from the order of the rows. Errors are means over"
+        f" {counted(result.seeds, 'draw')} of"
         " the rows learned from; worst: the worst draw over that mean; in 95 %: share of held-out coordinates within"
         " the interval that is stated for them; names: in how many draws discovery accepted the effect."
     ]

@@ -10,10 +10,11 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.commands.trials.league.draws import DRAWS, DrawTask, HeldOutScore, LeagueDraw
+from cellapp.commands.trials.league.draws import DRAWS, DrawTask, LeagueDraw
 from cellapp.commands.trials.league.series import SERIES, Entrant, Group, Rows, draw_rows, parse_entrants, series_texts
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
 
@@ -26,6 +27,9 @@ _BAR_ROWS: Rows = 300
 _MOST_ABOVE_MEAN = 1.15
 _WITHIN_95 = (0.90, 0.98)
 """Share of measured coordinates that stated 95 % intervals must hold."""
+
+
+BarKind = Literal["held-out error [mm]", "worst draw to mean", "within 95 %"]
 
 
 class LeagueLine(Record):
@@ -74,7 +78,7 @@ class LeagueBar(Record):
 
     series: str
     rows: Rows
-    what: Literal["held-out error [mm]", "worst draw to mean", "within 95 %"]
+    what: BarKind
     least: float | None
     most: float
     reached: float
@@ -204,9 +208,7 @@ def _curve_tasks(seeds: int) -> list[DrawTask]:
 
 
 def _lines(draws: Sequence[LeagueDraw]) -> tuple[LeagueLine, ...]:
-    by_size: dict[tuple[str, Rows], list[LeagueDraw]] = {}
-    for draw in draws:
-        by_size.setdefault((draw.series, draw.rows), []).append(draw)
+    by_size = grouped(((draw.series, draw.rows), draw) for draw in draws)
     return tuple(_line(some, group) for some in by_size.values() for group in some[0].scores)
 
 
@@ -227,17 +229,13 @@ def _line(draws: Sequence[LeagueDraw], group: Group) -> LeagueLine:
         network_mm=float(np.mean(networks)) if networks else None,
         discovery_mm=float(np.mean(errors)),
         worst_to_mean=max(errors) / float(np.mean(errors)),
-        within_95=_share(scores),
+        within_95=float(np.average([score.within_95 for score in scores], weights=[score.n for score in scores])),
         names=dict(Counter(name for draw in draws for name in dict.fromkeys(draw.names)).most_common()),
         verdicts=dict(Counter(draw.verdict for draw in draws).most_common()),
         seconds_median=float(np.median(seconds)),
         seconds_worst=max(seconds),
         published_mm=SERIES[first.series].published_mm if group == "published" else None,
     )
-
-
-def _share(scores: Sequence[HeldOutScore]) -> float:
-    return float(np.average([score.within_95 for score in scores], weights=[score.n for score in scores]))
 
 
 def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
@@ -258,7 +256,7 @@ def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
 
 def _bar(
     line: LeagueLine,
-    what: Literal["held-out error [mm]", "worst draw to mean", "within 95 %"],
+    what: BarKind,
     least: float | None,
     most: float,
     reached: float,

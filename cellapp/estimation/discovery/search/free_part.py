@@ -31,6 +31,7 @@ from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
 from cellapp.estimation.discovery.terms import ModelTerm, with_term
+from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EffectColumn
 from cellapp.robot.effects.modulation import HALF_CYCLES, HARMONICS, OWN_HALF_CYCLES, Modulation, closes, modulations
 from cellapp.robot.kinematics.transforms import Array
@@ -86,9 +87,10 @@ def _sizes(fit: JointFit, number: int) -> dict[str, float]:
     """
     columns = fit.term_columns(number)
     errors = fit.identification.standard_errors[fit.layout.parameters(number)].tolist()
-    squares: dict[tuple[str, str], list[float]] = {}
-    for column, value, error in zip(columns, fit.term_values(number).tolist(), errors, strict=True):
-        squares.setdefault((column.block, column.unit), []).append(max(value**2 - error**2, 0.0))
+    squares = grouped(
+        ((column.block, column.unit), max(value**2 - error**2, 0.0))
+        for column, value, error in zip(columns, fit.term_values(number).tolist(), errors, strict=True)
+    )
     return {column.name: math.sqrt(float(np.mean(squares[column.block, column.unit]))) for column in columns}
 
 

@@ -18,6 +18,7 @@ from cellapp.estimation.discovery.search.review import term_score
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
 from cellapp.estimation.discovery.terms import ModelTerm, with_term, without_term
+from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.periodic import CURVE, LINES, curve_prior
 from cellapp.robot.effects.smooth import CYCLES
@@ -136,9 +137,7 @@ def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int
 def _confirmed_lines(state: SearchState, score: LawScore) -> list[str]:
     """Names of the chosen columns whose line predicts left-out readings clearly better."""
     candidate = score.candidate
-    lines: dict[str, list[int]] = {}
-    for place in score.chosen:
-        lines.setdefault(candidate.columns[place].block, []).append(place)
+    lines = grouped((candidate.columns[place].block, place) for place in score.chosen)
     return [
         candidate.columns[place].name
         for places in lines.values()

@@ -10,11 +10,13 @@ from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.candidates import LawScore, best_law_of_each_effect
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
+from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.bounds import possible_score
 from cellapp.estimation.discovery.search.comparison import floor_reached
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
-from cellapp.estimation.discovery.search.state import SCORE_MARGIN, Review, Rival, SearchProblem, SearchState
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, Review, SearchProblem, SearchState
 from cellapp.estimation.discovery.terms import UNKNOWN, without_term
+from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS, DriverVariable
 from cellapp.robot.effects.periodic import LINES
 
@@ -28,7 +30,7 @@ def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
     dropped = list(state.dropped)
     while True:
         problem.cancel.check()
-        problem.say(f"review of {len(state.fit.terms)} effects")
+        problem.say(f"review of {counted(len(state.fit.terms), 'effect')}")
         out = _weakest(problem, state)
         if out is None:
             out = _rest_of_a_law(state)
@@ -85,7 +87,11 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
     scan = LawScan.of(fit.candidates(state.data, others), residual.projector)
     best = best_law_of_each_effect(scan.ranked(residual))
     rivals = [
-        Rival(rival.slug, rival.value, _explains_beside(problem, fit, number, rival))
+        RunnerUp(
+            effect=rival.slug,
+            statistic=rival.value,
+            distinguishable=_explains_beside(problem, fit, number, rival),
+        )
         for rival in best
         if rival.value > max(score - SCORE_MARGIN, 0.0)
     ]

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_norms, visible_root
-from cellapp.estimation.discovery.candidates import Block, CandidateLaw, LawScore
+from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
 from cellapp.estimation.discovery.projected_residual import MOST_SHARE, ProjectedResidual
 from cellapp.estimation.discovery.search.block_selection import BlockSelection
+from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import Law
 from cellapp.robot.kinematics.transforms import Array
 
@@ -79,11 +80,12 @@ class LawScan:
         rows = np.concatenate([one.rows for one in candidates]) if candidates else np.zeros((0, len(projector.basis)))
         projected = projector.project(rows)
         norms = np.maximum(np.linalg.norm(rows, axis=1), SMALLEST)
-        by_size: dict[int, list[tuple[int, Block]]] = {}
-        for number, one in enumerate(candidates):
-            for block in one.blocks:
-                if not one.refines(block):
-                    by_size.setdefault(len(block), []).append((number, block))
+        by_size = grouped(
+            (len(block), (number, block))
+            for number, one in enumerate(candidates)
+            for block in one.blocks
+            if not one.refines(block)
+        )
         groups = []
         for entries in by_size.values():
             owner = np.array([number for number, _ in entries], dtype=np.intp)
@@ -119,10 +121,11 @@ class LawScan:
         each effect only the laws with the best single blocks are selected in full.
         """
         ahead = self.best_block_scores(residual.projected[:, None], np.array([residual.square]))[:, 0]
-        by_slug: dict[str, list[int]] = {}
-        for number in np.argsort(-ahead, kind="stable").tolist():
-            if np.isfinite(ahead[number]):
-                by_slug.setdefault(self.candidates[number].slug, []).append(number)
+        by_slug = grouped(
+            (self.candidates[number].slug, number)
+            for number in np.argsort(-ahead, kind="stable").tolist()
+            if np.isfinite(ahead[number])
+        )
         numbers = [number for of_effect in by_slug.values() for number in of_effect[:_MOST_LAWS]]
         found = [self.score(number, residual, with_refinements=with_refinements) for number in numbers]
         return sorted((one for one in found if one is not None), key=lambda score: -score.value)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, refit
+from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import corrected_p_value
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm, ModelTerms
@@ -89,18 +90,6 @@ class SearchProblem:
 
 
 @dataclass(frozen=True)
-class Rival:
-    """Another effect that scores near an accepted one in its place.
-
-    ``distinguishable``: the accepted effect still explains something beside the rival.
-    """
-
-    slug: str
-    score: float
-    distinguishable: bool
-
-
-@dataclass(frozen=True)
 class Review:
     """Score of an accepted term beside all others, and the effects that could take its place.
 
@@ -110,7 +99,7 @@ class Review:
     term: ModelTerm
     score: float
     p_value: float
-    rivals: tuple[Rival, ...]
+    rivals: tuple[RunnerUp, ...]
     alternatives: Mapping[str, float] = field(default_factory=dict)
 
 

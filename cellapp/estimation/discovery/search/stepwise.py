@@ -30,6 +30,7 @@ from cellapp.estimation.discovery.search.smooth_terms import with_smooth_terms
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchResult, SearchState, SearchStep
 from cellapp.estimation.discovery.search.tuning import apply_step
 from cellapp.estimation.discovery.terms import has_smooth_terms
+from cellapp.ground.counting import counted
 from cellapp.ground.progress import CancelToken, Report, ignore_report
 
 _MOST_EFFECTS = 5
@@ -159,7 +160,7 @@ def _with_library_effects(problem: SearchProblem, state: SearchState, scan: LawS
     refining, freed = True, False
     for _ in range(_MOST_STEPS):
         problem.cancel.check()
-        problem.say(f"model with {len(state.fit.terms)} effects")
+        problem.say(f"model with {counted(len(state.fit.terms), 'effect')}")
         step = _next_step(problem, state, scan, refused, refining=refining)
         if step is None:
             free = None if freed else with_free_parts(problem, state)

@@ -16,6 +16,7 @@ from cellapp.estimation.monitoring.check.naming import NOT_EXPLAINED, Cause, Des
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckVerdict, FoundChange
 from cellapp.estimation.monitoring.check.statistics import MinPValueTest
 from cellapp.estimation.monitoring.check.stops import LEAST_INFORMATION
+from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array, apply
 
 _VERDICTS: Mapping[str, CheckVerdict] = {
@@ -57,16 +58,16 @@ def _needed(critical: float, rank: int, miss: float) -> float:
     return float(brentq(lambda size: float(chndtr(limit, rank, size)) - miss, 1e-6, _MOST_NEEDED))
 
 
-def concluded(design: Design, stops: StopRows, standing: SequentialState) -> Conclusion:
-    """The conclusion from all stops, of which the standing says whether something changed."""
+def concluded(design: Design, stops: StopRows, state: SequentialState) -> Conclusion:
+    """The conclusion from all stops, and the state of the test, which says whether something changed."""
     here, station = with_station(design, stops)
     moments = Moments.of(here)
     test = MinPValueTest.of(moments, design.alternatives)
-    verdict, found, weak, stray = judgement(design, here, standing)
+    verdict, found, weak, stray = judgement(design, here, state)
     explained = verdict != "not explained" and stray is None
     return Conclusion(
         verdict=verdict,
-        sure_after=standing.stops,
+        sure_after=state.stops,
         p_value=test.corrected(float(test.p_values(moments.white[:, None]).min())),
         changes=tuple(_change(design, one) for one in found.causes),
         arms=_checked(design, here, found.causes, explained),
@@ -87,15 +88,15 @@ def concluded(design: Design, stops: StopRows, standing: SequentialState) -> Con
 
 
 def judgement(
-    design: Design, stops: StopRows, standing: SequentialState
+    design: Design, stops: StopRows, state: SequentialState
 ) -> tuple[CheckVerdict, Explanation, tuple[Power, ...], int | None]:
     """Verdict, what explains the stops, visible changes that they may miss, and a single point that stands out.
 
     The stops are as the belief expects them, but for changes.
     """
     nothing = Explanation((), 1.0, np.eye(4))
-    if not standing.changed:
-        weak = () if standing.valid else _weak(design, Moments.of(stops))
+    if not state.changed:
+        weak = () if state.valid else _weak(design, Moments.of(stops))
         return ("cannot say" if weak else "valid"), nothing, weak, None
     found = explain(design, stops)
     if found.holds:
@@ -211,13 +212,13 @@ def _notes(
     if verdict == "valid" and hidden:
         noise_mm = 1e3 * max(arm.noise_m for arm in design.belief.arms.values())
         notes.append(
-            f"a change of 0.05 mm or 50 urad of {hidden} of {len(own)} parameters of the arms would not be seen: it"
-            f" moves the SMR by less than a measurement scatters ({noise_mm:.3f} mm)"
+            f"a change of 0.05 mm or 50 µrad of {hidden} of {counted(len(own), 'parameter')} of the arms would not"
+            f" be seen: it moves the SMR by less than a measurement scatters ({noise_mm:.3f} mm)"
         )
     return tuple(notes)
 
 
 def _amount(one: Power) -> str:
     """The size of a change that is found, for people."""
-    factor, unit = {"m": (1e3, "mm"), "rad": (1e6, "urad")}.get(one.unit, (1.0, one.unit))
+    factor, unit = {"m": (1e3, "mm"), "rad": (1e6, "µrad")}.get(one.unit, (1.0, one.unit))
     return f"{factor * one.detected:.2g} {unit}"

@@ -1,6 +1,6 @@
-"""The shapes of the check: what a calibration expects of a cell, changes, chosen stops, standing and conclusion.
+"""The shapes of the check: what a calibration expects of a cell, changes, chosen stops, state of the test, conclusion.
 
-A change is *visible* if it is one of a parameter by 0.05 mm or 50 urad (of an effect: by what moves the SMR by 0.05 mm
+A change is *visible* if it is one of a parameter by 0.05 mm or 50 µrad (of an effect: by what moves the SMR by 0.05 mm
 rms) that moves the SMR, root mean square over the readings of the calibration, by at least ``VISIBLE`` times the
 standard deviation of a measured coordinate, after the motion of the tracker that follows it best has been taken off:
 what a motion of the tracker makes as well is no change of an arm. The deviation is that of tracker and arm together.
@@ -94,7 +94,7 @@ class CheckBelief:
 
 @dataclass(frozen=True, eq=False)
 class Power:
-    """How well some stops show one change of 0.05 mm or 50 urad.
+    """How well some stops show one change of 0.05 mm or 50 µrad.
 
     ``noncentrality`` is the square of its size over its standard error, beside a station that is unknown where the
     belief says so; ``moved_mm`` the rms motion of the SMR by it over the calibration's readings after the best motion

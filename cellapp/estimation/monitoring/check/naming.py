@@ -196,7 +196,7 @@ def _cause(design: Design, found: _Found, sizes: Array, covariance: Array) -> Ca
     own = slice(len(sizes) - len(fit.members), len(sizes))
     coordinates = fit.stops.rows.shape[1]
     behind = [
-        (_behind(its, fit, coordinates), one)
+        (min(0.5 * (its.chi_squared - fit.chi_squared), fit.gain(coordinates) - its.gain(coordinates)), one)
         for one, its in zip(found.alternatives, found.fits, strict=True)
         if one is not chosen
     ]
@@ -212,11 +212,6 @@ def _cause(design: Design, found: _Found, sizes: Array, covariance: Array) -> Ca
             design.name_of(one) for by, one in behind if by <= SURE and _tells(design, chosen, sizes[own], one)
         ),
     )
-
-
-def _behind(its: _Fit, best: _Fit, coordinates: int) -> float:
-    """By how much the log likelihood of a fit is less than that of the best one, by itself or with its few numbers."""
-    return min(0.5 * (its.chi_squared - best.chi_squared), best.gain(coordinates) - its.gain(coordinates))
 
 
 def _best(fits: Sequence[_Fit], coordinates: int) -> int:
@@ -245,7 +240,8 @@ def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int],
         base=points if moves else None,
         linear=[k for k in whole if design.directions[k].kind not in ("tracker", "base")],
     )
-    left = _chi_squared(found.stops, whole)
+    moments = Moments.of(found.stops)
+    left = float(np.sum((after(moments, whole) if whole else moments).white ** 2))
     motion = {"tracker": found.tracker, "base": found.base}.get(one.kind) if moves else None
     station = found.tracker if belief.station_free else np.eye(4)
     return _Fit(members, found.stops, left, before - left, len(basis), motion, station)
@@ -259,8 +255,3 @@ def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative)
     basis = np.linalg.qr(whole[[*rival.members, *free]].T)[0]
     left = moved - basis @ (basis.T @ moved)
     return float(np.linalg.norm(left)) > _INSEPARABLE * float(np.linalg.norm(moved))
-
-
-def _chi_squared(stops: StopRows, nuisance: Sequence[int]) -> float:
-    moments = Moments.of(stops)
-    return float(np.sum((after(moments, nuisance) if nuisance else moments).white ** 2))

@@ -80,7 +80,7 @@ class CheckedStop(Record):
 
 
 class WeakChange(Record):
-    """A change of 0.05 mm or 50 urad that is visible, but that the measured stops show too weakly.
+    """A change of 0.05 mm or 50 µrad that is visible, but that the measured stops show too weakly.
 
     ``moved_mm`` is as in ``FoundChange``; ``detected`` is the size in ``unit`` that these stops show surely enough.
     """

@@ -24,7 +24,7 @@ _FEWEST_STOPS = 6
 
 
 class SequentialTest:
-    """Feed it with stops while ``standing.sure`` is false; then ask for the conclusion.
+    """Feed it with stops while ``state.sure`` is false; then ask for the conclusion.
 
     The chance of finding a change where there is none is at most ``false_alarm`` over all stops, of calling a visible
     change valid at most ``miss``.
@@ -41,7 +41,7 @@ class SequentialTest:
         self._stops: StopRows | None = None
 
     @property
-    def standing(self) -> SequentialState:
+    def state(self) -> SequentialState:
         """After the stops so far."""
         return self._standing
 
@@ -126,10 +126,10 @@ def decided_prefix(design: Design, stops: StopRows) -> tuple[StopRows, Sequentia
         seen = looks(Moments.of(stops), design.alternatives, design.visible)
         first = min(_first(seen.log_evidence, design.early_alarm), _first(seen.log_valid, design.early_miss)) + 1
     for count in range(min(first, planned), planned + 1):
-        standing = judged(design, stops.first(count), planned)
-        if standing.sure:
+        state = judged(design, stops.first(count), planned)
+        if state.sure:
             break
-    return stops.first(count), standing
+    return stops.first(count), state
 
 
 def _first(values: Array, chance: float) -> int:

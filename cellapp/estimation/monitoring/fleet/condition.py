@@ -94,7 +94,7 @@ def drift_words(trend: Trend) -> str:
 
 
 def change_words(parameter: ParameterHistory) -> str:
-    """``theta2 changed by 120 +/- 8 urad, which moves the SMR by 0.1 mm``."""
+    """``theta2 changed by 120 +/- 8 µrad, which moves the SMR by 0.1 mm``."""
     last = parameter.last
     assert last is not None
     factor, unit = _micro(parameter.unit)

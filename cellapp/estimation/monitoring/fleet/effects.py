@@ -15,6 +15,7 @@ from scipy.special import fdtrc
 from cellapp.estimation.monitoring.fleet.parameters import MODEL_CHOICE, two_sided
 from cellapp.estimation.monitoring.fleet.record import ArmRecord, EffectRecord
 from cellapp.estimation.monitoring.fleet.records import EffectState
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS
 
@@ -82,9 +83,7 @@ def is_of_arm(found: EffectRecord) -> bool:
 
 def _joined(effects: tuple[EffectRecord, ...]) -> Iterator[EffectRecord]:
     """One record for each effect: terms of one effect at several places have parameters of their own."""
-    by_slug: dict[str, list[EffectRecord]] = {}
-    for one in effects:
-        by_slug.setdefault(one.effect, []).append(one)
+    by_slug = grouped((one.effect, one) for one in effects)
     for same in by_slug.values():
         parameters: dict[str, Estimate] = {}
         for one in same:
@@ -120,18 +119,7 @@ def _of_tests(
     if not tests:
         return EffectComparison(slug, before, after, otherwise)
     best = min(tests, key=lambda test: test.p_value)
-    return EffectComparison(
-        slug,
-        before,
-        after,
-        best.state,
-        tests=len(tests),
-        parameter=best.parameter,
-        unit=best.unit,
-        difference=best.difference,
-        standard_uncertainty=best.standard_uncertainty,
-        p_value=best.p_value,
-    )
+    return EffectComparison(slug, before, after, tests=len(tests), **vars(best))
 
 
 def _instead_of(

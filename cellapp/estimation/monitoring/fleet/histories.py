@@ -129,7 +129,7 @@ def fleet_result(
     worst_first = sorted(arms, key=lambda key: (ARM_CONDITIONS.index(arms[key].condition), key))
     return FleetResult(
         folders=tuple(folders),
-        runs=tuple(_run(record) for record in records),
+        runs=tuple(map(FleetRun.like, records)),
         arms={key: arms[key] for key in worst_first},
         pairs=tuple(_pair(key, parameters, changes) for key, parameters in pairs.items()),
         false_alarm=FALSE_ALARM,
@@ -249,20 +249,15 @@ def _effect(found: EffectComparison, measured: Sequence[_Measured], level: _Leve
     state = found.state
     if state in ("appeared", "vanished", "grew", "shrank") and not level.proves(found.p_value):
         state = "stays" if found.first is not None and found.last is not None else "not judged"
-    return EffectHistory(
-        effect=found.effect,
+    return EffectHistory.like(
+        found,
         title=known.title,
         where=known.where,
         part="arm" if is_of_arm(known) else "installation",
         state=state,
         sizes=sizes,
         first_found=next((size.time for size in sizes if size.found), ""),
-        parameter=found.parameter,
-        unit=found.unit,
-        difference=found.difference,
-        standard_uncertainty=found.standard_uncertainty,
         p_value=level.corrected(found.p_value),
-        instead_of=found.instead_of,
     )
 
 
@@ -279,16 +274,8 @@ def _size(slug: str, one: _Measured) -> EffectSize:
 
 
 def _change(run: RunRecord, row: Comparison, level: _Level) -> Change:
-    return Change(
-        run=run.run,
-        time=run.began,
-        value=row.value,
-        standard_error=row.standard_error,
-        difference=row.difference,
-        standard_uncertainty=row.standard_uncertainty,
-        p_value=level.corrected(row.p_value),
-        proven=level.proves(row.p_value),
-    )
+    p_value, proven = level.corrected(row.p_value), level.proves(row.p_value)
+    return Change.like(row, run=run.run, time=run.began, p_value=p_value, proven=proven)
 
 
 def _dated(run: RunRecord, value: float, standard_error: float | None) -> DatedValue:
@@ -368,17 +355,6 @@ def _pair(arms: tuple[str, str], parameters: Sequence[_Parameter], level: _Level
 
 
 # -- runs and notes ---------------------------------------------------------------------------------------------------
-
-
-def _run(record: RunRecord) -> FleetRun:
-    return FleetRun(
-        run=record.run,
-        profile=record.profile,
-        began=record.began,
-        stage=record.stage,
-        problem=record.problem,
-        notes=record.notes,
-    )
 
 
 def _type_notes(measured: Sequence[_Measured]) -> tuple[str, ...]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
+from typing import Literal, get_args
 
 from cellapp.estimation.discovery.records import Place
 from cellapp.estimation.monitoring.check.records import CheckVerdict
 from cellapp.ground.results import Record, Result, StageName
 
 ArmCondition = Literal["beyond tolerance", "changed", "drifting", "unchanged", "not compared"]
-ARM_CONDITIONS: tuple[ArmCondition, ...] = ("beyond tolerance", "changed", "drifting", "unchanged", "not compared")
+ARM_CONDITIONS: tuple[ArmCondition, ...] = get_args(ArmCondition)
 """Worst first. ``drifting``: no single change is proven, but a trend is; ``not compared``: nothing to compare with."""
 
 IdentityBasis = Literal["controller", "profile", "names"]
@@ -27,6 +27,9 @@ Figure = Literal[
 """What is followed over time [mm; degC]: mean held-out error, largest verified distance from targets, rms error of
 checks, noise of a measured position, repeatability of repeated stops, largest AP and RP of tests of ISO 9283, mean
 temperature at the stops."""
+
+FleetPart = Literal["arm", "installation"]
+"""What changes: the arm, or base and tool, which a person may move."""
 
 TrendFigure = Literal["heldout", "verified", "check", "parameter"]
 
@@ -68,7 +71,7 @@ class ParameterHistory(Record):
 
     name: str
     unit: str
-    part: Literal["arm", "installation"]
+    part: FleetPart
     moved_mm_per_unit: float | None
     first: DatedValue
     changes: tuple[Change, ...]
@@ -106,7 +109,7 @@ class EffectHistory(Record):
     effect: str
     title: str
     where: Place
-    part: Literal["arm", "installation"] = "arm"
+    part: FleetPart = "arm"
     state: EffectState
     sizes: tuple[EffectSize, ...]
     first_found: str

@@ -86,16 +86,14 @@ def _result(one: _Fitted, tolerance_mm: float | None, p_value: float, proven: bo
     line = one.line
     limit = tolerance_mm if one.figure in _WITH_TOLERANCE else None
     reached = None if limit is None or not proven else _crossing(one, limit)
-    return Trend(
+    return Trend.like(
+        line,
         figure=one.figure,
         name=one.name,
         points=one.points,
         origin=_date(line.origin),
-        level=line.level,
-        level_standard_error=line.level_standard_error,
         slope=line.slope * MONTH_DAYS,
         slope_standard_error=line.slope_standard_error * MONTH_DAYS,
-        degrees_of_freedom=line.degrees_of_freedom,
         p_value=p_value,
         proven=proven,
         tolerance_mm=limit,

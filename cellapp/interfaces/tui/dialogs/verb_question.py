@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin
@@ -20,7 +21,9 @@ from cellapp.interfaces.tui.dialogs.question import Answer, AnswerQuestion
 from cellapp.interfaces.tui.widgets.labelled import Labelled, text_field
 
 _COLUMN = 30
-"""Width of a check box with its words."""
+"""Width of a check box with its words, or of a number with its label."""
+_MOST_IN_ONE_COLUMN = 4
+"""More numbers in a row stand in columns: the dialog fits into the smallest terminal then."""
 
 
 class VerbQuestion(AnswerQuestion[Request]):
@@ -71,8 +74,12 @@ class VerbQuestion(AnswerQuestion[Request]):
 
     def fields(self) -> ComposeResult:
         """A widget for each field; its id is the field's name with hyphens."""
-        for name, words in self._fields.items():
-            yield from self._widgets(name, words)
+        for short, names in groupby(self._fields, self._is_number):
+            widgets = [widget for name in names for widget in self._widgets(name, self._fields[name])]
+            if short and len(widgets) > _MOST_IN_ONE_COLUMN:
+                yield ItemGrid(*widgets, min_column_width=_COLUMN)
+            else:
+                yield from widgets
 
     def on_mount(self) -> None:
         """Begin with what is still to be filled in, where nothing can move by it."""
@@ -115,7 +122,7 @@ class VerbQuestion(AnswerQuestion[Request]):
         label, key = f"{words.label} [{words.unit}]" if words.unit else words.label, _id(name)
         if kind is bool:
             yield Checkbox(label, bool(default), id=key, compact=True)
-        elif get_origin(kind) is tuple:
+        elif get_origin(kind) is tuple and self._possible(name):
             yield Static(f"{label}:", markup=False)
             boxes = (
                 Checkbox(words.words.get(one, one), one in (default or ()), id=f"{key}-{one}", compact=True)
@@ -130,8 +137,10 @@ class VerbQuestion(AnswerQuestion[Request]):
             text = "" if default is None else str(default)
             yield Labelled(label, PathField(text, lambda path: _fits(path, words), id=key, hint=words.hint))
         else:
-            text = "" if default is None else f"{default:g}" if isinstance(default, float) else str(default)
-            choices = [str(one) for one in self._choices.get(name, get_args(kind))]
+            several = get_origin(kind) is tuple
+            shown = default if isinstance(default, tuple) else () if default is None else (default,)
+            text = ", ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in shown)
+            choices = [] if several else [str(one) for one in self._choices.get(name, get_args(kind))]
             yield text_field(label, key, text, words.hint or " or ".join(choices), choices=choices)
 
     def _value(self, name: str) -> Any:
@@ -141,16 +150,23 @@ class VerbQuestion(AnswerQuestion[Request]):
             return self.query_one(f"#{_id(name)}", Input).value
         if kind is bool:
             return self.query_one(f"#{_id(name)}", Checkbox).value
-        if get_origin(kind) is tuple:
+        if get_origin(kind) is tuple and self._possible(name):
             boxes = {one: self.query_one(f"#{_id(name)}-{one}", Checkbox) for one in self._possible(name)}
             return tuple(one for one, box in boxes.items() if box.value)
         text = self.query_one(f"#{_id(name)}", Input).value.strip()
+        if get_origin(kind) is tuple:
+            return tuple(one.strip() for one in text.split(",") if one.strip())
         if not text:
             return None if self._default(name) is None else ""
         if kind in (int, float):
             with suppress(ValueError):  # the request says what is wrong with it
                 return kind(text)
         return Path(text).expanduser() if kind is Path else text
+
+    def _is_number(self, name: str) -> bool:
+        """Whether a field takes a number, or some."""
+        kind = self._kind(name)
+        return kind in (int, float) or (get_origin(kind) is tuple and get_args(kind)[0] in (int, float))
 
     def _possible(self, name: str) -> Sequence[str]:
         """The values of which a field takes several."""

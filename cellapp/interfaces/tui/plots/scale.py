@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.commands.view.charts import Array, Axis
+from cellapp.interfaces.render.log_ticks import log_ticks
 
 _ROOM = 0.05
 """Room at either end of an axis, as a share of its range."""
@@ -45,10 +46,8 @@ class Scale:
 
     def ticks(self, most: int) -> list[float]:
         """At most about ``most`` round values in the range."""
-        if self.axis.logarithmic:
-            ticks = _decades(self.low, self.high, most)
-            if len(ticks) >= min(2, most):
-                return ticks
+        if self.axis.logarithmic and (ticks := log_ticks(self.low, self.high, most)):
+            return ticks
         for wanted in (most, 2 * most):  # two ticks at least, so that they give a scale
             step = _round_step((self.high - self.low) / wanted, degrees=self.axis.unit == "deg")
             step = max(step, 1.0) if self.counted else step
@@ -108,17 +107,3 @@ def tick_texts(ticks: list[float], *, logarithmic: bool) -> list[str]:
     decimals = max(0, -math.floor(math.log10(ticks[1] - ticks[0]) + 1e-9))
     texts = [f"{tick + 0.0:.{decimals}f}" for tick in ticks]
     return texts if max(map(len, texts)) <= _LONGEST else [f"{tick:g}" for tick in ticks]
-
-
-def _decades(low: float, high: float, most: int) -> list[float]:
-    """Round values of a logarithmic axis: 1, 2, 5 of each decade where there is room, else whole decades."""
-    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    options = []
-    for factors in ((1.0, 2.0, 5.0), (1.0, 3.0), (1.0,)):
-        ticks = [float(f"{factor}e{power}") for power in powers for factor in factors]
-        options.append([tick for tick in ticks if low <= tick <= high])
-    for ticks in options:
-        if 2 <= len(ticks) <= most:
-            return ticks
-    crowded = [ticks for ticks in options if len(ticks) > most]
-    return crowded[-1][:: math.ceil(len(crowded[-1]) / most)] if crowded else options[0]

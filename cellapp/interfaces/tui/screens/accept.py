@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.message import Message
 from textual.widgets import Static, TabbedContent, TabPane
 from textual.worker import get_current_worker
@@ -24,22 +24,28 @@ from cellapp.commands.sign_key.result import SignKeyResult
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, Result, StageName
 from cellapp.interfaces.tui import work_acceptance
 from cellapp.interfaces.tui.dialogs.question import Reading
-from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
+from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens import accept_jobs
-from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
 from cellapp.interfaces.tui.widgets.tabs import show_next_tab
-from cellapp.interfaces.tui.workspace import NO_RUN, Step, Workspace
+from cellapp.interfaces.tui.widgets.verdict_bars import VerdictBars
+from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.report.verdict_view import RunVerdict
     from cellapp.commands.view.table import Table
 
 _NOT_JUDGED = "Nothing is judged yet."
-_NOT_CHECKED = "The calibration was not checked yet. k measures a few stops: does it still hold?"
-_NOT_TESTED = "Nothing was tested yet. i measures by ISO 9283: pose accuracy and repeatability, and more."
-_NO_CERTIFICATE = "No certificate was written yet. s writes and signs it; f checks the file of one."
+_NOT_CHECKED = f"The calibration was not checked yet. {SHOWN['check']} measures a few stops: does it still hold?"
+_NOT_TESTED = (
+    f"Nothing was tested yet. {SHOWN['measure']} measures by ISO 9283: pose accuracy, repeatability, and more."
+)
+_NO_CERTIFICATE = (
+    f"No certificate was written yet. {SHOWN['export']} writes and signs it; {SHOWN['import']} checks the file of one."
+)
 _READING = "reading the run ..."
+_NOMINAL = "Tests by ISO 9283 with nominal commands need no calibration."
 _UNREADABLE = "The run cannot be judged; the message line says what is wrong with it."
 
 
@@ -63,26 +69,26 @@ Is the cell good, by which norm, is it still good, who says so. The first lines 
 of the profile, and in red whatever is out of date.
 
 - *Verdict*: each judged error with its uncertainty and its tolerance, and what comes next.
-- *Check*: **k** drives to about 20 stops that tell most, compares them with the calibration and ends as soon as it is
-  sure: still valid, tracker or base moved, or what changed on the arm. It changes no model.
-- *ISO 9283*: **i** asks for tests, cycles and speed, drives and measures, commanded by the nominal model, the
+- *Check*: **{check}** drives to about 20 stops that tell most, compares them with the calibration and ends as soon as
+  it is sure: still valid, tracker or base moved, or what changed on the arm. It changes no model.
+- *ISO 9283*: **{measure}** asks for tests, cycles and speed, drives and measures, commanded by the nominal model, the
   calibrated one, or both.
-- *Certificate*: **s** writes the certificate and signs it with a key file, **g** makes such a key, **f** checks the
-  file of a certificate. What nobody gave stands there as not given; the profile's section *traceability* takes it.
-- **o** writes the report: the page, and on request its print as PDF.
+- *Certificate*: **{export}** writes the certificate and signs it with a key file, **{add}** makes such a key,
+  **{import}** checks the file of a certificate. What nobody gave stands there as not given; the profile's section
+  *traceability* takes it.
+- **{go}** writes the report: the page, and on request its print as PDF.
 
-The check and the tests ask first, and real arms ask again with the first path. While they run, the line above the
-message shows how far they are; Collect (key 3) shows arms and tracker. **t** goes from tab to tab; **y** copies tables,
-**w** saves them, arrows scroll. The handbook's chapters *check*, *iso9283* and *certificate* explain the figures.
+The check and the tests ask first, and real arms ask again with the first path. The handbook's chapters *check*,
+*iso9283* and *certificate* explain the figures.
 """
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("k", "check", "Check", tooltip="does the calibration still hold? THE ARMS MOVE"),
-        Binding("i", "iso9283", "ISO 9283", tooltip="measure by ISO 9283: THE ARMS MOVE"),
-        Binding("s", "certificate", "Certificate", tooltip="write and sign the certificate; nothing moves"),
-        Binding("f", "check_file", "Check file", tooltip="check signature and data of a certificate; nothing moves"),
-        Binding("g", "sign_key", "Make key", show=False, tooltip="make a key that signs certificates"),
-        Binding("o", "report", "Report", tooltip="write the page, and its PDF if asked to"),
-        Binding("t", "next_tab", "Next tab"),
+        bind("go", "report", "Report", "write the page, and its PDF if asked to"),
+        bind("check", "check", "Check", "does the calibration still hold? THE ARMS MOVE"),
+        bind("measure", "iso9283", "ISO 9283", "measure by ISO 9283: THE ARMS MOVE"),
+        bind("export", "certificate", "Certificate", "write and sign the certificate; nothing moves"),
+        bind("import", "check_file", "Check file", "check signature and data of a certificate; nothing moves"),
+        bind("add", "sign_key", "Make key", "make a key that signs certificates", show=False),
+        bind("tab", "next_tab", "Next tab"),
     ]
     DEFAULT_CSS = """
     AcceptScreen #decision { height: auto; max-height: 3; text-style: bold; padding-left: 1; }
@@ -94,7 +100,6 @@ message shows how far they are; Collect (key 3) shows arms and tracker. **t** go
     AcceptScreen TablesView { overflow-x: auto; }
     AcceptScreen .table DataTable { width: auto; }
     AcceptScreen #certificate-tables .table { min-width: 110; }
-    AcceptScreen #evidence { height: auto; max-height: 3; padding-left: 1; }
     """
 
     def __init__(self) -> None:
@@ -107,15 +112,14 @@ message shows how far they are; Collect (key 3) shows arms and tracker. **t** go
         yield Static("", id="outdated", markup=False)
         with TabbedContent(id="accept"):
             with TabPane("Verdict", id="verdict-pane"):
+                yield VerdictBars(id="verdict-bars")
                 yield WrappedTables(_NOT_JUDGED, id="verdict-tables")
             with TabPane("Check", id="check-pane"):
-                yield TablesView(_NOT_CHECKED, id="check-tables")
+                yield TablesView(id="check-tables")
             with TabPane("ISO 9283", id="iso9283-pane"):
-                yield TablesView(_NOT_TESTED, id="iso9283-tables")
+                yield TablesView(id="iso9283-tables")
             with TabPane("Certificate", id="certificate-pane"):
-                yield WrappedTables(_NO_CERTIFICATE, id="certificate-tables")
-        yield ProgressBars()
-        yield Static("", id="evidence", classes="muted", markup=False)
+                yield WrappedTables(id="certificate-tables")
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
@@ -168,12 +172,16 @@ message shows how far they are; Collect (key 3) shows arms and tracker. **t** go
         elif isinstance(result, SignKeyResult) and self.app.screen is self:
             self.app.push_screen(Reading("\n\n".join(["# A new key", *map(str, SIGN_KEY.view(result).parts)])))
 
-    def show_job(self, record: JobRecord) -> None:
-        """Draw how far the job is, and what it has found so far."""
-        runs = record.state is not None
-        self.query_one(ProgressBars).parts = parts_of(record) if runs else ()
-        found = record.latest.note if runs and record.latest is not None else ""
-        self.query_one("#evidence", Static).update(found)
+    def show_state(self, state: RunState) -> None:
+        """Say why there is no result, and no verdict."""
+        for place, empty in (("check", _NOT_CHECKED), ("iso9283", _NOT_TESTED), ("certificate", _NO_CERTIFICATE)):
+            needs = state.no_run if place == "certificate" else state.not_calibrated if place == "check" else ""
+            busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
+            self.query_one(f"#{place}-tables", TablesView).say_empty(busy or needs or empty)
+        if state.no_run:
+            self._draw_verdict(None, state.no_run)
+        elif state.not_calibrated:
+            self._draw_decision("", f"{state.not_calibrated} {_NOMINAL}")
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw what the run holds, and judge it in a thread."""
@@ -184,12 +192,12 @@ message shows how far they are; Collect (key 3) shows arms and tracker. **t** go
         self._drawn = workspace
         marks = () if workspace.overview is None else workspace.overview.complaints
         outdated = self.query_one("#outdated", Static)
-        outdated.update("\n".join(f"! OUT OF DATE: {mark}" for mark in marks))
+        outdated.update("\n".join(f"! OUT OF DATE: {with_keys(mark)}" for mark in marks))
         outdated.display = bool(marks)
         self._draw_measured(workspace.results)
         self._draw_certificate()
         if workspace.folder is None:
-            self._draw_verdict(None, NO_RUN)
+            self._draw_verdict(None, self.state.no_run)
         else:
             self._draw_decision("", _READING)
             self._judge(workspace)
@@ -211,11 +219,14 @@ message shows how far they are; Collect (key 3) shows arms and tracker. **t** go
         from cellapp.commands.report.verdict_view import verdict_sentences, verdict_tables
 
         tables = self.query_one("#verdict-tables", TablesView)
+        self.query_one(VerdictBars).judgements = () if verdict is None else verdict.judgements
         if verdict is None:
             self._draw_decision("", why_not)
             tables.show([])
             return
-        self._draw_decision(verdict.state or "", f"{verdict.title}. {verdict.sentence}")
+        needs = self.state.not_calibrated
+        words = f"{needs} {_NOMINAL}" if needs else f"{verdict.title}. {verdict.sentence}"
+        self._draw_decision(verdict.state or "", words)
         tables.show(verdict_tables(verdict), after=verdict_sentences(verdict))
 
     def _draw_decision(self, state: str, sentence: str) -> None:
@@ -225,14 +236,14 @@ message shows how far they are; Collect (key 3) shows arms and tracker. **t** go
 
     def _draw_measured(self, results: RunResults | None) -> None:
         check, tests = (None, None) if results is None else (results.check, results.iso9283)
-        self._draw_stage(CHECK, "k", check_tables(check) if check else [], check_sentences(check) if check else [])
+        self._draw_stage(CHECK, "check", check_tables(check) if check else [], check_sentences(check) if check else [])
         self._draw_stage(
-            ISO9283, "i", iso9283_tables(tests) if tests else [], iso9283_sentences(tests) if tests else []
+            ISO9283, "measure", iso9283_tables(tests) if tests else [], iso9283_sentences(tests) if tests else []
         )
 
-    def _draw_stage(self, stage: StageName, key: str, tables: Sequence[Table], sentences: Sequence[str]) -> None:
+    def _draw_stage(self, stage: StageName, again: str, tables: Sequence[Table], sentences: Sequence[str]) -> None:
         """Draw a result with its outcome, the first sentence, before the tables."""
-        marks = self._outdated(stage, key)
+        marks = self._outdated(stage, again)
         self.query_one(f"#{stage}-tables", TablesView).show(tables, [*marks, *sentences[:1]], sentences[1:])
 
     def _draw_certificate(self) -> None:
@@ -242,11 +253,11 @@ message shows how far they are; Collect (key 3) shows arms and tracker. **t** go
         if result is None:
             view.show([], [*checked, _NO_CERTIFICATE] if checked else [])
         else:
-            words = [*checked, *self._outdated(CERTIFICATE, "s"), *certificate_sentences(result)]
+            words = [*checked, *self._outdated(CERTIFICATE, "export"), *certificate_sentences(result)]
             view.show(certificate_tables(result), words)
 
-    def _outdated(self, stage: StageName, key: str) -> list[str]:
+    def _outdated(self, stage: StageName, again: str) -> list[str]:
         """The mark of a result that no longer holds."""
         results = self.workspace.results
         reason = None if results is None else results.out_of_date.get(stage)
-        return [] if reason is None else [f"! OUT OF DATE: {reason}; {key} does it again"]
+        return [] if reason is None else [f"! OUT OF DATE: {reason}; {SHOWN[again]} does it again"]

@@ -19,7 +19,7 @@ from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.workspace import NO_PROFILE, Workspace, new_folder
+from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 _PAGES = (
     Answer("page", "Page", "w", "success"),
@@ -65,7 +65,7 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
     workspace = screen.workspace
     profile, results = workspace.profile, workspace.results
     if profile is None:
-        screen.say(NO_PROFILE, "warning")
+        screen.say(screen.state.no_run, "warning")
         return
     folder = workspace.folder or new_folder(profile)
     calibrated = results is not None and results.calibrate is not None

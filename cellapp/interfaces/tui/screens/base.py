@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
 
 from textual.app import ComposeResult
+from textual.binding import Binding
 from textual.containers import Vertical
 from textual.events import Resize
 from textual.screen import Screen
@@ -13,10 +14,13 @@ from textual.widgets import Static
 
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.keys import KEYS, WAYS
+from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
+from cellapp.interfaces.tui.widgets.job_panel import JobPanel
 from cellapp.interfaces.tui.widgets.key_line import KeyLine
 from cellapp.interfaces.tui.widgets.live_strip import LiveStrip
-from cellapp.interfaces.tui.workspace import NO_RUN, NOT_CALIBRATED, Step, Workspace
+from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.report.result import RunResults
@@ -39,8 +43,14 @@ class DayScreen(Screen[None]):
 
     HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (100, "-medium"), (160, "-wide")]  # noqa: RUF012 - as Textual declares it
     STEP: ClassVar[Step]
+    SHOWS_JOB: ClassVar[bool] = True
+    """Whether the panel of the live job stands above its body; a screen that shows the job whole has none."""
     HELP: ClassVar[str] = ""
     """Markdown for the key ``?``: what the screen shows and what one does here."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._state: RunState | None = None
 
     @property
     def cell_app(self) -> Host:
@@ -52,10 +62,17 @@ class DayScreen(Screen[None]):
         """What is open."""
         return self.cell_app.workspace
 
+    @property
+    def state(self) -> RunState:
+        """The one state of the run."""
+        return self.cell_app.state
+
     def compose(self) -> ComposeResult:
         yield DayHeader()
         yield StepLine()
         yield LiveStrip()
+        if self.SHOWS_JOB:
+            yield JobPanel()
         yield Static(_TOO_SMALL, classes="too-small", markup=False)
         with Vertical(classes="body"):
             yield from self.body()
@@ -69,6 +86,26 @@ class DayScreen(Screen[None]):
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the profile and the run that are open."""
 
+    def draw_state(self) -> None:
+        """Draw what every screen says about the state, then what this one does, where it has changed."""
+        state = self.state
+        record = self.cell_app.record
+        self.query_one(DayHeader).show(state, self.workspace.kind, record)
+        for panel in self.query(JobPanel):
+            panel.show(record)
+        if state != self._state:
+            self._state = state
+            self.query_one(StepLine).show(state.marks, self.STEP)
+            self.show_state(state)
+
+    @property
+    def unsaved(self) -> str:
+        """What would be lost with this screen, in words; empty if nothing."""
+        return ""
+
+    def show_state(self, state: RunState) -> None:
+        """Draw the sentences of this screen about the state."""
+
     def show_job(self, record: JobRecord) -> None:
         """Draw the present or the last job."""
 
@@ -80,10 +117,23 @@ class DayScreen(Screen[None]):
         if self.cell_app.start_job(job):
             self.cell_app.asked_by = self
 
+    def begin_next(self, verb: str) -> None:
+        """Begin what comes next, a verb of this step; empty: the step's own work."""
+        _, meaning = WAYS.get(verb, (self.STEP, "go"))
+        for binding in type(self).BINDINGS:
+            if isinstance(binding, Binding) and binding.key == KEYS[meaning].keys:
+                self.call_next(self.run_action, binding.action)
+                return
+
+    def leave_field(self) -> None:
+        """Leave a field in which a text is typed: what is pressed next is a key."""
+        self.set_focus(None)
+
     def open_folder(self) -> Path | None:
         """Folder of the run that is open; without one, a sentence says what to do."""
-        if self.workspace.folder is None:
-            self.say(NO_RUN, "warning")
+        if no_run := self.state.no_run:
+            self.say(no_run, "warning")
+            return None
         return self.workspace.folder
 
     def calibrated_run(self) -> tuple[Path, RunResults, CalibrateResult] | None:
@@ -92,7 +142,7 @@ class DayScreen(Screen[None]):
         if folder is None:
             return None
         if results is None or results.calibrate is None:
-            self.say(NOT_CALIBRATED, "warning")
+            self.say(self.state.not_calibrated, "warning")
             return None
         return folder, results, results.calibrate
 

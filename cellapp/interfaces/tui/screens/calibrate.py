@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
 from textual import work as in_thread
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.containers import Horizontal
 from textual.message import Message
 from textual.widgets import TabbedContent, TabPane
@@ -31,14 +32,16 @@ from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Reading
-from cellapp.interfaces.tui.offers import WRITE
+from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.offers import WRITE, offer_again
 from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.tables import TablesView
-from cellapp.interfaces.tui.widgets.tabs import show_next_tab
+from cellapp.interfaces.tui.widgets.tabs import show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
-_EMPTY = "Not calibrated yet. Collect first (key 3), then b calibrates."
+_PLOTS = ("stages", "errors", "joints", "space")
 
 
 class DataRead(Message):
@@ -56,35 +59,30 @@ class CalibrateScreen(DayScreen):
     HELP: ClassVar[str] = """\
 # Calibrate
 
-**b** identifies the geometry of both arms, trains the residual network and evaluates every stage at stops that were
+**{go}** identifies the geometry of both arms, trains the residual network and evaluates every stage at stops that were
 held out. Nothing moves.
 
 - *Stages*: held-out errors of the nominal model, of the identified geometry, with the network, with named effects.
 - *Errors*: how many held-out stops have which error, by stage.
-- *Joints*: the error over the angle of one joint: a wave there is an effect without a name. **,** and **.** change the
-  joint.
-- *Space*: where in the cell the errors are large. **v** looks from above or from the side.
+- *Joints*: the error over the angle of one joint: a wave there is an effect without a name.
+- *Space*: where in the cell the errors are large, from above or from the side.
 - *Parameters*: what was identified, with standard errors.
 
-**p** calibrates with an earlier run of the same arms as prior: base and tool are found anew, the arms are believed as
-far as they were certain then. What has changed on them since stands below the errors. The handbook's chapter
-*signature* describes it.
-
-**e** writes the calibrated arms for other programs: UR controllers, ROS, URDF, tables. The handbook's chapter *exports*
-describes the formats.
-
-**a** shows the other arm. **t** goes from tab to tab. In a table, **y** copies and **w** saves.
-The step after this one is Discover (5).
+**{import}** calibrates with an earlier run of the same arms as prior: base and tool are found anew, the arms are
+believed as far as they were certain then. What has changed on them since stands below the errors. The handbook's
+chapter *signature* describes it. **{export}** writes the calibrated arms for other programs: UR controllers, ROS, URDF,
+tables; chapter *exports*.
 """
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("b", "begin", "Calibrate", tooltip="identify and evaluate; nothing moves"),
-        Binding("p", "begin_with_prior", "With prior", show=False, tooltip="calibrate with an earlier run as prior"),
-        Binding("a", "other_arm", "Other arm", tooltip="show the plots of the other arm"),
-        Binding("comma", "joint(-1)", "Joint before", key_display=",", show=False),
-        Binding("full_stop", "joint(1)", "Next joint", key_display="."),
-        Binding("v", "turn", "View", tooltip="errors in space from above or from the side"),
-        Binding("t", "next_tab", "Next tab"),
-        Binding("e", "export", "Export", tooltip="write the calibrated arms for other programs"),
+        bind("go", "begin", "Calibrate", "identify and evaluate; nothing moves"),
+        bind("import", "begin_with_prior", "With prior", "calibrate with an earlier run as prior", show=False),
+        bind("arm", "other_arm", "Other arm", "show the plots of the other arm"),
+        bind("before", "joint(-1)", "Joint before", show=False),
+        bind("after", "joint(1)", "Next joint"),
+        bind("look", "turn", "View", "errors in space from above or from the side"),
+        bind("plots", "plots", "Plots", "show the plots; again: the next one"),
+        bind("tab", "next_tab", "Next tab"),
+        bind("export", "export", "Export", "write the calibrated arms for other programs"),
     ]
 
     def __init__(self) -> None:
@@ -96,7 +94,7 @@ The step after this one is Discover (5).
     def body(self) -> ComposeResult:
         with TabbedContent(id="calibration"):
             with TabPane("Stages", id="stages"):
-                yield TablesView(_EMPTY, id="stage-tables")
+                yield TablesView(id="stage-tables")
                 yield ChartPlot(id="stage-plot")
             with TabPane("Errors", id="errors"), Horizontal():
                 yield ChartPlot(id="arm-errors")
@@ -106,14 +104,17 @@ The step after this one is Discover (5).
             with TabPane("Space", id="space"):
                 yield ChartPlot(id="space-plot")
             with TabPane("Parameters", id="parameters"):
-                yield TablesView(_EMPTY, id="parameter-tables")
+                yield TablesView(id="parameter-tables")
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
     def action_begin(self) -> None:
         """Calibrate the run that is open."""
-        if folder := self.open_folder():
-            self.start(work.job_of(request.VERB, folder=folder))
+        folder, results = self.open_folder(), self.workspace.results
+        if folder is not None:
+            found = None if results is None else results.calibrate
+            job = work.job_of(request.VERB, folder=folder)
+            offer_again(self, "Calibrate again?", found, CALIBRATE, partial(self.start, job))
 
     def action_begin_with_prior(self) -> None:
         """Ask for an earlier run, and calibrate the run that is open with it as prior."""
@@ -145,6 +146,10 @@ The step after this one is Discover (5).
         self.query_one("#calibration", TabbedContent).active = "space"
         self._draw_plots()
 
+    def action_plots(self) -> None:
+        """Show a tab with plots; where one is shown, the next."""
+        show_next_of(self.query_one("#calibration", TabbedContent), _PLOTS)
+
     def action_next_tab(self) -> None:
         """Show the next tab."""
         show_next_tab(self.query_one("#calibration", TabbedContent))
@@ -155,7 +160,7 @@ The step after this one is Discover (5).
         if folder is None:
             return
         if results is None or results.calibrate is None:
-            self.say(_EMPTY, "warning")
+            self.say(self.state.not_calibrated, "warning")
             return
         from cellapp.interfaces.tui.dialogs.export_arms import ExportArms
 
@@ -192,10 +197,15 @@ The step after this one is Discover (5).
             self._draw_plots()
             return
         reason = workspace.results.out_of_date.get(CALIBRATE)
-        outdated = [] if reason is None else [f"! out of date: {reason}; b calibrates again"]
+        outdated = [] if reason is None else [f"! out of date: {reason}; {SHOWN['go']} calibrates again"]
         tables.show(calibration_tables(result), outdated, (*tracker_sentences(result), *result.notes))
         parameters.show(parameter_tables(result), outdated, merged_sentences(result))
         self._read(workspace)
+
+    def show_state(self, state: RunState) -> None:
+        """Say why there is no calibration."""
+        for view in self.query(TablesView):
+            view.say_empty(state.nothing(self.STEP, ""))
 
     @in_thread(thread=True, exclusive=True)
     def _read(self, workspace: Workspace) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
 from textual import on, work
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
@@ -20,6 +20,7 @@ from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_findings import (
     DevicesTable,
@@ -30,6 +31,7 @@ from cellapp.interfaces.tui.widgets.cell_findings import (
     devices_of,
 )
 from cellapp.interfaces.tui.widgets.cell_map import CellMap
+from cellapp.interfaces.tui.widgets.tables import WrappedTables
 from cellapp.interfaces.tui.widgets.tabs import explain_tabs, show_next_tab
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace
@@ -37,27 +39,29 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
     from cellapp.commands.plan.result import StopsResult
+    from cellapp.commands.runs.result import RunsResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
 _REFRESH_S = 5.0
 """Time between two questions to the devices: slow enough for any controller, fast enough to see a stop released."""
+_TODAY_AFTER_S = 0.6
+"""The first screen is drawn before."""
+_NO_RUNS = "No run is there yet: the day begins with a profile and a plan (key 2)."
 _OLD = timedelta(minutes=10)
 """Age from which the doctor's findings are shown as old: in that time somebody may have pressed a stop."""
 
-HELP = """
+HELP = """\
 # Cell
 
 Which cell is calibrated, what the profile says of it, what its devices say, and what would be refused.
 
-- Choose a profile in the list (Enter while a run is open), or press `o` and give its path.
-- `d` asks the doctor: every device, every check, nothing moves. The line above the tables is its verdict; failed checks
-  come first, and the sentence below the table is that of the selected row, in full.
-- *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs; `r` asks all.
+- Choose a profile in the list (Enter while a run is open), or open one by its path.
+- The doctor asks every device and makes every check; nothing moves. The line above the tables is its verdict; failed
+  checks come first, and the sentence below the table is that of the selected row, in full.
+- *Today* is what waits: open runs, and for each arm how old its calibration and its check are, and what is due.
+- *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs.
 - *Profile* is the profile in words, *Map* shows where bases and tracker stand.
-- `w` edits the profile in a form, `+` writes a new one; `t` shows the next tab.
-
-Next: a plan (`2`).
 """
 
 
@@ -69,21 +73,28 @@ class DevicesProbed(Message):
         self.profile, self.result = profile, result
 
 
+class TodayRead(Message):
+    """The folder of runs was read, for what waits today."""
+
+    def __init__(self, found: RunsResult) -> None:
+        super().__init__()
+        self.found = found
+
+
 class CellScreen(DayScreen):
     """Choose a profile, read what it says, see its devices, ask the doctor."""
 
     STEP: ClassVar[Step] = "cell"
     HELP: ClassVar[str] = HELP
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("d", "doctor", "Doctor", tooltip="check devices and placement; nothing moves"),
-        Binding("r", "refresh_devices", "Ask devices", tooltip="ask every device for its state; nothing moves"),
-        Binding("o", "open", "Open profile", tooltip="open a profile by its path"),
-        Binding("w", "edit", "Edit profile", tooltip="change the profile in a form"),
-        Binding(
-            "i", "own_readings", "Own readings", show=False, tooltip="calibrate readings that were recorded elsewhere"
-        ),
-        Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
-        Binding("plus", "write", "New profile", key_display="+", tooltip="write a profile in a form"),
+        bind("go", "doctor", "Doctor", "check devices and placement; nothing moves"),
+        bind("again", "refresh_devices", "Ask devices", "ask every device for its state; nothing moves"),
+        bind("open", "open", "Open profile", "open a profile by its path"),
+        bind("edit", "edit", "Edit profile", "change the profile in a form"),
+        bind("import", "own_readings", "Own readings", "calibrate readings that were recorded elsewhere", show=False),
+        bind("plots", "map", "Map", "where bases, tracker and stops are"),
+        bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
+        bind("add", "write", "New profile", "write a profile in a form"),
     ]
     DEFAULT_CSS = """
     #profiles { width: 22; height: 1fr; }
@@ -110,7 +121,7 @@ class CellScreen(DayScreen):
         self._doctor_at = datetime.now()
         self._written_ns = 0
         self._states: dict[str, DeviceState] = {}
-        self._probing = False
+        self._probing = self._today = False
         self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
 
     def body(self) -> ComposeResult:
@@ -119,12 +130,18 @@ class CellScreen(DayScreen):
             with Vertical(id="cell-middle"):
                 yield Static("", id="cell-verdict", markup=False)
                 with TabbedContent(id="cell-tabs", initial="tab-profile"):
+                    with TabPane("Today", id="tab-today"):
+                        yield WrappedTables(_NO_RUNS, id="today")
                     with TabPane("Profile", id="tab-profile"):
                         yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
                     with TabPane("Devices", id="tab-devices"):
-                        yield _tipped(DevicesTable(id="devices"), "What each device said last; r asks again")
+                        yield _tipped(
+                            DevicesTable(id="devices"), f"What each device said last; {SHOWN['again']} asks again"
+                        )
                     with TabPane("Doctor", id="tab-doctor"):
-                        yield _tipped(FindingsTable(id="findings"), "Checks, failed ones first; d asks again")
+                        yield _tipped(
+                            FindingsTable(id="findings"), f"Checks, failed ones first; {SHOWN['go']} asks again"
+                        )
                     with TabPane("Map", id="tab-map"):
                         yield CellMap("above", id="cell-map")
                 yield Static("", id="cell-detail", markup=False)
@@ -140,9 +157,14 @@ class CellScreen(DayScreen):
         if self._found:
             profiles.highlighted = 0
         else:
-            self.say(f"No profile is in {self.cell_app.profiles}: o opens one by its path, + writes one.", "warning")
+            self.say(
+                f"No profile is in {self.cell_app.profiles}: {SHOWN['open']} opens one by its path,"
+                f" {SHOWN['add']} writes one.",
+                "warning",
+            )
         profiles.focus()
         self.set_interval(_REFRESH_S, self._tick)
+        self.set_timer(_TODAY_AFTER_S, self._read_today)
 
     # -- profiles ------------------------------------------------------------------------------------------------------
 
@@ -183,7 +205,7 @@ class CellScreen(DayScreen):
         """Edit the profile in a form."""
         path = self.workspace.profile_path
         if path is None:
-            self.say("No profile is open: + writes a new one.", "warning")
+            self.say(f"No profile is open: {SHOWN['add']} writes a new one.", "warning")
         else:
             from cellapp.interfaces.tui.dialogs.first_run import edit_profile
 
@@ -200,6 +222,34 @@ class CellScreen(DayScreen):
         from cellapp.interfaces.tui.dialogs.first_run import take_own_readings
 
         take_own_readings(self.cell_app)
+
+    @work(thread=True, exclusive=True, group="today")
+    def _read_today(self) -> None:
+        from cellapp.commands.runs.history import list_runs
+
+        logs = self.cell_app.logs
+        try:
+            if logs.is_dir():
+                self.post_message(TodayRead(list_runs(logs)))
+        except CellappError:
+            return  # the screen Runs says why
+
+    @on(TodayRead)
+    def show_today(self, event: TodayRead) -> None:
+        """Draw what waits; at the start it is what is shown, unless something else was chosen meanwhile."""
+        from cellapp.commands.runs.today import today_sentences, today_tables
+
+        now, tabs = datetime.now(UTC), self.query_one("#cell-tabs", TabbedContent)
+        self.query_one("#today", WrappedTables).show(
+            today_tables(event.found, now), after=today_sentences(event.found, now)
+        )
+        if event.found.runs and not self._today and tabs.active == "tab-profile" and self.workspace.folder is None:
+            tabs.active = "tab-today"
+        self._today = True
+
+    def action_map(self) -> None:
+        """Show the map."""
+        self.query_one("#cell-tabs", TabbedContent).active = "tab-map"
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
@@ -293,6 +343,8 @@ class CellScreen(DayScreen):
             self._show_profile(workspace.profile)
         drawn = (workspace.profile, workspace.stops)
         if drawn != self._drawn:
+            if self._today:
+                self._read_today()
             self._drawn = drawn
             for plot in self.query(CellMap):
                 plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
@@ -327,14 +379,17 @@ class CellScreen(DayScreen):
         from cellapp.commands.doctor.profile_view import doctor_verdict
 
         if self.workspace.profile is None:
-            return self.workspace.problem or "No profile is open: choose one in the list, or press o.", "failed"
+            return (
+                self.workspace.problem or f"No profile is open: choose one in the list, or press {SHOWN['open']}.",
+                "failed",
+            )
         if self._doctor is None:
-            return "Not checked yet: d asks the doctor; nothing moves.", "old"
+            return f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves.", "old"
         words, age = doctor_verdict(self._doctor), datetime.now() - self._doctor_at
         if _written_ns(self._doctor_path) != self._written_ns:
-            return f"Old, the profile was edited since: {words} d checks again.", "old"
+            return f"Old, the profile was edited since: {words} {SHOWN['go']} checks again.", "old"
         if age > _OLD:
-            return f"Old, from {age_words(age.total_seconds())}: {words} d checks again.", "old"
+            return f"Old, from {age_words(age.total_seconds())}: {words} {SHOWN['go']} checks again.", "old"
         return words, "failed" if self._doctor.failed else "ready"
 
     def _draw_devices(self) -> None:

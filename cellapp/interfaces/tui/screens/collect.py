@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 
 from textual import on, work
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.containers import Container, Horizontal
 from textual.content import Content
 from textual.events import Resize
@@ -23,23 +23,19 @@ from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.show.overview import run_log
 from cellapp.commands.view.charts import Chart
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import work as jobs
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
-from cellapp.interfaces.tui.job_record import ArmRecord, JobRecord, LogRow, level_of
+from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
+from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind
 from cellapp.interfaces.tui.offers import BEGIN, arms_words
 from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.screens.collect_state import (
-    Headline,
-    drift_exceeded,
-    headline,
-    holds_for_drift,
-    stops_left,
-    stops_measured,
-)
+from cellapp.interfaces.tui.screens.collect_state import Headline, headline
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.interfaces.tui.widgets.log_view_pane import LogPane
 from cellapp.interfaces.tui.widgets.log_view_rows import as_text
@@ -48,7 +44,7 @@ from cellapp.interfaces.tui.widgets.tables import WrappedTables
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 View = Literal["log", "plots", "collected"]
-_NOT_COLLECTED = "Nothing was collected yet in this run: b begins."
+_VIEWS: tuple[View, ...] = ("log", "plots", "collected")
 _PLOTS = ("residuals", "errors", "drift")
 _TALL = 50
 """Lines of a terminal that has room for one line for each part of a day."""
@@ -68,42 +64,34 @@ class CollectScreen(DayScreen):
     """Drive and measure; watch it; resume it."""
 
     STEP: ClassVar[Step] = "collect"
+    SHOWS_JOB: ClassVar[bool] = False
     HELP: ClassVar[str] = """\
 # Collect
 
 The arms visit the planned stops, and the tracker measures both at each. The large line says in which state the job is
-and what you can do now.
+and what you can do now. **{go}** begins, or goes on with what is left; real arms ask before they move.
 
-**Escape** or a click on STOP brakes all arms, always. **p** pauses after the present stop, **c** resumes, **x** ends
-the job.
+**Escape** or a click on STOP brakes all arms, always. **{pause}** pauses after the present stop, **{resume}** resumes,
+**{abort}** ends the job. **{drift}** accepts a drift of the references that you understand, and resumes.
 
-- **b** begins to measure the run that is open; real arms ask before they move.
-- **e** resumes a run that was interrupted. **a** accepts a drift of the references that you understand, and resumes.
 - Each arm: joint positions, joint temperatures, distance of the newest point from the model, standard error so far.
-- **g** shows the plots (again: the next one), **t** what the run has stored so far, **l** the log.
+- **{tab}** goes from the log to the plots, the stops and the tables of what is stored; **{plots}** shows the plots.
 
-Log: **/** searches, **m** and **M** go to the next match and to the one before, **f** filters by a text; **D I W E**
-show from debug, info, warning or error upwards. Up and down choose a line, with Shift more; **y** copies, **w** saves.
-**End** follows the newest line. **o** goes from the log of this session to the one that the run stores, and back.
+Log: up and down choose a line, with Shift more; **End** follows the newest line.
 """
     VERTICAL_BREAKPOINTS = [(0, "-low"), (34, "-tall")]  # noqa: RUF012 - as Textual declares it
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("b", "begin", "Begin", tooltip="measure the planned stops: THE ARMS MOVE"),
-        Binding("e", "resume_run", "Resume run", tooltip="measure the stops that are left: THE ARMS MOVE"),
-        Binding("a", "accept_drift", "Accept drift", tooltip="count drift from new first measurements, and resume"),
-        Binding("l", "view('log')", "Log", tooltip="show the log"),
-        Binding("g", "view('plots')", "Plots", tooltip="show the plots; again: the next one"),
-        Binding("t", "view('collected')", "Tables", tooltip="show what the run has stored so far"),
-        Binding("slash", "search", "Search", key_display="/", tooltip="search in the log"),
-        Binding("f", "filter", "Filter", tooltip="show only lines of the log with a text", show=False),
-        Binding("w", "save", "Save log", tooltip="save the lines that are shown, or the marked ones", show=False),
-        Binding("o", "other_log", "Other log", tooltip="log of this session, or the stored one", show=False),
-        Binding("m", "next_match(1)", "Next match", show=False),
-        Binding("M", "next_match(-1)", "Match before", show=False),
-        Binding("D", "least('debug')", "Log: all levels", show=False),
-        Binding("I", "least('info')", "Log: info and above", show=False),
-        Binding("W", "least('warning')", "Log: warnings and errors", show=False),
-        Binding("E", "least('error')", "Log: errors", show=False),
+        bind("go", "begin", "Begin", "measure the stops that are left: THE ARMS MOVE"),
+        bind("drift", "accept_drift", "Accept drift", "count drift from new first measurements, and resume"),
+        bind("plots", "view('plots')", "Plots", "show the plots; again: the next one"),
+        bind("tab", "next_tab", "Next tab", "from the log to the plots, the stops, the tables"),
+        bind("search", "search", "Search", "search in the log"),
+        bind("filter", "filter", "Filter", "show only lines of the log with a text", show=False),
+        bind("save", "save", "Save log", "save the lines that are shown, or the marked ones", show=False),
+        bind("open", "other_log", "Other log", "log of this session, or the stored one", show=False),
+        bind("after", "next_match(1)", "Next match", "go to the next match", show=False),
+        bind("before", "next_match(-1)", "Match before", "go to the match before", show=False),
+        *(bind(level, f"least('{level}')", f"Log: {level}", KEYS[level].meaning, show=False) for level in LEVELS),
     ]
     DEFAULT_CSS = """
     CollectScreen #state { height: auto; max-height: 4; padding: 0 1; background: $panel; }
@@ -156,7 +144,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             for name in _PLOTS:
                 yield ChartPlot(id=name)
         yield LogPane(id="log")
-        yield WrappedTables(_NOT_COLLECTED, id="collected")
+        yield WrappedTables(id="collected")
 
     def on_mount(self) -> None:
         """Begin with the log."""
@@ -175,30 +163,25 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Offer only what is possible now."""
-        idle, workspace, left = not self.cell_app.jobs.running, self.workspace, stops_left(self.workspace)
-        free = idle and left > 0 and not workspace.in_use
-        possible = {
-            "begin": free and stops_measured(workspace) == 0,
-            "resume_run": free and stops_measured(workspace) > 0,
-            "accept_drift": free and drift_exceeded(workspace) if idle else holds_for_drift(self.cell_app.record),
-        }
-        return possible.get(action, True)
+        idle, state = not self.cell_app.jobs.running, self.state
+        free = idle and state.left > 0 and not (state.in_use or state.read_only or state.no_run)
+        drift = free and state.drift if idle else holds_for_drift(self.cell_app.record)
+        return {"begin": free, "accept_drift": drift}.get(action, True)
 
     def action_begin(self) -> None:
-        """Collect the planned run that is open."""
-        self._collect("Begin to collect?", f"{stops_left(self.workspace)} stops", resume=False)
-
-    def action_resume_run(self) -> None:
-        """Collect what an interrupted run lacks."""
-        left, measured = stops_left(self.workspace), stops_measured(self.workspace)
-        self._collect("Resume?", f"the {left} stops that are left; {measured} are measured", resume=True)
+        """Collect the planned run that is open, or what an interrupted one lacks."""
+        left, measured = self.state.left, self.state.measured
+        if measured:
+            self._collect("Resume?", f"the {counted(left, 'stop')} that are left; {measured} are measured", resume=True)
+        else:
+            self._collect("Begin to collect?", counted(left, "stop"), resume=False)
 
     def action_accept_drift(self) -> None:
         """Let drift count from new first measurements."""
         if self.cell_app.jobs.running:
             self.cell_app.action_resume()  # the job measures its references anew
             return
-        what = f"{stops_left(self.workspace)} stops; drift of the references counts from new first measurements"
+        what = f"{counted(self.state.left, 'stop')}; drift of the references counts from new first measurements"
         self._collect("Accept the drift and resume?", what, resume=True, accept_drift=True)
 
     def _collect(self, title: str, what: str, *, resume: bool, accept_drift: bool = False) -> None:
@@ -232,10 +215,19 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         focus = {"log": self.query_one(LogPane).view, "collected": self.query_one(WrappedTables)}.get(view)
         self.set_focus(focus)
 
+    def action_next_tab(self) -> None:
+        """From the log to the plots, and to the tables of what is stored."""
+        shown = next(view for view in _VIEWS if self.has_class(view))
+        self.action_view(_VIEWS[(_VIEWS.index(shown) + 1) % len(_VIEWS)])
+
     def action_search(self) -> None:
         """Search in the log."""
         self.action_view("log")
         self.query_one(LogPane).ask("search")
+
+    def leave_field(self) -> None:
+        """Close the field of the log."""
+        self.query_one(LogPane).leave()
 
     def action_filter(self) -> None:
         """Show only lines of the log with a text."""
@@ -257,9 +249,9 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
 
         def saved(path: Path | None) -> None:
             if path is not None:
-                self.notify(f"{len(rows)} lines saved as {path}")
+                self.notify(f"{counted(len(rows), 'line')} saved as {path}")
 
-        self.app.push_screen(SaveAs(f"{len(rows)} lines of the log", as_text(rows), proposed), saved)
+        self.app.push_screen(SaveAs(f"{counted(len(rows), 'line')} of the log", as_text(rows), proposed), saved)
 
     # -- the stored log ------------------------------------------------------------------------------------------------
 
@@ -269,7 +261,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         if not pane.shows_session:
             pane.show_session(self.cell_app.record)
         elif folder is None:
-            self.say("No run is open, so there is no stored log.", "warning")
+            self.say(self.state.no_run, "warning")
         else:
             self._read_log(folder)
 
@@ -313,6 +305,10 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             if workspace.folder is not None:
                 self._read_log(workspace.folder)
 
+    def show_state(self, state: RunState) -> None:
+        """Say what is collected where no table does."""
+        self.query_one(WrappedTables).say_empty(state.not_collected)
+
     def show_job(self, record: JobRecord) -> None:
         """Draw what has changed."""
         running, job = record.state is not None, self.cell_app.jobs.job
@@ -338,7 +334,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         self._opened = job.folder or self._opened  # what it stores is heard already
 
     def _draw_state(self, record: JobRecord) -> None:
-        now = headline(self.workspace, record, self.cell_app.jobs.control.request)
+        now = headline(self.state, record, self.cell_app.jobs.control.request)
         if now != self._headline:
             self._headline = now
             state = self.query_one("#state", Static)
@@ -372,7 +368,7 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
         if record.suspicions:
             newest = record.suspicions[-1]
             before = len(record.suspicions) - 1
-            more = f" ({before} before: W shows them)" if before else ""
+            more = f" ({before} before: {SHOWN['warning']} shows them)" if before else ""
             arm = "" if newest.arm is None else f", arm {newest.arm}"
             box.update(f"! {newest.kind.upper()}{arm}: {newest.text}{more}")
 
@@ -406,4 +402,4 @@ show from debug, info, warning or error upwards. Up and down choose a line, with
             return drift_chart(collection.references, collection.drift_limit_mm)
         reports = [report for arm in record.stops.values() for report in arm]
         draw = live_residual_chart if name == "residuals" else standard_error_chart
-        return draw(reports, self._arm_names(record))
+        return draw(reports, self._arm_names(record), self.state.residuals_words)

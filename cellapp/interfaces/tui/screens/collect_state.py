@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from cellapp.ground.control import Request
+from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobState
-from cellapp.interfaces.tui.job_record import JobRecord, within_limit
-from cellapp.interfaces.tui.workspace import NO_PROFILE, NO_RUN, Workspace
+from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.keys import SHOWN
+from cellapp.interfaces.tui.night import since_words
+from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 
 Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
 
@@ -31,42 +34,14 @@ class Headline:
     look: Look
 
 
-def stops_left(workspace: Workspace) -> int:
-    """Number of stops that are neither measured nor in reserve."""
-    if workspace.stops is None or workspace.profile is None:
-        return 0
-    stops = workspace.stops.stops
-    reserves = workspace.profile.plan.reserves(len(stops))
-    return sum(not stop.measured and stop.configuration not in reserves for stop in stops)
-
-
-def stops_measured(workspace: Workspace) -> int:
-    """Number of stops that were measured."""
-    return 0 if workspace.stops is None else sum(stop.measured for stop in workspace.stops.stops)
-
-
-def drift_exceeded(workspace: Workspace) -> bool:
-    """Whether the newest reference measurements of the run are beyond the limit."""
-    collection = workspace.collection
-    if collection is None or not collection.references:
-        return False
-    newest = collection.references[-1].stops_done
-    return any(row.stops_done == newest and row.drift_mm > collection.drift_limit_mm for row in collection.references)
-
-
-def holds_for_drift(record: JobRecord) -> bool:
-    """Whether the job was stopped by references beyond their limit."""
-    newest = record.references[-1] if record.references else None
-    by_reference = record.reason.startswith("reference ")
-    return record.state == "stopped" and by_reference and (newest is None or not within_limit(newest))
-
-
-def headline(workspace: Workspace, record: JobRecord, request: Request) -> Headline:
+def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
     """The state of the job, else of the run; ``request`` is what a person asked of the job."""
     if record.state is None:
-        return _of_run(workspace)
+        return _of_run(run)
     if record.is_replay:
         return _of_replay(record, record.state, request)
+    if run.job is not None and not run.job.moves:
+        return Headline("RUNNING", f"{record.name}: nothing moves. Escape or {SHOWN['abort']} ends it.", "running")
     state = record.state
     if state in ("running", "pausing") and record.causes:  # the job's thread has not noticed yet, or hangs
         return Headline("STOPPED", f"{'; '.join(record.causes).rstrip('.')}. {_DOING['stopped'][1]}", "halted")
@@ -77,9 +52,10 @@ def headline(workspace: Workspace, record: JobRecord, request: Request) -> Headl
         state = {"pause": "pausing", "stop": "stopped", "abort": "aborted"}[request]  # type: ignore[assignment]
     look, possible = _DOING[state]
     if holds_for_drift(record):
-        possible = "Look for a moved tracker, nest or SMR. a accepts the drift and resumes, as c does; x ends it."
-    shows_reason = record.reason and state == record.state != "running"
-    return Headline(state.upper(), f"{record.reason.rstrip('.')}. {possible}" if shows_reason else possible, look)
+        possible = f"Look for a moved tracker, nest or SMR. {SHOWN['drift']} accepts the drift and resumes, as c does;"
+        possible += " x ends it."
+    waits = record.reason and state == record.state != "running"
+    return Headline(state.upper(), f"{since_words(record)}. {possible}" if waits else possible, look)
 
 
 def _of_replay(record: JobRecord, state: JobState, request: Request) -> Headline:
@@ -91,27 +67,31 @@ def _of_replay(record: JobRecord, state: JobState, request: Request) -> Headline
     return Headline(word, f"{recorded}p pauses and resumes; Escape or x ends it.", "replay")
 
 
-def _of_run(workspace: Workspace) -> Headline:
-    if workspace.profile is None:
-        return Headline("NO CELL", NO_PROFILE, "idle")
-    if workspace.folder is None:
-        return Headline("NO RUN", NO_RUN, "idle")
-    if workspace.in_use:
-        return Headline("IN USE", f"by {workspace.in_use}. Shown is what was stored when it was opened.", "waiting")
-    left, measured = stops_left(workspace), stops_measured(workspace)
+def _of_run(state: RunState) -> Headline:
+    if state.no_run:
+        return Headline("NO CELL" if state.stored == "no cell" else "NO RUN", state.no_run, "idle")
+    if state.in_use:
+        return Headline("IN USE", f"by {state.in_use}. Shown is what was stored when it was opened.", "waiting")
+    word, sentence, look = _of_stops(state)
+    if state.read_only:
+        sentence = "This folder cannot be written: copy the run to go on with it."
+    elif state.drift and state.left:
+        sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
+    return Headline(word, sentence, look)
+
+
+def _of_stops(state: RunState) -> tuple[str, str, Look]:
+    go, on, left, measured = SHOWN["go"], f"{SHOWN['next']} goes to the next step", state.left, state.measured
+    if not left and not measured:
+        return "NO PLAN", f"This run has no stops to measure: keys 2, {go} plan a run.", "idle"
     if not left:
-        word = f"COMPLETE, {measured} stops" if measured else "NO PLAN"
-        text = "n goes to the next step." if measured else "This run has no stops to measure: plan a run (key 2)."
-        return Headline(word, text, "done" if measured else "idle")
+        return f"COMPLETE, {counted(measured, 'stop')}", f"{on}.", "done"
     if not measured:
-        return Headline(f"READY, {left} stops", "b begins. Nothing moves before it is confirmed.", "idle")
-    word, text = f"INTERRUPTED, {measured} of {measured + left} stops", f"e measures the {left} stops that are left."
-    outcome = workspace.collection.sessions[-1].outcome if workspace.collection is not None else None
-    if outcome == "accurate enough":
-        word = f"ACCURATE ENOUGH, {measured} of {measured + left} stops"
-        text = f"n goes to the next step; e measures the {left} stops that are left."
-    elif outcome == "complete":
-        word, text = f"{left} MORE STOPS", f"{measured} are measured; e measures those that were planned since."
-    if drift_exceeded(workspace):
-        text = f"The references moved beyond their limit: a accepts that and resumes. {text}"
-    return Headline(word, text, "idle")
+        return f"READY, {counted(left, 'stop')}", f"{go} begins. Nothing moves before it is confirmed.", "idle"
+    if state.outcome == "accurate enough":
+        sentence = f"{on}; {go} measures the {counted(left, 'stop')} that are left."
+        return f"ACCURATE ENOUGH, {measured} of {counted(measured + left, 'stop')}", sentence, "idle"
+    if state.outcome == "complete":
+        return f"{left} MORE STOPS", f"{measured} are measured; {go} measures those that were planned since.", "idle"
+    sentence = f"{go} measures the {counted(left, 'stop')} that are left."
+    return f"INTERRUPTED, {measured} of {counted(measured + left, 'stop')}", sentence, "idle"

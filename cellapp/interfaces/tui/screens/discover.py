@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import ClassVar
 
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.widgets import Static, TabbedContent, TabPane
 
@@ -14,21 +15,25 @@ from cellapp.commands.discover import request
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.proposal_view import proposal_lines
 from cellapp.commands.discover.tables import discovery_tables
-from cellapp.commands.discover.view import explanation_text, verdict_sentence
+from cellapp.commands.discover.view import explanation_text
+from cellapp.commands.discover.words import verdict_sentence
 from cellapp.estimation.discovery.records import DiscoverResult
+from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.offers import BEGIN, arms_words
+from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.screens.collect_state import stops_left
 from cellapp.interfaces.tui.widgets.tables import WrappedTables
-from cellapp.interfaces.tui.widgets.tabs import show_next_tab
+from cellapp.interfaces.tui.widgets.tabs import show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
-_EMPTY = "Nothing was searched yet. Calibrate first (key 4), then b searches for missing effects."
-_NO_PROPOSAL = "No stops are proposed. m proposes stops that best settle what these data leave open."
+_PLOTS = ("gap", "pictures")
+_EMPTY = f"Nothing was searched yet: {SHOWN['go']} searches for missing effects."
+_NO_PROPOSAL = f"No stops are proposed. {SHOWN['add']} proposes stops that best settle what these data leave open."
 _PROPOSED = 20
 """Stops that are proposed at a time: about a quarter of an hour of measuring."""
 
@@ -37,30 +42,30 @@ class DiscoverScreen(DayScreen):
     """Search for missing effects; see what was found and what to do about it."""
 
     STEP: ClassVar[Step] = "discover"
-    HELP: ClassVar[str] = f"""\
+    HELP: ClassVar[str] = """\
 # Discover
 
-**b** searches for physical effects that the calibrated model lacks, names them, adds them to the model, and shows how
-the error at held-out stops shrinks. Nothing moves.
+**{go}** searches for physical effects that the calibrated model lacks, names them, adds them to the model, and shows
+how the error at held-out stops shrinks. Nothing moves.
 
 - *Gap*: the error after each step of the search, down to the tracker's noise, and the verdict.
 - *Names*: what was accepted, with its probability, its evidence and its size at each joint.
-- *Pictures*: each effect as these data show it. **,** and **.** go from one to the next.
+- *Pictures*: each effect as these data show it.
 - *Check*: the cause of each effect, how large it usually is, what to check on the machine, what would settle it.
-- *Proposed stops*: **m** plans {_PROPOSED} further stops that best settle what is open; **e** collects them. Real arms
+- *Proposed stops*: **{add}** plans further stops that best settle what is open; **{measure}** measures them. Real arms
   ask before they move.
 
-**a** shows the other arm. **t** goes from tab to tab. In a table, **y** copies and **w** saves.
-The handbook explains each effect: key **h**.
+The handbook explains each effect.
 """
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("b", "begin", "Discover", tooltip="search for missing effects; nothing moves"),
-        Binding("m", "propose", "Propose stops", tooltip="plan further stops that settle what is open; nothing moves"),
-        Binding("e", "collect", "Collect them", tooltip="measure the proposed stops: THE ARMS MOVE"),
-        Binding("a", "other_arm", "Other arm", tooltip="show the plots of the other arm"),
-        Binding("comma", "picture(-1)", "Picture before", key_display=",", show=False),
-        Binding("full_stop", "picture(1)", "Next picture", key_display="."),
-        Binding("t", "next_tab", "Next tab"),
+        bind("go", "begin", "Discover", "search for missing effects; nothing moves"),
+        bind("add", "propose", "Propose stops", "plan further stops that settle what is open; nothing moves"),
+        bind("measure", "collect", "Collect them", "measure the proposed stops: THE ARMS MOVE"),
+        bind("arm", "other_arm", "Other arm", "show the plots of the other arm"),
+        bind("before", "picture(-1)", "Picture before", show=False),
+        bind("after", "picture(1)", "Next picture"),
+        bind("plots", "plots", "Plots", "show the plots; again: the next one"),
+        bind("tab", "next_tab", "Next tab"),
     ]
 
     def __init__(self) -> None:
@@ -76,11 +81,11 @@ The handbook explains each effect: key **h**.
                     yield ChartPlot(id="gap-plot")
                     yield ChartPlot(id="candidates-plot")
             with TabPane("Names", id="names"):
-                yield WrappedTables(_EMPTY, id="name-tables")
+                yield WrappedTables(id="name-tables")
             with TabPane("Pictures", id="pictures"):
                 yield ChartPlot(id="picture-plot")
             with TabPane("Check", id="check"), VerticalScroll():
-                yield Static(_EMPTY, id="meaning", markup=False)
+                yield Static("", id="meaning", markup=False)
             with TabPane("Proposed stops", id="proposed"), VerticalScroll():
                 yield Static(_NO_PROPOSAL, id="proposal", markup=False)
 
@@ -89,7 +94,8 @@ The handbook explains each effect: key **h**.
     def action_begin(self) -> None:
         """Search the run that is open."""
         if folder := self.open_folder():
-            self.start(work.job_of(request.VERB, folder=folder))
+            job = work.job_of(request.VERB, folder=folder)
+            offer_again(self, "Search again?", self._result, DISCOVER, partial(self.start, job))
 
     def action_propose(self) -> None:
         """Search, then plan further stops."""
@@ -98,11 +104,13 @@ The handbook explains each effect: key **h**.
 
     def action_collect(self) -> None:
         """Ask, then measure what is planned and not measured yet."""
-        folder, left = self.workspace.folder, stops_left(self.workspace)
-        if folder is None or left == 0:
-            self.say("No stop is left to measure: m proposes further ones.", "warning")
+        folder, left = self.open_folder(), self.state.left
+        if folder is None:
             return
-        text = f"{left} stops are left to measure in {folder}; {arms_words(self.workspace)}."
+        if left == 0:
+            self.say(f"No stop is left to measure: {SHOWN['add']} proposes further ones.", "warning")
+            return
+        text = f"{counted(left, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
 
         def begin(answer: str | None) -> None:
             if answer == "begin":
@@ -121,6 +129,10 @@ The handbook explains each effect: key **h**.
         self._picture += step
         self.query_one("#discovery", TabbedContent).active = "pictures"
         self._draw_plots()
+
+    def action_plots(self) -> None:
+        """Show a tab with plots; where one is shown, the next."""
+        show_next_of(self.query_one("#discovery", TabbedContent), _PLOTS)
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
@@ -142,12 +154,10 @@ The handbook explains each effect: key **h**.
         tables = self.query_one("#name-tables", WrappedTables)
         if found is None or workspace.results is None:
             tables.show([])
-            self.query_one("#meaning", Static).update(_EMPTY)
             self.query_one("#proposal", Static).update(_NO_PROPOSAL)
-            self.query_one("#verdict", Static).update(_EMPTY)
         else:
             reason = workspace.results.out_of_date.get(DISCOVER)
-            outdated = [] if reason is None else [f"! out of date: {reason}; b searches again"]
+            outdated = [] if reason is None else [f"! out of date: {reason}; {SHOWN['go']} searches again"]
             tables.show(discovery_tables(found), outdated, [arm.sentence for arm in found.arms.values()])
             self.query_one("#meaning", Static).update(explanation_text(found))
             proposal = _NO_PROPOSAL if found.proposal is None else "\n".join(proposal_lines(found.proposal))
@@ -155,6 +165,14 @@ The handbook explains each effect: key **h**.
             verdicts = [f"Arm {name}: {arm.verdict}. {verdict_sentence(name, arm)}" for name, arm in found.arms.items()]
             self.query_one("#verdict", Static).update("\n".join([*outdated, *verdicts]))
         self._draw_plots()
+
+    def show_state(self, state: RunState) -> None:
+        """Say why nothing was found, where nothing is stored."""
+        if self._result is None:
+            empty = state.nothing(self.STEP, _EMPTY)
+            self.query_one("#name-tables", WrappedTables).say_empty(empty)
+            self.query_one("#meaning", Static).update(empty)
+            self.query_one("#verdict", Static).update(empty)
 
     def _draw_plots(self) -> None:
         found = self._result

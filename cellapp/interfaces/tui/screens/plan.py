@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING, ClassVar
 from rich.text import Text
 from textual import on, work
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.commands.plan.request import VERB as PLAN
+from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
-from cellapp.interfaces.tui.screens.plan_edits import NO_PLANNED_RUN, PlanEdits
+from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.run_state import RunState
+from cellapp.interfaces.tui.screens.plan_edits import NO_PLAN, PlanEdits
 from cellapp.interfaces.tui.widgets.cell_map import CellMap
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
 from cellapp.interfaces.tui.widgets.plan_tables import (
@@ -27,8 +30,8 @@ from cellapp.interfaces.tui.widgets.plan_tables import (
     PairsTable,
     StopsTable,
 )
-from cellapp.interfaces.tui.widgets.tabs import explain_tabs, show_next_tab
-from cellapp.interfaces.tui.workspace import NO_PROFILE, Step, Workspace, new_folder
+from cellapp.interfaces.tui.widgets.tabs import explain_tabs, show_next_of, show_next_tab
+from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.cell.planning.design_records import ViewResult
@@ -39,27 +42,25 @@ if TYPE_CHECKING:
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
-HELP = """
+HELP = """\
 # Plan
 
 Which stops the arms will visit, before anything moves.
 
-- `v` looks at what the tracker sees of each arm's workspace, before anything is planned.
-- `g` makes a new run with a plan of the profile; you may change the proposed folder.
-- `k` runs the safety gate again over every stop and every way of the open run's plan.
-- `f` foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect whether the
-  plan can show it and from which size on.
+- A new plan makes a new run of the profile; you may change the proposed folder. What the tracker sees of each arm's
+  workspace can be looked at before.
+- The check runs the safety gate again over every stop and every way of the open run's plan.
+- The forecast foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect
+  whether the plan can show it and from which size on.
 - *Limits* is what the profile demands, *Design* what the stops tell beside random ones; *Stops* lists them, *Above* and
-  *Tracker* show them with obstacles and what these hide. The sentence below a table is that of the selected row; `t`
-  shows the next tab.
+  *Tracker* show them with obstacles and what these hide. The sentence below a table is that of the selected row.
 
 Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 0.1 mm, what gravity and backlash leave
 in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
-
-Next: collect (`3`).
 """
-_NO_VIEW = "v looks at what the tracker sees of each arm's workspace; nothing is planned."
-_NO_FORECAST = "Not foreseen yet: f computes time, expected errors and visible effects."
+_PLOTS = ("tab-design", "tab-above", "tab-tracker")
+_NO_VIEW = f"{SHOWN['look']} looks at what the tracker sees of each arm's workspace; nothing is planned."
+_NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects."
 
 
 class Drawn(Message):
@@ -78,17 +79,18 @@ class PlanScreen(PlanEdits):
     STEP: ClassVar[Step] = "plan"
     HELP: ClassVar[str] = HELP
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("g", "plan", "New plan", tooltip="make a new run with a plan"),
-        Binding("v", "view", "View", tooltip="what the tracker sees of each arm's workspace, before planning"),
-        Binding("k", "check", "Check", tooltip="run the safety gate over all stops and ways again; nothing moves"),
-        Binding("f", "forecast", "Forecast", tooltip="time, joint ranges, expected errors, effects that can be seen"),
-        Binding("space", "mark", "Mark", tooltip="mark the selected stop"),
-        Binding("z", "freeze", "Freeze", tooltip="let later designs leave the marked stops"),
-        Binding("a", "add", "Add", tooltip="append stops to the open run's plan"),
-        Binding("r", "replan", "Replan", tooltip="design what is not measured again"),
-        Binding("w", "write", "Write", tooltip="write the plan as a table that can be edited"),
-        Binding("i", "read", "Read", tooltip="check a plan that was edited, and use it"),
-        Binding("t", "next_tab", "Next tab", tooltip="show the next of the tabs"),
+        bind("go", "plan", "New plan", "make a new run with a plan"),
+        bind("look", "view", "View", "what the tracker sees of each arm's workspace, before planning"),
+        bind("check", "check", "Check", "run the safety gate over all stops and ways again; nothing moves"),
+        bind("forecast", "forecast", "Forecast", "time, joint ranges, expected errors, effects that can be seen"),
+        bind("mark", "mark", "Mark", "mark the selected stop"),
+        bind("freeze", "freeze", "Freeze", "let later designs leave the marked stops"),
+        bind("add", "add", "Add", "append stops to the open run's plan"),
+        bind("again", "replan", "Replan", "design what is not measured again"),
+        bind("export", "write", "Write", "write the plan as a table that can be edited"),
+        bind("open", "read", "Read", "check a plan that was edited, and use it"),
+        bind("plots", "plots", "Plots", "the design as charts; again: the maps", show=False),
+        bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
     ]
     DEFAULT_CSS = """
     #plan-state, #plan-time, #plan-safety { height: auto; max-height: 3; }
@@ -122,7 +124,7 @@ class PlanScreen(PlanEdits):
                     with TabPane("Limits", id="tab-constraints"):
                         yield PairsTable(id="constraints")
                     with TabPane("Design", id="tab-design"):
-                        yield ChartsView(NO_PLANNED_RUN, id="plan-design")
+                        yield ChartsView("", id="plan-design")
                     with TabPane("Stops", id="tab-stops"):
                         yield StopsTable(id="stops")
                     with TabPane("Joints", id="tab-joints"):
@@ -154,13 +156,16 @@ class PlanScreen(PlanEdits):
         """Ask for the folder, then make a new run."""
         profile, path = self.workspace.file_profile, self.workspace.profile_path
         if profile is None or path is None:
-            self.say(NO_PROFILE, "warning")
+            self.say(self.state.no_run, "warning")
             return
         if self.cell_app.jobs.running:
             self.say("A job is running; plan when it has ended.", "warning")
             return
         reserve = f" and {profile.plan.reserve} in reserve" if profile.plan.reserve else ""
-        text = f"{profile.plan.stops} stops{reserve} of the cell '{profile.name}', read from {path}. Nothing moves."
+        text = (
+            f"{counted(profile.plan.stops, 'stop')}{reserve} of the cell '{profile.name}', read from {path}."
+            " Nothing moves."
+        )
 
         def begin(folder: Path | None) -> None:
             if folder is not None:
@@ -171,7 +176,7 @@ class PlanScreen(PlanEdits):
     def action_view(self) -> None:
         """Look at what the tracker sees."""
         if self.workspace.file_profile is None or self.workspace.profile_path is None:
-            self.say(NO_PROFILE, "warning")
+            self.say(self.state.no_run, "warning")
             return
         self.start(verbs.job_of(PLAN, profile=self.workspace.profile_path, view=True))
 
@@ -194,6 +199,10 @@ class PlanScreen(PlanEdits):
         if action not in ("mark", "freeze"):
             return True
         return any(tabs.active == "tab-stops" for tabs in self.query("#plan-tabs").results(TabbedContent))
+
+    def action_plots(self) -> None:
+        """Show the design, then the maps."""
+        show_next_of(self.query_one("#plan-tabs", TabbedContent), _PLOTS)
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
@@ -245,8 +254,11 @@ class PlanScreen(PlanEdits):
         if stops is not self._stops or not same_plan or workspace.folder is None:
             self._folder, self._stops = workspace.folder, stops
             self._draw_maps(workspace)
-        self.query_one("#plan-state", Static).update(_state_words(workspace))
         self._draw_results()
+
+    def show_state(self, state: RunState) -> None:
+        """Say how much is planned and measured, or what to do."""
+        self.query_one("#plan-state", Static).update(_state_words(state, self.workspace))
 
     def _draw_constraints(self) -> None:
         from cellapp.commands.doctor.profile_view import constraint_words
@@ -275,7 +287,7 @@ class PlanScreen(PlanEdits):
     @work(thread=True, exclusive=True, group="charts")
     def _make_charts(self, workspace: Workspace) -> None:
         """Draw the design: the mathematics that this needs takes half a second to load."""
-        from cellapp.interfaces.page.plan_section import design_charts_of, design_tables_of
+        from cellapp.commands.plan.section import design_charts_of, design_tables_of
 
         profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
         if profile is not None and ways is not None and stops is not None and stops.stops:
@@ -325,7 +337,7 @@ class PlanScreen(PlanEdits):
     def _draw_check(self, *, has_plan: bool) -> None:
         """The verdict on the open run's plan; what is refused of it, or of the edited plan that was checked last."""
         line, check = self.query_one("#plan-safety", Static), self._check
-        line.update("Checked when it was planned; k checks it again." if has_plan else "")
+        line.update(f"Checked when it was planned; {SHOWN['check']} checks it again." if has_plan else "")
         line.display = has_plan
         line.set_classes("")
         if check is not None:
@@ -369,20 +381,18 @@ def _check_rows(check: PlanCheckResult) -> tuple[str, list[tuple[str, str]]]:
     return verdict, rows or [("safe", verdict)]
 
 
-def _state_words(workspace: Workspace) -> str:
+def _state_words(state: RunState, workspace: Workspace) -> str:
     """How much is planned and measured, or what to do."""
-    if workspace.profile is None:
-        return workspace.problem or NO_PROFILE
-    overview = workspace.overview
-    if workspace.folder is None or overview is None:
-        return workspace.problem or NO_PLANNED_RUN
-    stops = () if workspace.stops is None else workspace.stops.stops
-    if not stops:
-        return "This run has no plan: its readings were imported. g plans a new run."
-    parts = []
-    for name, arm in overview.arms.items():
-        reserves = len(stops) - arm.planned
-        more = f" and {reserves} in reserve" if reserves else ""
-        parts.append(f"arm {name}: {arm.planned} stops{more}, {arm.measured} measured")
-    edited = " The profile was edited since; g plans with the present one." if workspace.edited else ""
-    return "; ".join(parts) + "." + edited
+    if state.no_run or workspace.overview is None:
+        return state.no_run
+    if not state.planned:
+        return NO_PLAN
+    reserves = (0 if workspace.stops is None else len(workspace.stops.stops)) - state.planned
+    more = f" and {reserves} in reserve" if reserves else ""
+    now = state.measured if state.collecting else 0
+    arms = [
+        f"arm {name}: {counted(arm.planned, 'stop')}{more}, {max(arm.measured, now)} measured"
+        for name, arm in workspace.overview.arms.items()
+    ]
+    edited = f" The profile was edited since; {SHOWN['go']} plans with the present one." if workspace.edited else ""
+    return "; ".join(arms) + "." + edited

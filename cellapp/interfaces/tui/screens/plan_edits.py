@@ -15,11 +15,12 @@ from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
+from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.plan_tables import StopsTable
-from cellapp.interfaces.tui.workspace import NO_PROFILE, new_folder
+from cellapp.interfaces.tui.workspace import new_folder
 
-NO_PLANNED_RUN = "No run is open: plan one with g, or open one on the screen Runs (8)."
+NO_PLAN = f"This run has no plan: its readings were imported. {SHOWN['go']} plans a new run."
 _PLAN_FILE = "plan.csv"
 """What a plan as a table is called unless a person says otherwise."""
 _FURTHER = 50
@@ -32,14 +33,11 @@ class PlanEdits(DayScreen):
 
     def planned_folder(self) -> Path | None:
         """Folder of the open run with a plan; None with a sentence why there is none."""
-        workspace = self.workspace
-        if workspace.folder is None:
-            self.say(NO_PLANNED_RUN, "warning")
-        elif workspace.stops is None or not workspace.stops.stops:
-            self.say("This run has no plan: its readings were imported. Plan a new run with g.", "warning")
-        else:
-            return workspace.folder
-        return None
+        folder = self.open_folder()
+        if folder is not None and not self.state.planned:
+            self.say(NO_PLAN, "warning")
+            return None
+        return folder
 
     def action_freeze(self) -> None:
         """Let later designs leave the marked stops; without marks, none."""
@@ -94,7 +92,7 @@ class PlanEdits(DayScreen):
         """Ask for an edited plan, and check it."""
         profile = self.workspace.profile_path
         if self.workspace.file_profile is None or profile is None:
-            self.say(NO_PROFILE, "warning")
+            self.say(self.state.no_run, "warning")
             return
 
         def begin(path: Path | None) -> None:

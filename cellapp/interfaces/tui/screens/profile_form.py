@@ -43,6 +43,7 @@ from cellapp.cell.profile.draft_fields import (
 from cellapp.cell.profile.draft_file import OpenProfile, before_saving, changed_on_disk, new_text, save
 from cellapp.cell.profile.starters import arm_type_files
 from cellapp.commands.view.charts import Chart
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.arm_types import ARM_TYPES
 from cellapp.ground.profile.obstacles import SHAPES
@@ -358,7 +359,7 @@ class ProfileForm(Question[Path]):
             sections.get_tab(f"section-{name}").label = f"{title}{mark}"
         state = "not saved" if self._draft != self._opened.draft else "saved" if self._saved else "unchanged"
         count = len(self._problems)
-        problems = f"{count} field{'s' if count > 1 else ''} to correct" if count else "every field holds"
+        problems = f"{counted(count, 'field')} to correct" if count else "every field holds"
         self.query_one("#form-title", Static).update(f"{self._target().path} · {state} · {problems}")
 
     def _draw_help(self) -> None:

@@ -30,11 +30,13 @@ from cellapp.commands.runs.result import RunComparison, RunsResult
 from cellapp.commands.runs.view import run_lines, runs_sentences
 from cellapp.commands.view.charts import enumerated
 from cellapp.estimation.monitoring.fleet.records import FleetResult
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.browser import open_page
 from cellapp.interfaces.tui.endings import REPORT_FILE
+from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.offers import offer_replay, offer_to_resume
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.text_table import TextTable
@@ -55,15 +57,11 @@ HELP = """\
 
 Every run in the folder of runs, newest first. Nothing here changes a run.
 
-- **Enter** opens the run under the cursor (▸); **n** then goes to the step that comes next.
-- **Space** marks a run (●), **c** compares the marked ones: two in profile, parameters, errors, effects, verification;
-  more of them by the history of each arm.
-- **f** shows the fleet: the history of each arm over all runs of the list, changes with their evidence, trends. The
-  filter chooses the runs.
-- **o** opens the report in a browser; it is written first where there is none.
-- **e** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
-- **y** plays the run back through the screen Collect. Nothing moves.
-- **/** filters while you type, **s** sorts by the next column, **u** reads the folder again.
+- **Enter** opens the run under the cursor (▸); **{next}** then goes to the step that comes next.
+- Two marked runs (●) are compared in profile, parameters, errors, effects, verification; more of them by the history
+  of each arm. The fleet is the history of each arm over all runs of the list, changes with their evidence, trends.
+- **{go}** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
+- **{look}** plays the run back through the screen Collect. Nothing moves.
 
 Whether a result still holds is judged by the number of readings here; opening the run compares the readings themselves.
 """
@@ -100,16 +98,16 @@ class RunsScreen(DayScreen):
     HELP = HELP
     AUTO_FOCUS = "#runs"
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("space", "mark", "Mark", tooltip="mark a run to compare it"),
-        Binding("c", "compare", "Compare", tooltip="compare the marked runs"),
-        Binding("f", "fleet", "Fleet", tooltip="the history of each arm over the runs of the list"),
-        Binding("o", "report", "Report", tooltip="open the report in a browser"),
-        Binding("e", "resume_run", "Resume run", tooltip="go on with a run that was interrupted"),
-        Binding("y", "replay", "Replay", tooltip="play the run back; nothing moves"),
-        Binding("slash", "filter", "Filter", key_display="/"),
+        bind("mark", "mark", "Mark", "mark a run to compare it"),
+        bind("compare", "compare", "Compare", "compare the marked runs"),
+        bind("fleet", "fleet", "Fleet", "the history of each arm over the runs of the list"),
+        bind("open", "report", "Report", "open the report in a browser"),
+        bind("go", "resume_run", "Resume run", "go on with a run that was interrupted"),
+        bind("look", "replay", "Replay", "play the run back; nothing moves"),
+        bind("search", "filter", "Filter", "filter the list while you type"),
         Binding("escape", "clear_filter", show=False),
-        Binding("s", "sort", "Sort", tooltip="sort by the next column"),
-        Binding("u", "read", "Read again", show=False),
+        bind("sort", "sort", "Sort", "sort by the next column"),
+        bind("again", "read", "Read again", "read the folder of runs again", show=False),
     ]
     DEFAULT_CSS = """
     RunsScreen #runs { height: 1fr; }
@@ -212,10 +210,10 @@ class RunsScreen(DayScreen):
         if run is not None:
             lines = run_lines(run)
         elif self._found.runs:
-            lines = [f"none of {len(self._found.runs)} runs passes the filter; / changes it"]
+            lines = [f"none of {len(self._found.runs)} runs passes the filter; {SHOWN['search']} changes it"]
         else:
             lines = runs_sentences(self._found)
-        self.query_one("#about", Static).update("\n".join(lines))
+        self.query_one("#about", Static).update(with_keys("\n".join(lines)))
 
     @on(DataTable.RowHighlighted)
     def show_run(self) -> None:
@@ -232,6 +230,10 @@ class RunsScreen(DayScreen):
     def filter_rows(self) -> None:
         """Filter while a person types."""
         self._draw()
+
+    def leave_field(self) -> None:
+        """Go back to the list; what is typed stays."""
+        self._table.focus()
 
     @on(Input.Submitted, "#filter")
     def leave_filter(self) -> None:
@@ -266,10 +268,8 @@ class RunsScreen(DayScreen):
     # -- what can be done with a run -----------------------------------------------------------------------------------
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Compare marked runs only, and not while a job waits to be resumed, which has the same key."""
-        if action == "compare":
-            return not self.cell_app.jobs.possible("resume") and len(self._marked) >= _PAIR
-        return True
+        """Compare marked runs only."""
+        return action != "compare" or len(self._marked) >= _PAIR
 
     @on(DataTable.RowSelected)
     def open_run(self) -> None:
@@ -287,7 +287,9 @@ class RunsScreen(DayScreen):
             self._draw()
             self.refresh_bindings()
             if len(self._marked) >= _PAIR:
-                self.say(f"{len(self._marked)} runs are marked; c compares them.")
+                self.say(
+                    f"{counted(len(self._marked), 'run is', 'runs are')} marked; {SHOWN['compare']} compares them."
+                )
 
         self._with_run(mark)
 

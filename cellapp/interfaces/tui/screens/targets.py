@@ -34,6 +34,7 @@ from cellapp.commands.compensate.words import compensate_summary, unknown_lines,
 from cellapp.commands.correct.view import correct_table
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.report.result import RunResults
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
@@ -41,8 +42,9 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
 from cellapp.interfaces.tui.dialogs.target_form import TargetForm
-from cellapp.interfaces.tui.offers import offer_paths
+from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens import targets_jobs
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.targets_state import TargetEdits, listed_path, new_name
@@ -50,10 +52,10 @@ from cellapp.interfaces.tui.widgets.charts_view import ChartsView
 from cellapp.interfaces.tui.widgets.tables import TablesView
 from cellapp.interfaces.tui.widgets.tabs import show_next_tab
 from cellapp.interfaces.tui.widgets.text_table import TextTable
-from cellapp.interfaces.tui.workspace import NO_PROFILE, Step, Workspace
+from cellapp.interfaces.tui.workspace import Step, Workspace
 
-_NO_TARGET = "No target: i opens a list, + adds a target."
-_NOT_MEASURED = "Nothing was computed yet: b compensates, v pushes and verifies."
+_NO_TARGET = f"No target: {SHOWN['open']} opens a list, {SHOWN['add']} adds a target."
+_NOT_MEASURED = f"Nothing was computed yet: {SHOWN['go']} compensates, {SHOWN['measure']} pushes and verifies."
 _WIDEST = 26
 """Letters of a cell of the list; the sentence below the list is whole."""
 _BESIDE = 6
@@ -83,45 +85,43 @@ class TargetsScreen(DayScreen):
     HELP: ClassVar[str] = """\
 # Targets
 
-Points to which the calibrated arms are sent. The list that the profile names is opened by itself.
+Points to which the calibrated arms are sent. The list that the profile names is opened by itself. An edited list is
+used as it is shown, saved or not.
 
-- *List*: **Enter** edits a target, **+** (Insert) adds one, **-** (Delete) removes one, **Ctrl+Z** undoes, **Ctrl+Y**
-  redoes. **w** saves the list, **i** opens another one (YAML or CSV). **s** shows only what needs attention: refused,
-  out of tolerance, undecided; **s** again shows all.
-- **b** compensates: computes the joint positions by the calibrated model. Nothing moves.
-- **g** drives the arms there. **v** drives with the nominal and with the compensated command and measures both; its
-  question takes how often each target is then corrected by measuring it. Each asks first; real arms ask again, with the
-  first path.
-- **l** locates the tracker after it was moved: a few measured points, and the calibration holds again.
-- **f** turns a file of poses with speeds into paths of the calibrated model, drives and measures them if asked to.
-- **c** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true poses.
+- *List*: **Enter** edits a target. **{filter}** shows only what needs attention: refused, out of tolerance, undecided.
+- **{go}** computes the joint positions by the calibrated model; nothing moves. **{measure}** drives with the nominal
+  and with the compensated command and measures both; its question takes how often each target is then corrected by
+  measuring it. **{push}** drives without measuring. Each asks first; real arms ask again, with the first path.
+- **{locate}** locates the tracker after it was moved: a few measured points, and the calibration holds again.
+- **{export}** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true
+  poses. Paths of lines and arcs are in the palette (**{palette}**).
 - *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
   the model (in, out, cannot say), or measured; or why the target is refused. *95 %* is the bound that a measured error
   keeps with that probability.
 - *Target*: all about the target under the cursor: where it is, what its uncertainty is made of, which conditions nobody
   stated, what was predicted and what was measured.
-- *Measured*: errors before and after, against the stated bounds, of cooperative targets. **a** shows the next chart.
+- *Measured*: errors before and after, against the stated bounds, of cooperative targets.
 - *Tables*: joint positions, uncertainties, errors.
 
-**t** goes from tab to tab. An edited list is used as it is shown, saved or not. The handbook's chapter *targets*
-explains frames, conditions and verdicts.
+The handbook's chapter *targets* explains frames, conditions and verdicts.
 """
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("b", "compensate", "Compensate", tooltip="compute commands; nothing moves"),
-        Binding("g", "push", "Push", tooltip="drive to the targets: THE ARMS MOVE"),
-        Binding("v", "verify", "Verify", tooltip="drive to the targets and measure: THE ARMS MOVE"),
-        Binding("plus,insert", "add", "Add", key_display="+", tooltip="add a target"),
-        Binding("minus,delete", "remove", "Remove", key_display="-", tooltip="remove the target"),
-        Binding("ctrl+z", "undo", "Undo", tooltip="take back the last edit"),
-        Binding("ctrl+y", "redo", "Redo", show=False),
-        Binding("i", "open_list", "Open", tooltip="open another list (YAML, CSV)"),
-        Binding("w", "save", "Save", tooltip="save the list (YAML)"),
-        Binding("c", "correct", "Program", tooltip="correct the targets of a UR program; nothing moves"),
-        Binding("l", "locate", "Locate", tooltip="measure where the moved tracker stands: THE ARMS MOVE"),
-        Binding("f", "follow", "Paths", show=False, tooltip="plan, drive or verify paths of lines and arcs"),
-        Binding("a", "next_chart", "Next chart", show=False, tooltip="show the next chart of what was measured"),
-        Binding("s", "attention", "Attention", show=False, tooltip="only targets that need attention, or all"),
-        Binding("t", "next_tab", "Next tab"),
+        bind("go", "compensate", "Compensate", "compute commands; nothing moves"),
+        bind("push", "push", "Push", "drive to the targets: THE ARMS MOVE"),
+        bind("measure", "verify", "Verify", "drive to the targets and measure: THE ARMS MOVE"),
+        bind("add", "add", "Add", "add a target"),
+        bind("remove", "remove", "Remove", "remove the target"),
+        bind("undo", "undo", "Undo", "take back the last edit"),
+        bind("redo", "redo", "Redo", "make the edit again", show=False),
+        bind("open", "open_list", "Open", "open another list (YAML, CSV)"),
+        bind("save", "save", "Save", "save the list (YAML)"),
+        bind("export", "correct", "Program", "correct the targets of a UR program; nothing moves"),
+        bind("locate", "locate", "Locate", "measure where the moved tracker stands: THE ARMS MOVE"),
+        bind("filter", "attention", "Attention", "only targets that need attention, or all", show=False),
+        bind("plots", "plots", "Plots", "show the charts of what was measured", show=False),
+        bind("after", "next_chart(1)", "Next chart", "show the next chart of what was measured", show=False),
+        bind("before", "next_chart(-1)", "Chart before", "show the chart before", show=False),
+        bind("tab", "next_tab", "Next tab"),
     ]
     DEFAULT_CSS = """
     TargetsScreen #list { padding: 0; }
@@ -146,7 +146,9 @@ explains frames, conditions and verdicts.
             with TabPane("List", id="list"):
                 yield Static("", id="about-list", markup=False)
                 grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
-                grid.tooltip = "Enter edits, + adds, - removes, Ctrl+Z undoes, w saves"
+                grid.tooltip = "Enter edits, {add} adds, {remove} removes, {undo} undoes, {save} saves".format_map(
+                    SHOWN
+                )
                 yield grid
                 yield Static("", id="about-target", classes="muted", markup=False)
             with TabPane("Target", id="target"):
@@ -155,7 +157,12 @@ explains frames, conditions and verdicts.
                 yield ChartPlot(id="first-plot")
                 yield ChartPlot(id="second-plot")
             with TabPane("Tables", id="target-tables-pane"):
-                yield TablesView(_NOT_MEASURED, id="target-tables")
+                yield TablesView(id="target-tables")
+
+    @property
+    def unsaved(self) -> str:
+        """The edits of the list."""
+        return f"{len(self._edits.targets)} targets with edits" if self._edits.edited else ""
 
     @property
     def _grid(self) -> TargetGrid:
@@ -171,12 +178,12 @@ explains frames, conditions and verdicts.
     def action_open_list(self) -> None:
         """Ask for a file, and before that about what is not saved."""
         if self.workspace.profile is None:
-            self.say(NO_PROFILE, "warning")
+            self.say(self.state.no_run, "warning")
         elif not self._edits.edited:
             self._pick()
         else:
             answers = (Answer("stay", "Keep them", "k"), Answer("open", "Open another list", "o", "warning"))
-            text = "Edits are not saved (w saves). Another list replaces them."
+            text = f"Edits are not saved ({SHOWN['save']} saves). Another list replaces them."
             question = Choice("Leave the edits?", text, answers)
             self.app.push_screen(question, lambda answer: self._pick() if answer == "open" else None)
 
@@ -202,7 +209,7 @@ explains frames, conditions and verdicts.
     def show_list(self, event: ListRead) -> None:
         """Draw the list that was read; a broken one leaves the present list."""
         if event.problem:
-            self.say(f"{event.problem}. i opens another list.", "error")
+            self.say(f"{event.problem}. {SHOWN['open']} opens another list.", "error")
             return
         self._edits = TargetEdits(event.path, event.targets, event.targets)
         self._draw_list()
@@ -221,7 +228,7 @@ explains frames, conditions and verdicts.
         """Type a new target, beginning with the one under the cursor."""
         profile, targets = self.workspace.profile, self._edits.targets
         if profile is None:
-            self.say(NO_PROFILE, "warning")
+            self.say(self.state.no_run, "warning")
             return
         arm = next(iter(profile.arms))
         texts = new_texts(arm)
@@ -281,7 +288,7 @@ explains frames, conditions and verdicts.
             if path is not None:
                 self._edits = self._edits.saved_as(path, targets)
                 self._draw_list()
-                self.say(f"{len(targets)} targets saved as {path}.")
+                self.say(f"{counted(len(targets), 'target')} saved as {path}.")
 
         self.app.push_screen(SaveAs("targets", targets_text(targets), proposed), saved)
 
@@ -302,10 +309,6 @@ explains frames, conditions and verdicts.
     def action_locate(self) -> None:
         """Ask, then measure where the tracker stands after it was moved."""
         targets_jobs.ask_locate(self)
-
-    def action_follow(self) -> None:
-        """Ask for a path file and whether the arms follow it."""
-        offer_paths(self)
 
     def action_correct(self) -> None:
         """Ask for a program and where its corrected copy is written."""
@@ -332,9 +335,16 @@ explains frames, conditions and verdicts.
 
     # -- tabs and plots ------------------------------------------------------------------------------------------------
 
-    def action_next_chart(self) -> None:
-        """Show the next chart: the other arm, cooperative targets, bounds."""
-        self._chart += 1
+    def action_plots(self) -> None:
+        """Show the charts of what was measured; again: the next one."""
+        tabs = self.query_one("#targets", TabbedContent)
+        if tabs.active == "measured":
+            self.action_next_chart(1)
+        tabs.active = "measured"
+
+    def action_next_chart(self, step: int) -> None:
+        """Show another chart: the other arm, cooperative targets, bounds."""
+        self._chart += step
         self.query_one("#targets", TabbedContent).active = "measured"
         self._draw_plots()
 
@@ -350,6 +360,10 @@ explains frames, conditions and verdicts.
     @property
     def _results(self) -> RunResults | None:
         return self.workspace.results
+
+    def show_state(self, state: RunState) -> None:
+        """Say why nothing was computed."""
+        self.query_one("#target-tables", TablesView).say_empty(state.nothing(self.STEP, _NOT_MEASURED))
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the list with the results of the run; open the list that the profile names."""

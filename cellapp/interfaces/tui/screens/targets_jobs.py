@@ -108,7 +108,7 @@ def ask_correct(screen: DayScreen) -> None:
 
 def _ready(screen: DayScreen, targets: Sequence[Target]) -> Path | None:
     """Folder of the run if commands can be computed for a list; else a sentence says why not."""
-    if reason := why_not(screen.workspace, targets):
+    if reason := why_not(screen.workspace, screen.state, targets):
         screen.say(reason, "warning")
         return None
     return screen.workspace.folder

@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Self
 
 from cellapp.cell.targets.targets import Target, list_problems
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
-from cellapp.interfaces.tui.workspace import NO_PROFILE, NO_RUN, NOT_CALIBRATED, Workspace
+from cellapp.interfaces.tui.keys import SHOWN
+from cellapp.interfaces.tui.run_state import RunState
+from cellapp.interfaces.tui.workspace import Workspace
 
-EMPTY = "No targets: i opens a list (YAML), + adds a target."
+EMPTY = f"No targets: {SHOWN['open']} opens a list (YAML), {SHOWN['add']} adds a target."
 
 
 @dataclass(frozen=True)
@@ -75,10 +78,14 @@ class TargetEdits:
         """File, number of targets, and whether they are saved."""
         if self.path is None and not self.targets:
             return EMPTY
-        count = f"{len(self.targets)} target{'' if len(self.targets) == 1 else 's'}"
+        count = counted(len(self.targets), "target")
         name = "no file yet" if self.path is None else str(self.path)
-        state = " · NOT SAVED (w saves)" if self.edited else ""
-        gone = " · the file is gone, w writes it again" if self.path is not None and not self.path.is_file() else ""
+        state = f" · NOT SAVED ({SHOWN['save']} saves)" if self.edited else ""
+        gone = (
+            f" · the file is gone, {SHOWN['save']} writes it again"
+            if self.path is not None and not self.path.is_file()
+            else ""
+        )
         return f"{name} · {count}{state}{gone}" + ("" if self.targets else f" · {EMPTY}")
 
 
@@ -99,14 +106,10 @@ def new_name(like: str, targets: Sequence[Target]) -> str:
     return name
 
 
-def why_not(workspace: Workspace, targets: Sequence[Target]) -> str:
+def why_not(workspace: Workspace, state: RunState, targets: Sequence[Target]) -> str:
     """Why commands cannot be computed for the list, and what to do; empty if they can."""
-    if workspace.profile is None:
-        return NO_PROFILE
-    if workspace.folder is None or workspace.results is None:
-        return NO_RUN
-    if workspace.results.calibrate is None:
-        return NOT_CALIBRATED
+    if state.not_calibrated or workspace.profile is None:
+        return state.not_calibrated
     if not targets:
         return EMPTY
     return _unfit(targets, workspace.profile)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
+from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ class DeviceState:
     name: str
     status: str = ""
     serial: str = ""
-    state: str = "not asked yet: d asks the doctor, r asks the devices"
+    state: str = f"not asked yet: {SHOWN['go']} asks the doctor, {SHOWN['again']} asks the devices"
     temperatures: str = ""
     asked: datetime | None = None
 

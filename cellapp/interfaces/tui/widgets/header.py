@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 
 from textual.app import ComposeResult
@@ -12,9 +13,12 @@ from textual.widgets import Static
 
 from cellapp.ground.progress import eta_words
 from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.marks import SIGNS, Mark
+from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens import SCREENS
+from cellapp.interfaces.tui.widgets.progress_bars import present_part
 from cellapp.interfaces.tui.widgets.stop import StopButton
-from cellapp.interfaces.tui.workspace import Step, StepState, Workspace
+from cellapp.interfaces.tui.workspace import Step
 
 _BADGES: Mapping[str, str] = {
     "none": " NO ARMS ",
@@ -23,7 +27,6 @@ _BADGES: Mapping[str, str] = {
     "real": " REAL ARMS ",
     "replay": " REPLAY ",
 }
-_MARKS: Mapping[StepState, str] = {"open": " ", "next": "▸", "done": "✓", "out of date": "!"}
 
 
 class DayHeader(Horizontal):
@@ -39,24 +42,24 @@ class DayHeader(Horizontal):
         yield Static("", classes="job", markup=False)
         yield StopButton()
 
-    def show(self, workspace: Workspace, record: JobRecord) -> None:
-        """Draw what is open and what runs."""
-        where = f"{profile_name(workspace)} · {'no run' if workspace.folder is None else workspace.folder}"
-        replays = record.is_replay and record.state is not None
-        kind = "replay" if replays else workspace.kind
-        attached = record.attached and record.state is not None
-        drawn = (kind, attached, where, job_words(record), record.state)
+    def show(self, state: RunState, kind: str, record: JobRecord) -> None:
+        """Draw what is open and what runs; ``kind`` is that of the cell's arms."""
+        job = state.job
+        kind = "replay" if job is not None and job.replays else kind
+        attached = job is not None and job.attached
+        words = job_words(record)
+        drawn = (kind, attached, state.where, words, record.state)
         if drawn == self._drawn:
             return
         self._drawn = drawn
         badge = self.query_one(".badge", Static)
         badge.update(f" ATTACHED ·{_BADGES[kind]}" if attached else _BADGES[kind])
         badge.set_classes(f"badge {kind}")
-        self.query_one(".where", Static).update(where)
-        job = self.query_one(".job", Static)
-        job.update(job_words(record))
-        job.set_classes(f"job {record.state or 'idle'}")
-        self.set_class(record.state is not None, "running")
+        self.query_one(".where", Static).update(state.where)
+        line = self.query_one(".job", Static)
+        line.update(words)
+        line.set_classes(f"job {record.state or 'idle'}")
+        self.set_class(job is not None, "running")
         self.set_class(kind == "real", "real")
 
 
@@ -67,11 +70,10 @@ class StepLine(Horizontal):
         for entry in SCREENS:
             yield StepTab(entry.step)
 
-    def show(self, workspace: Workspace, present: Step) -> None:
-        """Draw the states; short titles where the line is narrow."""
-        states = workspace.states()
+    def show(self, marks: Mapping[Step, Mark], present: Step) -> None:
+        """Draw the marks; short titles where the line is narrow."""
         for tab in self.query(StepTab):
-            tab.show(states[tab.step], present=tab.step == present)
+            tab.show(marks[tab.step], present=tab.step == present)
 
 
 class StepTab(Static):
@@ -87,27 +89,23 @@ class StepTab(Static):
     def __init__(self, step: Step) -> None:
         super().__init__("", classes="step", markup=False)
         self.step: Step = step
-        self._drawn: tuple[StepState, bool] | None = None
+        self._drawn: tuple[Mark, bool] | None = None
         self._entry = next(entry for entry in SCREENS if entry.step == step)
 
-    def show(self, state: StepState, *, present: bool) -> None:
-        """Draw key, title and state."""
-        drawn = (state, present)
+    def show(self, mark: Mark, *, present: bool) -> None:
+        """Draw key, title and mark."""
+        drawn = (mark, present)
         if drawn == self._drawn:
             return
         self._drawn = drawn
-        self.update(Content(f"{self._entry.key} {self._entry.title}{_MARKS[state]}"))
-        self.set_classes(f"step {state.replace(' ', '-')}{' present' if present else ''}")
-        self.tooltip = f"{self._entry.title}: {self._entry.purpose}; {state}. Key {self._entry.key}."
+        self.update(Content(f"{self._entry.key} {self._entry.title}{SIGNS[mark.kind]}"))
+        classes = ["step", mark.kind.replace(" ", "-"), *(["next"] if mark.is_next else [])]
+        self.set_classes(" ".join([*classes, *(["present"] if present else [])]))
+        self.tooltip = f"{self._entry.title}: {self._entry.purpose}; {mark.words}. Key {self._entry.key}."
 
     def on_click(self) -> None:
         """Show the screen."""
         self.post_message(self.Chosen(self.step))
-
-
-def profile_name(workspace: Workspace) -> str:
-    """Name of the open profile."""
-    return "no profile" if workspace.profile is None else workspace.profile.name
 
 
 def job_words(record: JobRecord) -> str:
@@ -118,5 +116,8 @@ def job_words(record: JobRecord) -> str:
     if latest is None:
         return f"{record.name} ..."
     state = "" if record.state == "running" else f" {record.state.upper()}"
-    eta = eta_words(latest.eta_s) if latest.eta_s else ""
-    return f"{latest.job}{state} {latest.done}/{latest.total}" + (f", {eta}" if eta else "")
+    present = present_part(record)
+    left_s = None if present is None else present.left_s(time.monotonic())
+    eta = eta_words(left_s) if left_s and left_s > 0.0 else ""
+    part = f"{record.name}: {latest.job}" if len(record.progress) > 1 or record.name == "run" else record.name
+    return f"{part}{state} {latest.done}/{latest.total}" + (f", {eta}" if eta else "")

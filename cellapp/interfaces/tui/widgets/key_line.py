@@ -6,6 +6,10 @@ switch of screens, measured with Textual 8.2. This one is a single text.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich.cells import cell_len
 from textual.content import Content
 from textual.events import Mount
 from textual.screen import Screen
@@ -20,13 +24,13 @@ class KeyLine(Static):
     KeyLine {
         dock: bottom; height: auto; max-height: 2; width: 1fr;
         background: $footer-background; color: $footer-foreground;
-        link-style: none; link-color: $footer-foreground; link-background: $footer-background;
+        link-style: none; text-wrap: nowrap; link-color: $footer-foreground; link-background: $footer-background;
     }
     """
 
     def __init__(self) -> None:
         super().__init__("", markup=False)
-        self._shown: tuple[tuple[str, str, str], ...] = ()
+        self._shown: tuple[Entry, ...] = ()
 
     def on_mount(self, event: Mount) -> None:
         """Listen to changes of what is possible."""
@@ -36,22 +40,62 @@ class KeyLine(Static):
         if self.is_attached and screen is self.screen and self.app.screen is screen:
             self.call_after_refresh(self._draw)
 
+    def on_resize(self) -> None:
+        """Lay the keys out anew."""
+        self._lay_out()
+
     def _draw(self) -> None:
-        keys: dict[str, tuple[str, str, str]] = {}
+        keys: dict[str, Entry] = {}
         for active in self.screen.active_bindings.values():
             binding = active.binding
             if not binding.show or not active.enabled or binding.system:
                 continue
             target = {self.app: "app.", self.screen: "screen."}.get(active.node, "")
-            key = self.app.get_key_display(binding)
-            keys.setdefault(binding.action, (key, binding.description, f"{target}{binding.action}" if target else ""))
-        shown = tuple(keys.values())
+            key, action = self.app.get_key_display(binding), f"{target}{binding.action}" if target else ""
+            entry = Entry(key, binding.description, action, general=active.node is self.app)
+            keys.setdefault(binding.action, entry)
+        shown = tuple(sorted(keys.values(), key=lambda entry: entry.general))
         if shown != self._shown:
             self._shown = shown
-            self.update(Content.assemble(*(part for entry in shown for part in _parts(*entry))))
+            self._lay_out()
+
+    def _lay_out(self) -> None:
+        lines = key_lines(self._shown, self.size.width or self.app.size.width)
+        drawn = [Content.assemble(*(part for entry in line for part in entry.parts)) for line in lines]
+        self.update(Content("\n").join(drawn))
 
 
-def _parts(key: str, description: str, action: str) -> tuple[tuple[str, Style] | str, ...]:
-    """A key and its description; both do the action when they are clicked."""
-    click = Style.from_meta({"@click": action}) if action else Style.null()
-    return (f" {key}", click + Style(bold=True)), (f" {description} ".replace(" ", "\N{NO-BREAK SPACE}"), click), " "
+@dataclass(frozen=True)
+class Entry:
+    """A key, what it does, the action of a click; ``general`` ones are the same on every screen."""
+
+    key: str
+    words: str
+    action: str
+    general: bool = False
+
+    @property
+    def width(self) -> int:
+        """Cells that it takes."""
+        return cell_len(self.key) + cell_len(self.words) + 4
+
+    @property
+    def parts(self) -> tuple[tuple[str, Style], ...]:
+        """Key and words; both do the action when they are clicked."""
+        click = Style.from_meta({"@click": self.action}) if self.action else Style.null()
+        return (f" {self.key}", click + Style(bold=True)), (f" {self.words}  ", click)
+
+
+def key_lines(entries: Sequence[Entry], width: int, most: int = 2) -> list[list[Entry]]:
+    """Entries in lines, none of them broken. Where not all fit, the last ones of the screen go: help lists them."""
+    left = list(entries)
+    while True:
+        lines: list[list[Entry]] = [[]]
+        for entry in left:
+            if lines[-1] and sum(one.width for one in lines[-1]) + entry.width > width:
+                lines.append([])
+            lines[-1].append(entry)
+        if len(lines) <= most or len(left) == 1:
+            return lines[:most]
+        own = [place for place, entry in enumerate(left) if not entry.general]
+        left.pop(own[-1] if own else 0)

@@ -15,6 +15,7 @@ from textual.scroll_view import ScrollView
 from textual.selection import Selection
 from textual.strip import Strip
 
+from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.job_record import LEVELS, LogRow
 from cellapp.interfaces.tui.widgets.log_view_rows import LogFilter, LogLine, LogRows, as_text
 
@@ -174,7 +175,7 @@ class LogView(ScrollView, can_focus=True):
             self.notify("The selected text is copied.")
         elif rows:
             self.app.copy_to_clipboard(as_text(rows))
-            self.notify(f"{len(rows)} line{'s' if len(rows) > 1 else ''} copied.")
+            self.notify(f"{counted(len(rows), 'line')} copied.")
         else:
             self.notify("No line is chosen: up and down choose one.", severity="warning")
 

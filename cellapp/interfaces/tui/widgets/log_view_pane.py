@@ -15,6 +15,7 @@ from textual.message import Message
 from textual.widgets import Input, Static
 
 from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, Level, LogRow
+from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.widgets.log_view import LogView
 
 THIS_SESSION = "Log of this session"
@@ -101,7 +102,9 @@ class LogPane(Vertical):
         self._asked = what
         self.add_class("asking")
         field = self.query_one(LogField)
-        field.placeholder = "search: Enter goes to the log, m to the next match" if what == "search" else "filter"
+        field.placeholder = (
+            f"search: Enter goes to the log, {SHOWN['after']} to the next match" if what == "search" else "filter"
+        )
         field.value = self.view.wanted if what == "search" else self.view.rows.filter.text
         field.focus()
 
@@ -119,6 +122,10 @@ class LogPane(Vertical):
     def end_text(self, event: Input.Submitted) -> None:
         """Back to the log."""
         event.stop()
+        self.leave()
+
+    def leave(self) -> None:
+        """Close the field; the log has the keys."""
         self.remove_class("asking")
         self.view.focus()
 
@@ -127,7 +134,7 @@ class LogPane(Vertical):
         if self.view.wanted:
             self.view.next_match(step)
         else:
-            self.notify("Nothing is searched for: / begins a search.", severity="warning")
+            self.notify(f"Nothing is searched for: {SHOWN['search']} begins a search.", severity="warning")
 
     @on(LogHeading.Chosen)
     def take_level(self, event: LogHeading.Chosen) -> None:

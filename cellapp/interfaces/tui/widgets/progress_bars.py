@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
@@ -10,7 +11,7 @@ from textual.reactive import reactive
 from textual.widget import Widget
 
 from cellapp.ground.progress import Progress, eta_words
-from cellapp.interfaces.tui.job_record import JobRecord
+from cellapp.interfaces.tui.job_record import JobRecord, Pace
 
 WHOLE_DAY = ("plan", "collect", "calibrate", "discover", "push")
 """Parts of a whole day, in their order."""
@@ -21,10 +22,18 @@ _WIDEST_BAR = 40
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a job; ``progress`` is None before it begins."""
+    """One part of a job; ``progress`` is None before it begins. ``waits``: the job is paused, suspended or stopped."""
 
     name: str
     progress: Progress | None = None
+    pace: Pace | None = None
+    waits: bool = False
+
+    def left_s(self, now_s: float) -> float | None:
+        """Time that is left now: the estimate less the time since it was made; None of one that waits."""
+        if self.progress is None or not self.progress.eta_s or self.waits:
+            return None
+        return self.progress.eta_s - (0.0 if self.pace is None else now_s - self.pace.heard_s)
 
 
 def parts_of(record: JobRecord) -> tuple[Part, ...]:
@@ -32,13 +41,22 @@ def parts_of(record: JobRecord) -> tuple[Part, ...]:
     expected = WHOLE_DAY if record.name == "run" else ()
     known = sorted(record.progress, key=lambda name: WHOLE_DAY.index(name) if name in WHOLE_DAY else len(WHOLE_DAY))
     names = dict.fromkeys((*expected, *known))
-    return tuple(Part(name, record.progress.get(name)) for name in names)
+    waits = record.state not in ("running", "pausing")
+    return tuple(Part(name, record.progress.get(name), record.paces.get(name), waits) for name in names)
+
+
+def present_part(record: JobRecord) -> Part | None:
+    """The part that reported last; None before the first report."""
+    latest = record.latest
+    return next((part for part in parts_of(record) if latest is not None and part.name == latest.job), None)
 
 
 def ending_words(eta_s: float | None, now: datetime) -> str:
     """An estimated time in words and as clock time: ``12 min left, at 14:32``."""
-    if not eta_s:
+    if eta_s is None:
         return ""
+    if eta_s <= 0.0:
+        return "any moment"
     end = now + timedelta(seconds=eta_s)
     day = "" if end.date() == now.date() else f"{end:%A} "
     return f"{eta_words(eta_s)}, at {day}{end:%H:%M}"
@@ -57,6 +75,14 @@ class ProgressBars(Widget):
     def __init__(self) -> None:
         super().__init__(classes="parts")
         self.tooltip = "The parts of the job: steps done, what is done now, the time that is left, when it will end."
+
+    def on_mount(self) -> None:
+        """Let the time that is left go down between two events."""
+        self.set_interval(1.0, self._tick)
+
+    def _tick(self) -> None:
+        if self.parts:
+            self.refresh()
 
     def watch_parts(self, before: tuple[Part, ...], now: tuple[Part, ...]) -> None:
         """More parts need more lines; all else is only drawn."""
@@ -96,7 +122,10 @@ def _line(part: Part, width: int, now: datetime) -> Content:
     count = f"{progress.done}/{progress.total}"
     length = max(min(_WIDEST_BAR, (width - _NAME - _COUNT) // 3), 6)
     filled = length if _done(part) else int(length * progress.done / max(progress.total, 1))
-    words = " · ".join(word for word in (ending_words(progress.eta_s, now), progress.note) if word)
+    rate = None if part.pace is None or _done(part) else part.pace.per_minute(progress.done)
+    paced = "" if rate is None else f"{rate:.3g}/min"
+    ending = "" if _done(part) else ending_words(part.left_s(time.monotonic()), now)
+    words = " · ".join(word for word in (ending, progress.note, paced) if word)
     room = max(width - _NAME - length - _COUNT - 2, 0)
     return Content.assemble(
         (f"{part.name:<{_NAME}}", "bold"),

@@ -29,7 +29,7 @@ class StopButton(Static):
 
     async def on_mouse_down(self) -> None:
         """Brake."""
-        await self.run_action("app.stop")
+        await self.run_action("app.stop_job")
 
     def on_click(self, event: Click) -> None:
         """The press was handled; a dialog below must not take the click."""

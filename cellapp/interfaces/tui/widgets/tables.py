@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar, Literal
 
 from rich.text import Text
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.containers import Vertical, VerticalScroll
 from textual.widget import Widget
 from textual.widgets import Static
@@ -15,6 +15,7 @@ from textual.widgets import Static
 from cellapp.commands.view.table import Table, markdown
 from cellapp.interfaces.render.terminal import rich_table
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 
 
@@ -28,8 +29,8 @@ class TablesView(VerticalScroll):
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("y", "copy", "Copy tables", tooltip="copy the tables as Markdown"),
-        Binding("w", "save", "Save tables", tooltip="save the tables as a Markdown file"),
+        bind("copy", "copy", "Copy tables", "copy the tables as Markdown"),
+        bind("save", "save", "Save tables", "save the tables as a Markdown file"),
     ]
     DEFAULT_CSS = """
     TablesView { height: 1fr; }
@@ -37,15 +38,16 @@ class TablesView(VerticalScroll):
     TablesView .table DataTable { height: auto; }
     """
 
-    def __init__(self, empty: str, *, id: str | None = None) -> None:
+    def __init__(self, empty: str = "", *, id: str | None = None) -> None:
         super().__init__(Static(empty, classes="muted", markup=False), id=id)
         self._empty = empty
         self._tables: tuple[Table, ...] = ()
         self._sentences: tuple[str, ...] = ()
-        self.tooltip = "up, down, Page Up, Page Down scroll; y copies, w saves"
+        self.tooltip = f"up, down, Page Up, Page Down scroll; {SHOWN['copy']} copies, {SHOWN['save']} saves"
 
     def show(self, tables: Sequence[Table], before: Sequence[str] = (), after: Sequence[str] = ()) -> None:
         """Draw tables and sentences in the place of those before."""
+        before, after = tuple(map(with_keys, before)), tuple(map(with_keys, after))
         drawn = (tuple(tables), (*before, *after))
         if drawn == (self._tables, self._sentences):
             return
@@ -60,6 +62,14 @@ class TablesView(VerticalScroll):
             *(Static(text, classes="after", markup=False) for text in after),
         )
         self.scroll_home(animate=False)
+
+    def say_empty(self, sentence: str) -> None:
+        """What it says while there is nothing to show."""
+        if sentence != self._empty:
+            self._empty = sentence
+            if not self._tables and not self._sentences:
+                self.remove_children()
+                self.mount(Static(sentence, classes="muted", markup=False))
 
     def draw(self, table: Table) -> Widget:
         """A widget for one table."""

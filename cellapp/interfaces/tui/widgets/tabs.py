@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from textual.widgets import TabbedContent, TabPane, Tabs
+
+from cellapp.interfaces.tui.keys import SHOWN
 
 
 def show_next_tab(tabs: TabbedContent) -> None:
@@ -11,6 +15,11 @@ def show_next_tab(tabs: TabbedContent) -> None:
     tabs.active = names[(names.index(tabs.active) + 1) % len(names)]
 
 
+def show_next_of(tabs: TabbedContent, some: Sequence[str]) -> None:
+    """Show the next one of some tabs; the first of them where another is shown."""
+    tabs.active = some[(some.index(tabs.active) + 1) % len(some)] if tabs.active in some else some[0]
+
+
 def explain_tabs(tabs: TabbedContent) -> None:
     """Say how the tabs are used."""
-    tabs.query_one(Tabs).tooltip = "Left and right choose a tab; t shows the next one"
+    tabs.query_one(Tabs).tooltip = f"Left and right choose a tab; {SHOWN['tab']} shows the next one"

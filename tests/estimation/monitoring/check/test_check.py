@@ -36,8 +36,8 @@ def test_unchanged_cell_is_valid_before_the_last_stop(cell: str, request: pytest
     assert not found.changes
     assert found.T_new_old is None
     assert found.sure_after < PLANNED
-    assert test.standing.sure
-    assert not test.standing.changed
+    assert test.state.sure
+    assert not test.state.changed
     for arm in found.arms.values():
         assert arm.rms_mm == pytest.approx(arm.expected_mm, rel=0.5)
         assert arm.left_mm is not None
@@ -125,10 +125,10 @@ def test_first_points_only_tell_where_a_tracker_that_was_set_up_anew_stands(sing
     readings = cell.measured([3, 8, 20], 0, **far)["only"]
     test = SequentialTest(cell.belief, PLANNED)
     for stop in range(3):
-        standing = test.add({"only": readings.take([stop])})
-        assert not standing.changed
-        assert not standing.sure
-    assert standing.p_value > 1e-3
+        state = test.add({"only": readings.take([stop])})
+        assert not state.changed
+        assert not state.sure
+    assert state.p_value > 1e-3
 
 
 def test_two_changes_are_both_named(pair: SimulatedCell) -> None:
@@ -162,7 +162,7 @@ def test_bad_readings_are_refused(pair: SimulatedCell) -> None:
     readings["left"].p_M[0, 0] = np.nan
     with pytest.raises(InputError, match="not finite"):
         test.add(readings)
-    assert test.standing.stops == 0
+    assert test.state.stops == 0
 
 
 def test_stops_without_one_of_the_arms_count_in_their_order(pair: SimulatedCell) -> None:
@@ -175,8 +175,8 @@ def test_stops_without_one_of_the_arms_count_in_their_order(pair: SimulatedCell)
         some = {name: its.take(its.configuration == stop) for name, its in late.items()}
         seen.append(parts.add(some).stops)
     assert seen == [1, 2, 3, 4, 5, 6]
-    assert parts.standing.p_value == pytest.approx(whole.standing.p_value, rel=1e-9)
-    assert parts.standing.log_evidence == pytest.approx(whole.standing.log_evidence, rel=1e-9)
+    assert parts.state.p_value == pytest.approx(whole.state.p_value, rel=1e-9)
+    assert parts.state.log_evidence == pytest.approx(whole.state.log_evidence, rel=1e-9)
 
 
 def test_one_point_that_stands_alone_is_no_change(pair: SimulatedCell) -> None:
@@ -195,10 +195,10 @@ def test_one_point_that_stands_alone_is_no_change(pair: SimulatedCell) -> None:
 def test_few_noisy_stops_cannot_say_and_state_what_they_would_find(pair: SimulatedCell) -> None:
     readings = pair.measured([1, 2], 0)
     test = SequentialTest(pair.belief, 2)
-    standing = test.add(readings)
+    state = test.add(readings)
     found = test.conclusion()
-    assert standing.sure
-    assert not standing.changed
+    assert state.sure
+    assert not state.changed
     assert found.verdict == "cannot say"
     assert found.weak
     assert all(one.visible and one.detected > 5e-5 for one in found.weak if one.kind != "effect")

@@ -1,0 +1,55 @@
+"""What a person does at resting arms while a job waits: another load, a force on a flange.
+
+A simulated cell does it itself. Elsewhere the job pauses and says what to do; it goes on when a person resumes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from cellapp.ground.control import JobControl
+from cellapp.ground.progress import JobState, Listener, Progress, StateChange
+from cellapp.robot.kinematics.transforms import Array
+from drivers.plant import Plant
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedPerson:
+    """Acts on the arms of a simulated cell."""
+
+    plant: Plant
+
+    def hang(self, arm: str, load_kg: float) -> None:
+        """Put another load on a flange, its centre of mass where that of the present one is."""
+        _, center = self.plant.payload(arm)
+        self.plant.set_payload(arm, load_kg, center)
+
+    def pull(self, arm: str, force_B: Array) -> None:
+        """Pull at a flange with a force (3,) [N] in the arm's base; zeros: let it go."""
+        self.plant.set_pull(arm, force_B if force_B.any() else None)
+
+
+def by_person(
+    person: SimulatedPerson | None,
+    act: Callable[[SimulatedPerson], None],
+    words: str,
+    control: JobControl,
+    listener: Listener,
+    hold: Callable[[], None],
+) -> None:
+    """Have something done at the arms, which rest; return when it is done.
+
+    ``act`` does it in a simulated cell. Else the job pauses with ``words``, and ``hold`` returns when it is resumed.
+    """
+    if person is not None:
+        act(person)
+        return
+
+    def say(state: JobState, reason: str) -> None:
+        listener(Progress("by hand", 0, 1, words, detail=StateChange(state, reason)))
+
+    control.pause()
+    say("paused", f"{words}; then resume")
+    hold()
+    say("running", "resumed by a person")

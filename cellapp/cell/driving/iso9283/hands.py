@@ -1,0 +1,81 @@
+"""What a person does at the arms in tests of ISO 9283: hang another load, pull at the flange; each step is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from cellapp.cell.driving.attendance import SimulatedPerson, by_person
+from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.cell_checks import PAYLOAD_SLACK_KG
+from cellapp.cell.driving.iso9283.findings import IsoFindings
+from cellapp.estimation.iso9283.evaluate_compliance import FORCE_DIRECTIONS, force_direction, force_place
+from cellapp.estimation.iso9283.places import ArmProgramme, Place
+from cellapp.estimation.iso9283.records import PersonStep
+from cellapp.ground.control import JobControl
+from cellapp.ground.progress import Listener, Progress
+
+
+@dataclass(frozen=True, eq=False)
+class Hands:
+    """Asks a person at an open cell; ``hold`` returns when the job is resumed. A simulated cell helps itself.
+
+    ``cycles`` are those of a test under forces.
+    """
+
+    cell: Cell
+    findings: IsoFindings
+    control: JobControl
+    listener: Listener
+    hold: Callable[[], None]
+    cycles: int
+
+    def hang(self, name: str, load_kg: float) -> bool:
+        """Have another load hung on the flange of an arm at home; whether its controller knows it.
+
+        Why the arm is not driven with a load that its controller does not know is kept.
+        """
+        self._ask(
+            f"arm {name}: hang {load_kg:g} kg on the flange, all that it carries together, and set the payload of its"
+            " controller to that",
+            lambda person: person.hang(name, load_kg),
+        )
+        known_kg = self.cell.arms[name].tool().payload_kg
+        if known_kg is None or abs(known_kg - load_kg) <= PAYLOAD_SLACK_KG:
+            return True
+        self.findings.refuse(
+            name,
+            ["pose"],
+            f"not with {load_kg:g} kg: the payload of its controller is set to {known_kg:.3f} kg; an arm that does not"
+            " know its load is not driven",
+        )
+        return False
+
+    def under_forces(
+        self, programme: ArmProgramme, forces: Sequence[float], measure: Callable[[Place, int, int], None]
+    ) -> None:
+        """Static compliance where the arm stands: without a force, under each one, and without one, in each direction.
+
+        ``measure`` takes place, cycle and group; the arm does not move meanwhile.
+        """
+        steps = [*((force, 0) for force in (0.0, *forces)), (0.0, 1)]
+        for direction in FORCE_DIRECTIONS:
+            for cycle in range(self.cycles):
+                for force, group in steps:
+                    place = force_place(programme, direction, force)
+                    self.findings.wanted[place] = self.cycles
+                    self.listener(Progress("compliance", cycle, self.cycles, str(place)))
+                    self.pull(programme.name, direction, force)
+                    measure(place, cycle, group)
+
+    def pull(self, name: str, direction: str, force_n: float) -> None:
+        """Have a force applied to the flange along an axis of the arm's base; none: have it let go."""
+        words = f"let go of the flange of arm {name}; nobody touches it"
+        if force_n:
+            words = f"pull at the flange of arm {name} with {force_n:g} N along {direction} of its base, and hold that"
+        self._ask(words, lambda person: person.pull(name, force_n * force_direction(direction)))
+
+    def _ask(self, words: str, act: Callable[[SimulatedPerson], None]) -> None:
+        by_person(self.cell.person, act, words, self.control, self.listener, self.hold)
+        step = PersonStep(words=words, time_s=self.cell.clock.now_s(), simulated=self.cell.person is not None)
+        self.findings.by_person.append(step)

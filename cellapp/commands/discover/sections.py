@@ -1,0 +1,123 @@
+"""A discovery as a section: a part for each arm, and how discovery decides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from cellapp.commands.discover.charts import gap_chart, picture_chart
+from cellapp.commands.discover.tables import (
+    accepted_table,
+    candidates_table,
+    cycle_table,
+    invisible_table,
+    not_found_table,
+    numbered_steps_table,
+    parameter_table,
+    structure_table,
+)
+from cellapp.commands.discover.words import (
+    contradiction_sentences,
+    description_sentences,
+    misfit_sentences,
+    picture_words,
+    remainder_sentences,
+    rival_sentences,
+    size_words,
+    undrawn_sentences,
+    verdict_sentence,
+)
+from cellapp.commands.view.charts import Chart
+from cellapp.commands.view.parts import Facts, Part, Section, section_of, sentence
+from cellapp.commands.view.words import place_words
+from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, DiscoverResult
+from cellapp.ground.profile.schema import Discovery
+
+_MOST_PICTURES = 6
+"""Pictures of effects of an arm that are drawn, those of the joints that move most; the JSON has the values of all."""
+
+
+def discovery_section(
+    discover: DiscoverResult, settings: Discovery, charts: Mapping[str, tuple[Sequence[Chart], Sequence[Chart]]]
+) -> Section:
+    """All arms; ``charts`` has of each how sure its model is, and what its effects turn each joint by."""
+    verdicts = (f"arm {name}, {arm.verdict}: {verdict_sentence(name, arm)}" for name, arm in discover.arms.items())
+    arms = [
+        arm_section(f"discovery-{number}", name, arm, *charts[name])
+        for number, (name, arm) in enumerate(discover.arms.items(), start=1)
+    ]
+    decides = Section("How discovery decides", [_decision_words(settings)], folded=True)
+    return section_of("", [*arms, decides], message="; ".join(verdicts))
+
+
+def arm_section(
+    key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = (), curves: Sequence[Chart] = ()
+) -> Section:
+    """Verdict, steps, accepted effects with pictures, undetectable effects and the remainder of one arm."""
+    found = (accepted_table(name, arm), parameter_table(name, arm), cycle_table(name, arm))
+    undetected = (
+        invisible_table(name, arm),
+        not_found_table(name, arm),
+        candidates_table(name, arm),
+        structure_table(name, arm),
+    )
+    parts: list[Part] = [
+        *contradiction_sentences(arm),
+        *rival_sentences(arm),
+        *misfit_sentences(arm),
+        *remainder_sentences(arm),
+        gap_chart(name, arm),
+        *certainty,
+        numbered_steps_table(name, arm),
+        *(table for table in found if table is not None),
+        *(_meaning(one) for one in arm.accepted if one.meaning is not None),
+        *(Section(heading, [words]) for heading, words in description_sentences(arm)),
+        *_pictures(name, arm),
+    ]
+    if curves:
+        about = (
+            "What all effects together turn a joint by while its angle alone changes; bands hold 95 % of the model's"
+            " posterior, and widen beyond the measured angles."
+        )
+        parts.append(Section("What effects turn joints by", curves, about=about))
+    title = "Effects that were not found, or that these data cannot show"
+    parts.append(Section(title, [table for table in undetected if table is not None], folded=True))
+    return Section(f"Arm {name}: {arm.verdict}", parts, sentence(verdict_sentence(name, arm)), key=key)
+
+
+def _meaning(found: AcceptedEffect) -> Section:
+    meaning = found.meaning
+    assert meaning is not None
+    rows: list[tuple[str, str]] = []
+    for title, lines in (
+        ("Check or mend", meaning.check),
+        ("Further stops or observations that settle it", meaning.settle),
+    ):
+        rows += [(title if place == 0 else "", line) for place, line in enumerate(lines)]
+    words = f"{meaning.cause} Usual size: {size_words(meaning)}."
+    return Section(f"What it means: {found.title}, {place_words(found.where)}", [words, Facts(tuple(rows))])
+
+
+def _pictures(name: str, arm: ArmDiscoveryResult) -> Iterator[Section]:
+    shown, others = arm.pictures[:_MOST_PICTURES], [picture.title for picture in arm.pictures[_MOST_PICTURES:]]
+    drawn = [replace(picture_chart(name, picture), message=picture_words(picture)) for picture in shown]
+    if drawn:
+        more = [f"Smaller ones are in the terminal application: {', '.join(others)}."] if others else []
+        about = (
+            "Dots are measured values of one effect, with all other parts of the model subtracted, at the readings that"
+            " the search used."
+        )
+        yield Section("What the effects look like", [*undrawn_sentences(arm), *more, *drawn], about=about)
+
+
+def _decision_words(settings: Discovery) -> str:
+    return (
+        "Physical effects that the geometry cannot explain, in the order in which they were found, evaluated on"
+        " configurations that the search did not use. The score of an effect is what it explains beside the re-fitted"
+        " geometry and all other effects, minus a penalty for its parameters. The corrected p-value is the probability"
+        " of such a score anywhere in the scan if nothing were missing: an effect is accepted below"
+        f" {settings.false_alarm}. With {settings.null_simulations} simulations without effects, p is at least"
+        f" {1.0 / (settings.null_simulations + 1):.2g}. The probability of an effect compares all sets of effects that"
+        " were tried; beside its law, relative to what the law moves, is what follows its variables otherwise than the"
+        " law says. `cellapp docs NAME` explains each effect, `cellapp docs discovery` how discovery decides."
+    )

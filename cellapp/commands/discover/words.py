@@ -1,0 +1,247 @@
+"""A discovery in words: what was found, what it could be instead, what is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+from cellapp.commands.view.words import probability_words, ranges
+from cellapp.estimation.discovery.records import (
+    AcceptedEffect,
+    ArmDiscoveryResult,
+    CurveRecord,
+    CycleBand,
+    EffectMeaning,
+    Picture,
+)
+
+_TURN = 360.0
+_UNEVEN = 2.0
+"""Ratio of the largest to the smallest standard deviation of a curve from which both are named."""
+_NOTICEABLE_MISFIT = 0.1
+"""Displacement beside a law over that by it from which the law is called not quite as expected: below a tenth it is
+hidden by the uncertainty of the masses alone."""
+_NOT_IMPROBABLE = 0.05
+"""Probability from which an effect that was not accepted is mentioned."""
+_GAP_DEG = 10.0
+"""The widest range of a joint without readings is named from here on: narrower ones are plain sampling."""
+
+
+def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
+    """The sentence of the verdict without the arm's name."""
+    return arm.sentence.removeprefix(f"arm {name}: ")
+
+
+def size_words(meaning: EffectMeaning) -> str:
+    """The usual size with how well it is known."""
+    return meaning.size if meaning.size_source == "none" else f"{meaning.size} ({meaning.size_source})"
+
+
+def misfit_words(found: AcceptedEffect) -> str:
+    """What the effect moves beside its law; empty where it has no free part or hardly any in it."""
+    if found.law_misfit is None or found.law_misfit < _NOTICEABLE_MISFIT:
+        return ""
+    return (
+        f"law not quite as expected: what {found.effect} moves beside its law is {100.0 * found.law_misfit:.0f} %"
+        " of what the law moves"
+    )
+
+
+def also_possible(arm: ArmDiscoveryResult) -> str:
+    """Effects that were not accepted and are not improbable, the most probable first."""
+    accepted = {found.effect for found in arm.accepted}
+    others = [(slug, p) for slug, p in arm.candidates.items() if slug not in accepted and p >= _NOT_IMPROBABLE]
+    return ", ".join(f"{slug} ({probability_words(p)})" for slug, p in sorted(others, key=lambda entry: -entry[1]))
+
+
+def cycle_words(found: AcceptedEffect) -> str:
+    """Dominant cycles per revolution of a free curve, joint by joint; empty for any other law."""
+    if found.law.name != "curve":
+        return ""
+    return ", ".join(
+        f"joint {joint}: {_band(band)} ({band.rms_urad:.0f} µrad rms)" for joint, band in (found.cycles or {}).items()
+    )
+
+
+def _band(band: CycleBand) -> str:
+    return str(band.first) if band.first == band.last else f"{band.first}-{band.last}"
+
+
+def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Effects that could replace an accepted one, and those that the data rule out."""
+    sentences = []
+    for found in arm.accepted:
+        rivals = found.indistinguishable
+        if rivals:
+            sentences.append(
+                f"{' or '.join(rivals)} would explain these data as well as {found.effect}: the data cannot"
+                " distinguish them. The finding is the whole answer set."
+            )
+        if found.ruled_out:
+            sentences.append(
+                f"Nearly as good as {found.effect}, but ruled out by these data: {', '.join(found.ruled_out)}."
+            )
+    return sentences
+
+
+def contradiction_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """What behaves like an effect with an impossible sign or size."""
+    return [f"Something {found.sentence}." for found in arm.contradictions]
+
+
+def misfit_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Accepted effects whose law is not quite as expected."""
+    words = [misfit_words(found) for found in arm.accepted]
+    return [f"{text[0].upper()}{text[1:]}." for text in words if text]
+
+
+def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Whether what is left shows structure; empty where it was not tested."""
+    if arm.structure is None:
+        return []
+    sentence = arm.structure.sentence
+    return [f"{sentence[0].upper()}{sentence[1:]}."]
+
+
+def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Joints of an accepted effect that have no figure."""
+    sentences = []
+    for found in arm.accepted:
+        labels = {picture.y_label for picture in arm.pictures if picture.effect == found.effect}
+        missing = [joint for joint in found.where.joints if f"offset of joint {joint} [urad]" not in labels]
+        if missing:
+            joints = f"joints {ranges(missing)}" if len(missing) > 1 else f"joint {missing[0]}"
+            sentences.append(
+                f"There is no figure of {found.effect} for {joints}: the SMR hardly moves with"
+                f" {'these joints' if len(missing) > 1 else 'this joint'}."
+            )
+    return sentences
+
+
+def remainder_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """What the effects leave, what a residual network finds in it, and the predicted uncertainty."""
+    return [
+        *structure_sentences(arm),
+        *_scatter_sentences(arm),
+        *_network_sentences(arm),
+        *_uncertainty_sentences(arm),
+    ]
+
+
+def _scatter_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    if arm.scatter is None or arm.omnibus_p is None:
+        return []
+    p = "below 0.001" if arm.omnibus_p < 0.001 else f"{arm.omnibus_p:.2g}"
+    return [
+        f"The remaining scatter is {arm.scatter:.2f} times the stated uncertainty. If nothing were missing, the"
+        f" probability of this much remaining structure is {p}."
+    ]
+
+
+def _network_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    if arm.network_mm is None:
+        return []
+    before, after = arm.network_mm.before, arm.network_mm.after
+    if before == after == 0.0:
+        return ["A residual network finds nothing to correct, neither before the effects nor after them."]
+    if not arm.accepted:
+        return [f"A residual network corrects {before:.4f} mm rms of what the geometry leaves."]
+    remainder = "finds nothing" if after == 0.0 else f"corrects {after:.4f} mm rms"
+    return [
+        f"A residual network trained on what the geometry leaves corrects {before:.4f} mm rms; trained on what the"
+        f" effects leave, it {remainder}."
+    ]
+
+
+def _uncertainty_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    predicted = arm.uncertainty_mm
+    if predicted is None:
+        return []
+    return [
+        f"Predicted standard deviation of a coordinate at held-out configurations: median {predicted.median:.4f} mm,"
+        f" at most {predicted.largest:.4f} mm. It grows where a joint range has no training data."
+    ]
+
+
+def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
+    """Heading and description of each data-driven term."""
+    impossible = {contradiction.sentence for contradiction in arm.contradictions}
+    descriptions = [
+        found.description
+        for found in arm.accepted
+        if found.description is not None and found.description.sentence not in impossible
+    ]
+    sentences = []
+    for term in descriptions:
+        variables = " and ".join(term.variables)
+        words = (
+            f"The term acts in the channel '{term.channel}', depends on {variables}, and moves the SMR by"
+            f" {term.size_um:.0f} µm rms beyond what the geometry can absorb."
+        )
+        if term.formula:
+            gain = term.gain_over_curve
+            words += f" A short formula fits as well as the curve: {term.formula}"
+            words += "." if gain is None else f" (score {gain:+.1f} against the curve's)."
+        else:
+            words += " No short formula fits as well as the curve."
+        sentences.append((f"Effect without a name: {term.channel}, {variables}", words))
+    return sentences
+
+
+def picture_words(picture: Picture) -> str:
+    """Size, scatter, and for a curve over a whole turn its uncertainty and gaps in the data."""
+    return " ".join([size_sentence(picture), *_certainty_sentences(picture), *gap_sentences(picture)])
+
+
+def size_sentence(picture: Picture) -> str:
+    """Size of an effect and scatter about it."""
+    remaining = _rms([m - c for m, c in zip(picture.measured, picture.computed, strict=True)])
+    unit = _unit(picture)
+    return (
+        f"The effect is {_rms(picture.computed):.0f} {unit} rms at these readings, which scatter"
+        f" {remaining:.0f} {unit} rms about it."
+    )
+
+
+def _certainty_sentences(picture: Picture) -> list[str]:
+    """Where a curve over a whole turn is most and least certain, if that differs."""
+    curve, unit = picture.curve, _unit(picture)
+    if curve is None or not _is_whole_turn(curve):
+        return []
+    points = list(zip(curve.band, curve.x, strict=True))
+    (low, best), (high, worst) = (pick(points, key=lambda point: point[0]) for pick in (min, max))
+    if high < _UNEVEN * low:
+        return []
+    return [
+        f"The curve is most certain at {best:.0f}° (standard deviation {low:.0f} {unit}) and least certain at"
+        f" {worst:.0f}° ({high:.0f} {unit})."
+    ]
+
+
+def gap_sentences(picture: Picture) -> list[str]:
+    """The widest range without a reading of a curve over a whole turn."""
+    if picture.curve is None or not _is_whole_turn(picture.curve):
+        return []
+    begin, end = _largest_gap(picture.x)
+    if end - begin < _GAP_DEG:
+        return []
+    return [f"No reading was taken from {begin:.0f}° to {(end + 180.0) % 360.0 - 180.0:.0f}°."]
+
+
+def _unit(picture: Picture) -> str:
+    return "µrad" if picture.y_label.endswith("[urad]") else "µm"
+
+
+def _is_whole_turn(curve: CurveRecord) -> bool:
+    return curve.x[-1] - curve.x[0] == _TURN
+
+
+def _largest_gap(angles: Sequence[float]) -> tuple[float, float]:
+    """Ends [deg] of the widest range of a turn without a value; the second may be beyond 180."""
+    around = [*angles, angles[0] + 360.0]
+    return max(pairwise(around), key=lambda pair: pair[1] - pair[0])
+
+
+def _rms(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value**2 for value in values) / max(len(values), 1))

@@ -1,0 +1,440 @@
+"""The sections of a report: what each shows of a run, in their order, and whether its results still hold."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.cell.exports.export_format import ExportFormat
+from cellapp.cell.exports.formats import formats_of
+from cellapp.cell.run import RunFile
+from cellapp.commands.calibrate.charts_accuracy import (
+    certainty_chart,
+    error_histogram_chart,
+    pair_held_out,
+    pair_histogram_chart,
+    pair_stop_chart,
+    stop_error_chart,
+)
+from cellapp.commands.calibrate.charts_joints import joint_curve_charts
+from cellapp.commands.calibrate.charts_vectors import vector_charts
+from cellapp.commands.calibrate.detail_tables import (
+    base_table,
+    calibration_facts,
+    merged_tables,
+    network_tables,
+    nominal_and_identified_tables,
+    pair_tables,
+)
+from cellapp.commands.calibrate.view import cooperative_noise_mm, detailed_tables, distance_mm, transform_tables
+from cellapp.commands.check.view import view as check_view
+from cellapp.commands.collect.charts_drift import residual_drift_chart
+from cellapp.commands.collect.state import collection_state
+from cellapp.commands.collect.view import collection_section
+from cellapp.commands.compensate.section import targets_section
+from cellapp.commands.discover.sections import discovery_section
+from cellapp.commands.export.run import lost_by_arm
+from cellapp.commands.follow.view import paths_section, stored_paths
+from cellapp.commands.iso9283.view import view as iso9283_view
+from cellapp.commands.locate.view import view as locate_view
+from cellapp.commands.plan.section import plan_section
+from cellapp.commands.report.before_after import best_method
+from cellapp.commands.report.data import ReportData
+from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
+from cellapp.commands.report.judged import judgement_table
+from cellapp.commands.report.provenance import provenance_facts
+from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
+from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence
+from cellapp.commands.view.charts import Chart, enumerated, mm
+from cellapp.commands.view.parts import Facts, Section, section_of
+from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.ground.counting import counted
+from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, StageName
+from cellapp.ground.times import day_of
+from cellapp.robot.kinematics.chain import parameter_names
+
+_CHAIN_LENGTH = re.compile(r"[ad]\d")
+"""Names of the lengths of a chain: a1, d1 and so on."""
+_MOST_EVENTS = 100
+"""Newest events of the run's log in the report; the run file has all of them."""
+_MOST_CURVES = 3
+"""Joints of an arm that have a chart of what all effects turn them by, the most turned ones first."""
+SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
+    "judgements": ("Errors against their tolerances", (CALIBRATE,)),
+    "accuracy": ("Accuracy at configurations that were not used", (CALIBRATE,)),
+    "targets": ("Accuracy at targets", (COMPENSATE,)),
+    "iso9283": ("Tests by ISO 9283", (ISO9283,)),
+    "check": ("Check of the calibration", (CHECK,)),
+    "discovery": ("Missing effects", ()),
+    "residuals": ("Residuals of the geometry", (CALIBRATE,)),
+    "pair": ("Inter-base transform", (CALIBRATE,)),
+    "paths": ("Paths", ()),
+    "station": ("Station of the tracker", ()),
+    "plan": ("Plan", ()),
+    "collection": ("Collecting", ()),
+    "cell": ("The cell", ()),
+    "parameters": ("Identified parameters", (CALIBRATE,)),
+    "notes": ("Warnings, notes, what is not in this report", ()),
+    "provenance": ("Provenance", ()),
+}
+"""Sections in their order in the report: anchor, title, stages whose results they show even where those are out of
+date."""
+_OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
+"""Sections that are open at first: what was reached and found. The others hold how, and what it rests on."""
+
+
+def report_sections(run: RunFile, data: ReportData) -> list[Section]:
+    """The sections that have something to show, in their order."""
+    made = {key: maker(data) for key, maker in _OF_RESULTS.items()}
+    made["plan"] = plan_section(run)
+    made["collection"] = None if (state := collection_state(run)) is None else collection_section(state)
+    made["parameters"] = _parameters(data, lost_by_arm(run))
+    return placed(made, data.out_of_date)
+
+
+def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, str]) -> list[Section]:
+    """Sections by their anchors in the order of the report, with their titles and why they no longer hold."""
+    found = []
+    for key, (title, stages) in SECTIONS.items():
+        section = made.get(key)
+        if section is not None:
+            reasons = "; ".join(dict.fromkeys(out_of_date[stage] for stage in stages if stage in out_of_date))
+            folded = key not in _OPEN and not reasons
+            found.append(replace(section, title=title, key=key, outdated=reasons, folded=folded))
+    return found
+
+
+# -- accuracy ---------------------------------------------------------------------------------------------------------
+
+
+def _judgements(data: ReportData) -> Section | None:
+    if not data.judgements:
+        return None
+    return Section(
+        "",
+        [judgement_table(data.judgements)],
+        judged_sentence(data.judgements),
+        f"{RULE_WORDS[data.profile.tolerances.decision]} U is the expanded uncertainty with coverage factor 2;"
+        " tolerances are those of the profile.",
+    )
+
+
+def _accuracy(data: ReportData) -> Section:
+    calibrate = data.calibrate
+    return Section(
+        "",
+        [
+            Facts(tuple(headlines(data))),
+            *_absent_stages(data),
+            *accuracy_charts(data),
+            *detailed_tables(calibrate),
+            Section("Terms: models, errors, noise floor", [*_terms(calibrate)], folded=True),
+        ],
+        _accuracy_message(data),
+    )
+
+
+def accuracy_charts(data: ReportData) -> Iterator[Chart]:
+    """Errors by configuration and as a histogram, of each arm and of the pair where those of each stop are stored."""
+    for name, held_out in data.held_out.items():
+        floor = data.calibrate.arms[name].tracker_mm
+        yield stop_error_chart(name, held_out, floor)
+        yield error_histogram_chart(name, held_out.errors_mm, floor)
+    if pair_held_out(data.calibrate):
+        yield pair_stop_chart(data.calibrate)
+        yield pair_histogram_chart(data.calibrate)
+
+
+def _absent_stages(data: ReportData) -> Iterator[str]:
+    """Why a stage is not drawn."""
+    for name, held_out in data.held_out.items():
+        if "geometry" not in held_out.errors_mm:
+            yield (
+                f"Charts of arm {name} have no models of later stages: the older version of cellapp that calibrated did"
+                " not store them."
+            )
+        elif "effects" not in held_out.errors_mm:
+            yield f"Charts of arm {name} have no effects: {_why_no_effects(data)}."
+
+
+def _why_no_effects(data: ReportData) -> str:
+    if data.discover is not None:
+        return "none was found"
+    return "not searched for yet" if data.results.discover is None else "the search is out of date"
+
+
+def _terms(calibrate: CalibrateResult) -> Iterator[str]:
+    yield (
+        "All errors are those of held-out configurations: measured like the others, but not used by the calibration."
+        " Nominal is the geometry of the manufacturer, with base and SMR registered to the readings; geometry has the"
+        " identified lengths and angles of this arm; network adds a residual network in the robot's base frame; effects"
+        " adds the physical effects that discovery accepted instead. The noise floor is the error that the stated"
+        " uncertainty of the tracker alone would cause. The position error is the distance of the computed SMR from the"
+        " measured one; the distance error is the error of the distance between two positions of one arm (ISO 9283)."
+    )
+    tracker = _tracker_words(calibrate)
+    yield 'All errors in mm; p50 and p95 are percentiles, "95 % of mean" is the bootstrap interval of the mean. ' + (
+        '"rms / tracker" is the rms error divided by the rms error that the stated uncertainty of the tracker alone'
+        f" would cause ({tracker}); at 1 the tracker cannot resolve any further improvement."
+        if tracker
+        else "The readings state no uncertainty: there is no noise floor to compare with."
+    )
+    if calibrate.pair:
+        yield (
+            "Cooperative error: error of the computed distance between the two arms' SMRs at one stop. \"Network in the"
+            " tracker frame\" is the paper's counter-example: what was learned there is added in the base frame."
+        )
+
+
+def _tracker_words(calibrate: CalibrateResult) -> str:
+    """The error that the tracker's stated uncertainty alone would cause, by arm and for the pair."""
+    words = [
+        f"arm {name}: position {arm.tracker_mm:.4f} mm, distance {distance_mm(arm.tracker_mm, arm.tracker_mm):.4f} mm"
+        for name, arm in calibrate.arms.items()
+        if arm.tracker_mm
+    ]
+    cooperative = cooperative_noise_mm(calibrate) if calibrate.pair else None
+    if cooperative is not None:
+        words.append(f"pair: cooperative {cooperative:.4f} mm")
+    return "; ".join(words)
+
+
+def _accuracy_message(data: ReportData) -> str:
+    """Mean held-out errors of each arm and of the pair with the nominal and the best model."""
+    parts = []
+    for name, arm in data.calibrate.arms.items():
+        if not arm.converged:
+            parts.append(f"arm {name} did not converge")
+            continue
+        best = arm.validate_[arm.best_stage].position_mm.mean
+        nominal = f" (nominal {mm(arm.validate_['nominal'].position_mm.mean)})" if "nominal" in arm.validate_ else ""
+        parts.append(f"arm {name} {mm(best)}{nominal}")
+    method = best_method(data.calibrate)
+    if method is not None:
+        pair = data.calibrate.pair
+        nominal = f" (nominal {mm(pair['nominal'].cooperative_mm.mean)})" if "nominal" in pair else ""
+        parts.append(f"distance between both arms {mm(pair[method].cooperative_mm.mean)}{nominal}")
+    return f"Mean error at configurations that the calibration did not use: {'; '.join(parts)}."
+
+
+# -- results of other verbs -------------------------------------------------------------------------------------------
+
+
+def _targets(data: ReportData) -> Section | None:
+    """Targets that were compensated or measured, while that holds."""
+    compensate = None if COMPENSATE in data.out_of_date else data.results.compensate
+    if compensate is None and data.verify is None:
+        return None
+    floors_mm = {name: arm.tracker_mm for name, arm in data.calibrate.arms.items()}
+    section = targets_section(compensate, data.verify, floors_mm)
+    return replace(section, parts=[Facts(tuple(verified_headlines(data))), *section.parts])
+
+
+def _iso9283(data: ReportData) -> Section | None:
+    """Also of tests that do not hold any more, which the section then says."""
+    result = data.results.iso9283
+    about = (
+        "Each arm was driven through the cube, the poses and the cycles of ISO 9283:1998; `cellapp docs iso9283` has"
+        " the formulas and says what one SMR cannot show."
+    )
+    return None if result is None else section_of("", iso9283_view(result).parts, about=about)
+
+
+def _check(data: ReportData) -> Section | None:
+    """Only of a check that holds: one of another model says nothing."""
+    result = data.results.held_check
+    about = (
+        "A few stops were measured again and compared with what the stored model expects there; `cellapp docs check`"
+        " explains how that is judged."
+    )
+    return None if result is None else section_of("", check_view(result).parts, about=about)
+
+
+def _discovery(data: ReportData) -> Section | None:
+    """The discovery, with how sure the model is at held-out configurations and what its effects turn each joint by."""
+    return (
+        None if data.discover is None else discovery_section(data.discover, data.profile.discovery, _model_charts(data))
+    )
+
+
+def _model_charts(data: ReportData) -> dict[str, tuple[list[Chart], list[Chart]]]:
+    """Of each arm how sure its model is where it predicts that, and the joints that its effects turn most."""
+    stops = typical_stops(data.readings)
+    charts = {}
+    for name, arm in data.model.arms.items():
+        prediction = data.held_out[name].prediction
+        curves = joint_curve_charts(name, arm, data.readings[name], data.conditions[name], stops[name])
+        charts[name] = (
+            [] if prediction is None else [certainty_chart(name, *prediction)],
+            _most_turned(list(curves)),
+        )
+    return charts
+
+
+def _most_turned(curves: list[Chart]) -> list[Chart]:
+    turned = [max(float(np.nanmax(np.abs(one.y), initial=0.0)) for one in curve.series) for curve in curves]
+    most = sorted(range(len(curves)), key=lambda at: -turned[at])[:_MOST_CURVES]
+    return [curves[at] for at in sorted(most)]
+
+
+def _paths(data: ReportData) -> Section | None:
+    result = stored_paths(data.results)
+    return None if result is None else paths_section(result)
+
+
+def _station(data: ReportData) -> Section | None:
+    located = data.results.locate
+    if located is None or not located.moved or LOCATE in data.out_of_date:
+        return None
+    about = "The tracker was moved after the readings were taken; what follows was measured from where it stands now."
+    return section_of("", locate_view(located).parts, about=about)
+
+
+# -- geometry ---------------------------------------------------------------------------------------------------------
+
+
+def _residuals(data: ReportData) -> Section:
+    """Residuals of the newest model over the run, those of the identified geometry as vectors, and how it went."""
+    left = {
+        name: arm.validate_["geometry"].position_mm.rms
+        for name, arm in data.calibrate.arms.items()
+        if "geometry" in arm.validate_ and arm.converged
+    }
+    words = enumerated(f"{mm(rms)} rms on arm {name}" for name, rms in left.items())
+    message = f"The identified lengths and angles alone leave {words}; a pattern in the arrows is an effect."
+    runs = (residual_drift_chart(name, data.readings[name].time_s, off) for name, off in data.residuals_M.items())
+    vectors = (
+        chart
+        for name, held_out in data.held_out.items()
+        if "geometry" in held_out.errors_mm
+        for chart in vector_charts(name, held_out)
+    )
+    return Section(
+        "",
+        [*runs, *vectors, calibration_facts(data.calibrate), *network_tables(data.calibrate)],
+        message if left else "How the identification went, in numbers.",
+        "Residuals of the held-out configurations as arrows, enlarged; the black arrow gives the scale. Residuals in"
+        " the tracker frame are specific to one tracker station; residuals in the base frame move with the arm.",
+    )
+
+
+def _pair(data: ReportData) -> Section | None:
+    message = _pair_message(data.calibrate)
+    if not message:
+        return None
+    return Section(
+        "",
+        [*transform_tables(data.calibrate), *pair_tables(data.calibrate)],
+        message,
+        "The transform between the two bases, identified from the distances between the two SMRs alone, and for"
+        " comparison from both bases in the common tracker frame, on the same stops.",
+    )
+
+
+def _pair_message(calibrate: CalibrateResult) -> str:
+    """The distance of the two bases and how well both ways of identifying it agree; empty without a pair."""
+    method = best_method(calibrate)
+    if method is None:
+        return ""
+    estimates = [calibrate.pair[method].identified.get(axis) for axis in "xyz"]
+    known = [estimate for estimate in estimates if estimate is not None]
+    if len(known) < len(estimates):
+        return "Base of the second arm in the base of the first one."
+    distance = math.hypot(*(estimate.value for estimate in known))
+    message = f"The bases of both arms are {distance:.4f} m apart"
+    off = [estimate.value - estimate.by_tracker for estimate in known if estimate.by_tracker is not None]
+    if len(off) < len(known):
+        return f"{message}."
+    return f"{message}; by distances alone and by the tracker's frame this differs by {mm(1e3 * math.hypot(*off))}."
+
+
+def _cell(data: ReportData) -> Section:
+    distances = {name: float(np.linalg.norm(arm.geometry.T_M_B()[:3, 3])) for name, arm in data.model.arms.items()}
+    words = enumerated(f"arm {name} {distance:.2f} m" for name, distance in distances.items())
+    scene = cell_scene(data)
+    return Section(
+        "",
+        [scene, *cell_maps(scene), base_table(data.model)],
+        f"Distance of the bases from the tracker: {words}.",
+        "Drawn in the tracker frame, rotated so that z points up; the tracker is at the origin.",
+    )
+
+
+def _parameters(data: ReportData, lost: list[str]) -> Section:
+    tables = [*nominal_and_identified_tables(data.calibrate, data.calibrated), *merged_tables(data.calibrate)]
+    others = (
+        "Other programs read the geometry of the model in force: `cellapp export DIR --as FORMAT --out FILE`, with"
+        f" {', '.join(formats_of(ExportFormat))}. No file of a rigid chain holds the rest of the model; without it the"
+        f" SMR is off, over the workspace of the readings: {'; '.join(lost)}."
+    )
+    return Section(
+        "",
+        [others, *tables],
+        _parameters_message(data),
+        "Lengths and angles of the chain from tracker to SMR (D-H, with a Hayati angle beta where axes are parallel),"
+        " with one standard error, as identified by the calibration, before effects. A parameter that these data cannot"
+        " separate from others keeps its nominal value and is merged into the others.",
+    )
+
+
+def _parameters_message(data: ReportData) -> str:
+    """How many parameters of each arm were identified, and the length of its chain that differs most from nominal."""
+    parts = []
+    for name, arm in data.calibrate.arms.items():
+        nominal = data.calibrated.arms[name].nominal
+        values = dict(zip(parameter_names(nominal.joints), nominal.vector().tolist(), strict=True))
+        changes = {key: arm.identified[key].value - values[key] for key in arm.identified if _CHAIN_LENGTH.match(key)}
+        words = f"{len(arm.identified)} parameters of arm {name}"
+        if changes:
+            key = max(changes, key=lambda length: abs(changes[length]))
+            words += f" ({key} is off nominal most, by {changes[key] * 1e3:+.3f} mm)"
+        parts.append(words)
+    return f"Identified: {enumerated(parts)}."
+
+
+# -- the run ----------------------------------------------------------------------------------------------------------
+
+
+def _notes(data: ReportData) -> Section | None:
+    notes, missing = warnings(data), missing_results(data)
+    counts = [f"{counted(len(notes), 'warning')} or note{'s' if len(notes) != 1 else ''}"] if notes else []
+    counts += [f"{counted(len(missing), 'result')} not in this report"] if missing else []
+    about = "DIR is the folder of this run, TARGETS a list of targets."
+    parts = [
+        *([Section("Warnings and notes", notes)] if notes else []),
+        *([Section("Not in this report", [Facts(tuple(missing))], about=about)] if missing else []),
+    ]
+    return Section("", parts, f"{enumerated(counts)}.") if parts else None
+
+
+def _provenance(data: ReportData) -> Section:
+    origin = data.calibrate.provenance
+    count = sum(len(readings) for readings in data.readings.values())
+    log = Facts(tuple((event.written, f"{event.level}: {event.text}") for event in data.events[-_MOST_EVENTS:]))
+    return Section(
+        "",
+        [provenance_facts(data), *([Section("Log of the run", [log])] if log.rows else [])],
+        f"Calibrated by {origin.program} on {day_of(origin.written)} from {count} readings; hashes identify the data.",
+    )
+
+
+_OF_RESULTS: Mapping[str, Callable[[ReportData], Section | None]] = {
+    "judgements": _judgements,
+    "accuracy": _accuracy,
+    "targets": _targets,
+    "iso9283": _iso9283,
+    "check": _check,
+    "discovery": _discovery,
+    "residuals": _residuals,
+    "pair": _pair,
+    "paths": _paths,
+    "station": _station,
+    "cell": _cell,
+    "notes": _notes,
+    "provenance": _provenance,
+}
+"""What makes the sections that show results; the others read the run itself."""

@@ -1,0 +1,96 @@
+"""What waits today, over a folder of runs: open runs, and for each arm how old its calibration and its check are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, date, datetime
+
+from cellapp.commands.runs.result import RunsResult, RunSummary
+from cellapp.commands.runs.view import CELL_WORDS, next_words, short_name, stops_words
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.results import CALIBRATE, CHECK, StageName
+from cellapp.ground.times import day_of
+
+_MOST_OPEN = 12
+"""Open runs that are listed: who has more looks at the list of all."""
+
+
+def today_tables(result: RunsResult, now: datetime) -> list[Table]:
+    """Open runs with what each waits for; each arm with the ages of its calibration and check, and what is due."""
+    tables = (_open_runs(result), _arms(result, now))
+    return [table for table in tables if table.rows]
+
+
+def today_sentences(result: RunsResult, now: datetime) -> list[str]:
+    """What cannot wait: instruments that are overdue, runs that another job uses, what cannot be read."""
+    overdue = {run.profile: run.tracker_due for run in reversed(result.runs) if run.tracker_due}
+    late = [
+        f"the tracker of {profile} was due for calibration on {due}"
+        for profile, due in overdue.items()
+        if date.fromisoformat(due) < now.date()
+    ]
+    used = [f"{run.run}: in use by {run.in_use}" for run in result.runs if run.in_use]
+    found = [*late, *used, *(run.problem for run in result.runs if run.problem)]
+    return found or ([] if result.runs else [f"No run is below {result.folder} yet."])
+
+
+def _open_runs(result: RunsResult) -> Table:
+    waiting = [run for run in result.runs if run.next_verb and not run.problem]
+    return Table(
+        "Open runs, newest first",
+        tuple(map(Column, ("run", "cell", "began", "stops", "waits for"))),
+        tuple(
+            (
+                short_name(run, result.folder),
+                CELL_WORDS[run.cell],
+                day_of(run.began),
+                stops_words(run),
+                "the rest of its stops" if run.resumable else next_words(run),
+            )
+            for run in waiting[:_MOST_OPEN]
+        ),
+    )
+
+
+def _arms(result: RunsResult, now: datetime) -> Table:
+    """A row for each arm of each cell."""
+    columns = (
+        Column("cell"),
+        Column("arm"),
+        number_column("calibrated", "d", "days ago"),
+        number_column("checked", "d", "days ago"),
+        number_column("error", ".3f", "mm"),
+        number_column("change", "+.3f", "mm"),
+        Column("tracker due"),
+    )
+    return Table("Each arm", columns, tuple(_arm_rows(result, now)))
+
+
+def _arm_rows(result: RunsResult, now: datetime) -> Iterator[tuple[Cell, ...]]:
+    cells: dict[str, list[RunSummary]] = {}
+    for run in result.runs:
+        if not run.problem:
+            cells.setdefault(run.profile, []).append(run)
+    for profile, runs in cells.items():
+        due = next((run.tracker_due for run in runs if run.tracker_due), "")
+        for arm in dict.fromkeys(name for run in runs for name in run.arms):
+            own = [run for run in runs if arm in run.arms]
+            errors = [error for run in own if (error := _error_mm(run, arm)) is not None]
+            change = errors[0] - errors[1] if len(errors) > 1 else None
+            ages = (_days_since(own, stage, now) for stage in (CALIBRATE, CHECK))
+            yield profile, arm, *ages, errors[0] if errors else None, change, due
+
+
+def _error_mm(run: RunSummary, arm: str) -> float | None:
+    """Mean held-out error of an arm with the best model of a run [mm]."""
+    figures = run.figures.get(arm)
+    return None if figures is None or figures.heldout_mm is None else figures.heldout_mm.after
+
+
+def _days_since(runs: list[RunSummary], name: StageName, now: datetime) -> int | None:
+    """Days since the newest stage of a name that holds; None without one."""
+    written = [stage.written for run in runs for stage in run.stages if stage.name == name and not stage.out_of_date]
+    if not written:
+        return None
+    newest = datetime.fromisoformat(max(written))
+    return (now - (newest if newest.tzinfo else newest.replace(tzinfo=UTC))).days

@@ -1,0 +1,82 @@
+"""What a view is made of: sentences, tables, charts, and sections that hold such parts under a title.
+
+A view lists them in the order in which a terminal prints them. The page and the terminal application have room beside
+and below: within a section they show sentences, then charts, then tables, then the sections inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Union
+
+from cellapp.commands.view.table import Table
+
+if TYPE_CHECKING:
+    from cellapp.commands.view.charts import Chart
+    from cellapp.commands.view.scene import CellScene
+
+Part = Union[str, "Facts", "Chart", "CellScene", Table, "Section"]
+"""Charts load numpy, which a terminal that draws none needs not."""
+Parts = Sequence[Part]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Pairs of a title and a text; a title that is empty goes on with the one before."""
+
+    rows: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Section:
+    """Parts that belong together.
+
+    Attributes
+    ----------
+    parts : sequence of Part
+        What it shows.
+    message : str
+        The section in one sentence, shown while it is folded, too.
+    about : str
+        What it shows and how it is to be read, for those who do not know.
+    folded : bool
+        Whether it holds details, which an interface shows when they are asked for.
+    key : str
+        Its anchor on a page; empty: none.
+    outdated : str
+        Why its results no longer hold; empty if they do.
+    """
+
+    title: str
+    parts: Parts
+    message: str = ""
+    about: str = ""
+    folded: bool = False
+    key: str = ""
+    outdated: str = ""
+
+
+def printed(parts: Parts) -> Iterator[Table | str]:
+    """Lines and tables in their order, as plain text shows them: titles and messages of sections, no chart."""
+    for part in parts:
+        if isinstance(part, Section):
+            yield from filter(None, (part.title, part.message, part.about))
+            yield from printed(part.parts)
+        elif isinstance(part, Facts):
+            yield from (f"{title}: {text}" if title else f"  {text}" for title, text in part.rows)
+        elif isinstance(part, str | Table):
+            yield part
+
+
+def sentence(text: str) -> str:
+    """Words as a sentence: with a capital letter and a full stop."""
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
+
+
+def section_of(title: str, parts: Parts, *, message: str = "", about: str = "", key: str = "") -> Section:
+    """A section whose message, where none is given, is the first line of its parts."""
+    if not message:
+        first = next(place for place, part in enumerate(parts) if isinstance(part, str))
+        message, parts = str(parts[first]), [*parts[:first], *parts[first + 1 :]]
+    return Section(title, parts, sentence(message), about, key=key)

@@ -1,0 +1,121 @@
+"""From points that were measured along a weaving path to its deviations WS and WF (11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.stats import t as student
+
+from cellapp.estimation.iso9283.characteristics import FEWEST_CYCLES
+from cellapp.estimation.iso9283.evaluate_paths import PathTrack
+from cellapp.estimation.iso9283.norm import IsoCommands
+from cellapp.estimation.iso9283.records import WeavingCharacteristics
+from cellapp.robot.kinematics.transforms import Array
+
+_PROBABILITY = 0.97725
+"""One-sided, of an expanded uncertainty with the coverage factor 2."""
+_FEWEST_TURNS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class WeavingRuns:
+    """A line with weaving that was driven several times.
+
+    Attributes
+    ----------
+    arm, commands : str
+    speed : float
+        Commanded along the zigzag [m/s].
+    commanded_M : array, shape (m, 3)
+        The commanded path, closely spaced [m], in the tracker frame.
+    along_M, across_M : array, shape (3,)
+        Unit vectors of the line and of the weaving.
+    turns : array, shape (k,)
+        How far along the line each turn of the zigzag is, from the first point of the path [m].
+    tracker : array, shape (3, 3)
+        Covariance of a point [m^2].
+    tracks : list of PathTrack
+        Of each cycle.
+    wanted : int
+    slowed : str
+        As of ``PathRuns``.
+    problems : list of str
+        Why fewer cycles were driven.
+    """
+
+    arm: str
+    commands: IsoCommands
+    speed: float
+    commanded_M: Array
+    along_M: Array
+    across_M: Array
+    turns: Array
+    tracker: Array
+    wanted: int
+    slowed: str = ""
+    tracks: list[PathTrack] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+
+def weaving_characteristics(runs: WeavingRuns) -> WeavingCharacteristics | None:
+    """WS and WF over all cycles that passed every turn; None with fewer than two.
+
+    Both are of the same formulas for the commanded and the attained path: a stroke is the distance across the line from
+    a turn to the next one, a frequency half of what passes from a turn to the next one, inverted. A turn is the
+    outermost point within a quarter of a wave from where it is commanded.
+    """
+    commanded = _turns(runs, runs.commanded_M)
+    if commanded is None:
+        return None
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(runs.commanded_M, axis=0), axis=1))])
+    stroke, half_s = _stroke(runs, runs.commanded_M[commanded]), np.diff(way[commanded]).mean() / runs.speed
+    strokes, halves = [], []
+    for track in runs.tracks:
+        rows = _turns(runs, track.p_M)
+        if rows is not None:
+            strokes.append(_stroke(runs, track.p_M[rows]))
+            halves.append(float(np.diff(track.time_s[rows]).mean()))
+    n = len(strokes)
+    if n < FEWEST_CYCLES:
+        return None
+    # the outermost of many points lies farther out than it would without noise, by two standard deviations at most
+    sigma = float(np.sqrt(runs.across_M @ runs.tracker @ runs.across_M))
+    wide, often = np.array(strokes) / stroke - 1.0, half_s / np.array(halves) - 1.0
+    factor = float(student.ppf(_PROBABILITY, n - 1)) / float(np.sqrt(n))
+    return WeavingCharacteristics(
+        stroke_mm=1e3 * stroke,
+        frequency_hz=0.5 / half_s,
+        speed_mm_s=1e3 * runs.speed,
+        waves=(len(runs.turns) - 1) // 2,
+        stroke_percent=1e2 * float(wide.mean()),
+        stroke_expanded_percent=1e2 * float(np.hypot(factor * wide.std(ddof=1), 4.0 * sigma / stroke)),
+        frequency_percent=1e2 * float(often.mean()),
+        frequency_expanded_percent=1e2 * factor * float(often.std(ddof=1)),
+        n=n,
+        slowed=runs.slowed,
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _turns(runs: WeavingRuns, p_M: Array) -> Array | None:
+    """Rows (k,) of the turns in points (m, 3); None where one has no point near it."""
+    if len(runs.turns) < _FEWEST_TURNS or not len(p_M):
+        return None
+    start = runs.commanded_M[0]
+    along, across = (p_M - start) @ runs.along_M, (p_M - start) @ runs.across_M
+    quarter = 0.5 * float(np.diff(runs.turns).mean())
+    found = []
+    for number, turn in enumerate(runs.turns.tolist()):
+        near = np.flatnonzero(np.abs(along - turn) <= quarter)
+        if not len(near):
+            return None
+        found.append(near[np.argmax(across[near] * (1.0 if number % 2 == 0 else -1.0))])
+    return np.array(found)
+
+
+def _stroke(runs: WeavingRuns, turns_M: Array) -> float:
+    """Mean distance across the line from a turn to the next one [m]."""
+    return float(np.abs(np.diff(turns_M @ runs.across_M)).mean())

@@ -1,0 +1,67 @@
+"""What stands above the commands: the program's own help and options, and the order of the commands."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from cellapp.commands.folders import FOLDERS, help_of, name_of
+from cellapp.ground.version import __version__
+from cellapp.interfaces.cli.command_outputs import Commands
+from cellapp.interfaces.cli.request_commands import REQUESTS
+
+HELP_OPTIONS = ["-h", "--help"]
+TRIALS = "Trials on simulated cells and measured series."
+
+
+class _InOrder(TyperGroup):
+    """Commands in the order of the work, be they groups or not."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        work = [name_of(folder) for folder in FOLDERS]
+        return sorted(super().list_commands(ctx), key=lambda name: work.index(name) if name in work else len(work))
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"cellapp {__version__}")
+        raise typer.Exit
+
+
+def top() -> Commands:
+    """The program without its commands."""
+    app = Commands(
+        cls=_InOrder,
+        help="Calibrate a dual-arm robot cell with a laser tracker, and name the physics that the model is missing.",
+        no_args_is_help=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": HELP_OPTIONS},
+    )
+    app.callback(invoke_without_command=True)(_tui)
+    return app
+
+
+def _tui(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Without a command: the terminal application."""
+    if context.invoked_subcommand is None:
+        from cellapp.interfaces.tui import run_app
+
+        raise typer.Exit(run_app())
+
+
+def overview() -> Commands:
+    """The program as its help lists it: each command has its help and nothing else, so that little is loaded."""
+    app = top()
+    for folder in FOLDERS:
+        app.command(name_of(folder), help=help_of(folder))(lambda: None)
+    for request in REQUESTS:
+        app.command()(request)
+    app.command("trials", help=TRIALS)(lambda: None)
+    return app

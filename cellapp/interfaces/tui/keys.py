@@ -1,0 +1,141 @@
+"""The grammar of keys: one table of meanings, each with its key. Screens bind meanings, sentences name keys by them.
+
+A meaning has the same key on every screen, and a key has one meaning. What a sentence from elsewhere calls a command
+of the command line is written here as the keys that do it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from textual.binding import Binding, BindingType
+
+from cellapp.commands.registry import VERBS
+from cellapp.interfaces.tui.workspace import STEPS, Step
+
+
+@dataclass(frozen=True)
+class Key:
+    """Keys as Textual names them, separated by commas; the first as people see it; what it means on every screen."""
+
+    keys: str
+    shown: str
+    meaning: str
+
+
+KEYS: Mapping[str, Key] = {
+    "stop": Key("escape", "Escape", "STOP while something moves; else close a field or a dialog"),
+    "pause": Key("p", "p", "pause the job after the present stop; again: resume it"),
+    "resume": Key("c", "c", "continue a paused or stopped job"),
+    "abort": Key("x", "x", "end the job; Ctrl-X does so over a dialog, too"),
+    "next": Key("n", "n", "do the step that comes next: show its screen; there, begin it"),
+    "go": Key("b", "b", "begin the work of the screen"),
+    "day": Key("f5", "F5", "the whole day in a new run; asks first"),
+    "open": Key("o", "o", "open a profile, a list, a table, a log or a page"),
+    "plots": Key("g", "g", "show the plots; again: the next one"),
+    "tab": Key("t", "t", "show the next tab"),
+    "search": Key("slash", "/", "search, or filter while you type"),
+    "filter": Key("f", "f", "show only what needs attention or holds a text"),
+    "sort": Key("s", "s", "sort by the next column"),
+    "export": Key("e", "e", "write for others: arms, programs, plans, certificates"),
+    "import": Key("i", "i", "take from elsewhere: readings, an earlier run, the file of a certificate"),
+    "save": Key("w", "w", "save what is shown: a list, tables, the log"),
+    "copy": Key("y", "y", "copy what is shown or marked"),
+    "add": Key("plus,insert", "+", "add: a profile, stops, a target, a key that signs"),
+    "remove": Key("minus,delete", "-", "remove the row"),
+    "mark": Key("space", "Space", "mark the row"),
+    "undo": Key("ctrl+z", "Ctrl+Z", "take back the last edit"),
+    "redo": Key("ctrl+y", "Ctrl+Y", "make it again"),
+    "again": Key("r", "r", "again: ask the devices, read the folder, design the rest of a plan, measure marked stops"),
+    "arm": Key("a", "a", "the other arm"),
+    "before": Key("comma", ",", "the one before: joint, picture, chart, match"),
+    "after": Key("full_stop", ".", "the next one: joint, picture, chart, match"),
+    "look": Key("v", "v", "look: what the tracker sees, from another side, at a run again"),
+    "check": Key("k", "k", "check: the plan, the calibration"),
+    "measure": Key("m", "m", "drive and measure: targets, tests, proposed stops. The arms move"),
+    "push": Key("P", "P", "drive to the targets without measuring. The arms move"),
+    "locate": Key("l", "l", "measure where the tracker stands. The arms move"),
+    "edit": Key("u", "u", "change the profile in a form"),
+    "forecast": Key("j", "j", "foresee what a plan gives"),
+    "freeze": Key("z", "z", "let later designs leave the marked stops"),
+    "drift": Key("d", "d", "accept a drift of the references"),
+    "compare": Key("equals_sign", "=", "compare the marked runs"),
+    "fleet": Key("F", "F", "the history of each arm over the runs of the list"),
+    "debug": Key("D", "D", "show all lines of the log"),
+    "info": Key("I", "I", "show lines of the log from info upwards"),
+    "warning": Key("W", "W", "show warnings and errors of the log"),
+    "error": Key("E", "E", "show errors of the log"),
+    "help": Key("question_mark", "?", "explain this screen, with all its keys"),
+    "handbook": Key("f1,h", "F1", "the handbook: contents, search, links"),
+    "palette": Key("ctrl+p", "Ctrl+P", "every action by its name, and the themes"),
+    "jump": Key("ctrl+o", "Ctrl+O", "a letter for everything that can have the focus"),
+    "quit": Key("q", "q", "quit; asks where something runs or is not saved. Ctrl-Q does so in a text field"),
+}
+SHOWN: Mapping[str, str] = {meaning: key.shown for meaning, key in KEYS.items()}
+"""Meaning -> its key as people see it, for ``str.format_map``."""
+WAYS: Mapping[str, tuple[Step, str]] = {
+    "doctor": ("cell", "go"),
+    "plan": ("plan", "go"),
+    "collect": ("collect", "go"),
+    "calibrate": ("calibrate", "go"),
+    "discover": ("discover", "go"),
+    "discover --propose": ("discover", "add"),
+    "compensate": ("targets", "go"),
+    "push": ("targets", "measure"),
+    "locate": ("targets", "locate"),
+    "correct": ("targets", "export"),
+    "check": ("accept", "check"),
+    "iso9283": ("accept", "measure"),
+    "certificate": ("accept", "export"),
+    "check-certificate": ("accept", "import"),
+    "report": ("accept", "go"),
+    "export": ("calibrate", "export"),
+    "compare": ("runs", "compare"),
+    "fleet": ("runs", "fleet"),
+    "replay": ("runs", "look"),
+    "runs": ("runs", "again"),
+}
+"""Verb -> the screen and the meaning of the key that does it; the palette does the others."""
+_COMMAND = re.compile(
+    r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
+    r"|\bcellapp ([a-z][\w-]*)(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
+)
+
+
+def bind(meaning: str, action: str, label: str, tooltip: str = "", *, show: bool = True) -> Binding:
+    """A binding of a meaning to an action of a screen or of the application."""
+    key = KEYS[meaning]
+    return Binding(key.keys, action, label, show=show, tooltip=tooltip, key_display=key.shown)
+
+
+def key_table(bindings: Sequence[BindingType]) -> str:
+    """The keys of a screen or of the application, as a Markdown table: each with what it does there."""
+    rows = ["| key | what it does |", "| --- | --- |"]
+    for one in bindings:
+        if isinstance(one, Binding) and one.description:
+            more = one.tooltip or next((key.meaning for key in KEYS.values() if key.keys == one.key), "")
+            rows.append(f"| {one.key_display or one.key.title()} | {one.description}{f': {more}' if more else ''} |")
+    return "\n".join(rows)
+
+
+def way_to(verb: str) -> str:
+    """The keys that do a verb from any screen: "keys 4, b"."""
+    if verb not in WAYS:
+        return f"{SHOWN['palette']}, cellapp {verb}"
+    step, meaning = WAYS[verb]
+    return f"keys {STEPS.index(step) + 1}, {SHOWN[meaning]}"
+
+
+def with_keys(text: str) -> str:
+    """A sentence in which each command of the command line is written as the keys that do it."""
+    verbs = {verb.name for verb in VERBS}
+
+    def keys(found: re.Match[str]) -> str:
+        verb = found[1] or found[2]
+        if verb not in verbs:
+            return found[0]
+        return way_to("discover --propose" if verb == "discover" and "--propose" in found[0] else verb)
+
+    return _COMMAND.sub(keys, text)

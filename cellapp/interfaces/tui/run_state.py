@@ -1,0 +1,259 @@
+"""The one state of the run: derived once from what the run file holds and what the job says; draws nothing.
+
+Every sentence of the screens about the state comes from here: which run, what is planned, measured, calibrated, what
+runs now, what each step concluded, why a screen has nothing to show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from cellapp.ground.progress import JobState
+from cellapp.interfaces.tui.job_record import JobRecord, within_limit
+from cellapp.interfaces.tui.jobs import Job
+from cellapp.interfaces.tui.keys import SHOWN, WAYS
+from cellapp.interfaces.tui.marks import Mark, marks_of
+from cellapp.interfaces.tui.workspace import Step, Workspace
+
+Stored = Literal["no cell", "broken", "no run", "no plan", "planned", "part", "complete", "calibrated"]
+"""What the run file holds: the farthest that is true."""
+_DRIVES: Mapping[str, Step] = {verb: step for verb, (step, _) in WAYS.items()} | {"verify": "targets", "run": "collect"}
+
+
+@dataclass(frozen=True)
+class JobNow:
+    """The present job: what it is called, in which state, in which folder, and how many stops it has measured.
+
+    ``step`` is the step that it does; None of one that belongs to none. ``moves``: whether arms may move.
+    """
+
+    name: str
+    state: JobState
+    folder: Path | None
+    step: Step | None
+    attached: bool = False
+    replays: bool = False
+    stops: int | None = None
+    moves: bool = True
+
+    @property
+    def words(self) -> str:
+        """What it does, as "collecting is PAUSED"."""
+        return f"'{self.name}' {'runs' if self.state == 'running' else f'is {self.state.upper()}'}"
+
+
+@dataclass(frozen=True)
+class RunState:
+    """Attributes
+    ----------
+    stored : str
+        What the run file holds.
+    profile : str
+        Name of the profile; empty without one.
+    folder : Path or None
+        The run that is open, or that the present job makes.
+    planned, measured : int
+        Stops without reserves; measured ones as far as the job says, which is ahead of the file as it was read.
+    left : int
+        Planned stops that are not measured.
+    job : JobNow or None
+    problem : str
+        Why profile or run cannot be used.
+    read_only : bool
+        Whether the folder of the run cannot be written.
+    in_use : str
+        Another job that uses the run, as a phrase.
+    waits : str
+        A run that waits to be gone on with, as "logs/day waits with 185 stops left"; empty if one is open.
+    outcome : str
+        How the last session of collecting ended; empty without one, or where the program died in it.
+    drift : bool
+        Whether the newest references are beyond their limit.
+    marks : mapping
+        Step -> its mark.
+    """
+
+    stored: Stored
+    marks: Mapping[Step, Mark]
+    profile: str = ""
+    folder: Path | None = None
+    planned: int = 0
+    measured: int = 0
+    left: int = 0
+    job: JobNow | None = None
+    problem: str = ""
+    read_only: bool = False
+    in_use: str = ""
+    waits: str = ""
+    outcome: str = ""
+    drift: bool = False
+
+    @property
+    def where(self) -> str:
+        """Profile and run, for the first line."""
+        job = self.job
+        if job is not None and job.folder is not None and self.folder is None:
+            return f"{self.profile} · {job.folder}"
+        run = "no run is open" if self.folder is None else str(self.folder)
+        more = f"; {self.waits}" if self.folder is None and self.waits else ""
+        return f"{self.profile or 'no profile'} · {run}{more}" + (" · READ-ONLY" if self.read_only else "")
+
+    @property
+    def collecting(self) -> bool:
+        """Whether the present job measures stops of this run."""
+        return self.job is not None and self.job.step == "collect" and not self.job.replays
+
+    @property
+    def measured_words(self) -> str:
+        """How many stops are measured: "215 of 400 stops are measured"."""
+        if not self.planned:
+            return f"{self.measured} stops are measured" if self.measured else "no stop is planned"
+        return f"{self.measured} of {self.planned} stops are measured"
+
+    @property
+    def no_run(self) -> str:
+        """Why there is no run to work on, and what to do; empty if one is open and can be read."""
+        if self.folder is not None and self.stored not in ("no cell", "broken", "no run"):
+            return ""
+        if self.job is not None and self.job.folder is not None:
+            return f"{self.job.folder} is being made: {self.job.words}."
+        if self.problem:
+            return self.problem
+        if self.stored == "no cell":
+            return "No profile is open: choose one on the screen Cell (key 1)."
+        waits = f" {self.waits}: key 8 lists it." if self.waits else ""
+        return f"No run is open: plan one (keys 2, {SHOWN['go']}), or open one on the screen Runs (key 8).{waits}"
+
+    @property
+    def not_calibrated(self) -> str:
+        """Why there is no calibration, and what to do; empty where there is one."""
+        if self.no_run or self.stored == "calibrated":
+            return self.no_run
+        if (job := self.job) is not None and job.step in ("collect", "calibrate"):
+            return f"Not calibrated yet: {job.words}; {self.measured_words}."
+        begin = f"keys 4, {SHOWN['go']}"
+        if self.stored == "complete":
+            return f"Not calibrated yet: {self.measured_words}; {begin} calibrate."
+        collect = f"keys 3, {SHOWN['go']} collect"
+        if self.measured:
+            return f"Not calibrated yet: {self.measured_words}; {collect} the rest, {begin} calibrate with these."
+        return f"Not calibrated yet: {self.measured_words}; {collect} first."
+
+    @property
+    def not_collected(self) -> str:
+        """What the file holds of the collecting, where it has no tables to show."""
+        if self.no_run:
+            return self.no_run
+        if (job := self.job) is not None and self.collecting:
+            return f"{self.measured_words}; {job.words}. Its sessions stand here when it has ended."
+        if not self.planned and not self.measured:
+            return "This run has no plan."
+        if self.measured:
+            return f"{self.measured_words}; no session of collecting is stored: the readings were imported."
+        return f"Nothing was collected yet in this run: {SHOWN['go']} begins."
+
+    def nothing(self, step: Step, else_: str) -> str:
+        """Why a step has nothing to show; ``else_`` where only the step itself was not done."""
+        if (job := self.job) is not None and job.step == step and not self.no_run:
+            return f"Nothing is stored yet: {job.words}."
+        return self.not_calibrated or else_
+
+    @property
+    def residuals_words(self) -> str:
+        """What the plots of residuals say without a point."""
+        if self.no_run:
+            return self.no_run
+        if self.collecting:
+            return f"No stop was measured in this session yet; {self.measured_words}."
+        if self.measured:
+            return f"{self.measured_words}; their residuals are in Calibrate (key 4) once they are calibrated."
+        return f"No readings yet: {SHOWN['go']} collects."
+
+
+def run_state(workspace: Workspace, record: JobRecord, running: Job | None = None, waits: str = "") -> RunState:
+    """The state of what is open and of the job that runs; ``waits`` is a run that was found at the start."""
+    job = _job_now(record, running)
+    here = job is not None and not job.replays and (job.folder is None or job.folder == workspace.folder)
+    stops = () if workspace.stops is None or workspace.profile is None else workspace.stops.stops
+    reserves = frozenset() if workspace.profile is None else frozenset(workspace.profile.plan.reserves(len(stops)))
+    measured = sum(stop.measured for stop in stops)
+    if not stops and workspace.overview is not None:
+        measured = max((arm.measured for arm in workspace.overview.arms.values()), default=0)
+    left = sum(not stop.measured and stop.configuration not in reserves for stop in stops)
+    if here and job is not None and job.stops is not None:
+        left = max(left - max(job.stops - measured, 0), 0)
+        measured = max(measured, job.stops)
+    planned = len(stops) - len(reserves)
+    stored = _stored(workspace, planned, measured, left)
+    return RunState(
+        stored=stored,
+        marks=marks_of(workspace, measured, planned, left, job.step if here and job is not None else None),
+        profile="" if workspace.profile is None else workspace.profile.name,
+        folder=workspace.folder,
+        planned=planned,
+        measured=measured,
+        left=left,
+        job=job,
+        problem=workspace.problem,
+        read_only=workspace.read_only,
+        in_use=workspace.in_use,
+        waits=waits,
+        outcome=_outcome(workspace),
+        drift=drift_exceeded(workspace),
+    )
+
+
+def _outcome(workspace: Workspace) -> str:
+    collection = workspace.collection
+    return "" if collection is None else collection.sessions[-1].outcome or ""
+
+
+def drift_exceeded(workspace: Workspace) -> bool:
+    """Whether the newest reference measurements of the run are beyond the limit."""
+    collection = workspace.collection
+    if collection is None or not collection.references:
+        return False
+    newest = collection.references[-1].stops_done
+    return any(row.stops_done == newest and row.drift_mm > collection.drift_limit_mm for row in collection.references)
+
+
+def holds_for_drift(record: JobRecord) -> bool:
+    """Whether the job was stopped by references beyond their limit."""
+    newest = record.references[-1] if record.references else None
+    by_reference = record.reason.startswith("reference ")
+    return record.state == "stopped" and by_reference and (newest is None or not within_limit(newest))
+
+
+def _stored(workspace: Workspace, planned: int, measured: int, left: int) -> Stored:
+    if workspace.profile is None:
+        return "broken" if workspace.problem else "no cell"
+    if workspace.folder is None:
+        return "broken" if workspace.problem else "no run"
+    if workspace.results is not None and workspace.results.calibrate is not None:
+        return "calibrated"
+    if not planned and not measured:
+        return "no plan"
+    if not measured:
+        return "planned"
+    return "part" if left else "complete"
+
+
+def _job_now(record: JobRecord, running: Job | None) -> JobNow | None:
+    if record.state is None:
+        return None
+    verb = record.name.split(" ")[0]
+    collected = record.progress.get("collect")
+    part = record.latest.job if record.name == "run" and record.latest is not None else verb
+    return JobNow(
+        record.name,
+        record.state,
+        None if running is None else running.folder,
+        _DRIVES.get(part, "plan" if part in ("forecast", "check plan") else None),
+        record.attached,
+        record.is_replay,
+        None if collected is None or record.is_replay else collected.done,
+        running is None or running.moves or running.process is not None,
+    )

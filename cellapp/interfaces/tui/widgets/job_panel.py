@@ -1,0 +1,60 @@
+"""The live job on every screen: its parts with bars, rate and time left, what each arm does, the newest lines."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from textual.app import ComposeResult
+from textual.containers import Vertical
+from textual.content import Content
+from textual.widgets import Static
+
+from cellapp.interfaces.tui.host import Host
+from cellapp.interfaces.tui.job_record import LEVELS, JobRecord
+from cellapp.interfaces.tui.widgets.arm_panel import activity_words
+from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
+
+_TALL, _HUGE = 34, 50
+"""Lines of a terminal from which more of the job is shown."""
+_LEVEL_STYLES = {"warning": "$text-warning", "error": "bold $text-error"}
+
+
+class JobPanel(Vertical):
+    """Hidden while no job runs."""
+
+    DEFAULT_CSS = """
+    JobPanel { height: auto; background: $panel; padding: 0 1; display: none; }
+    JobPanel.shown { display: block; }
+    JobPanel .arms { height: auto; max-height: 2; }
+    JobPanel .newest { height: auto; text-wrap: nowrap; text-overflow: ellipsis; }
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tooltip = "The job: its parts, steps a minute, the time that is left; each arm; its newest lines."
+
+    def compose(self) -> ComposeResult:
+        yield ProgressBars()
+        yield Static("", classes="arms", markup=False)
+        yield Static("", classes="newest", markup=False)
+
+    def on_mount(self) -> None:
+        """Draw a job that runs already."""
+        self.show(cast(Host, self.app).record)
+
+    def show(self, record: JobRecord) -> None:
+        """Draw the job as far as it is known now."""
+        self.set_class(record.state is not None, "shown")
+        if record.state is None or not self.children:  # its own widgets come a moment after it
+            return
+        height = self.app.size.height
+        bars = self.query_one(ProgressBars)
+        bars.compact, bars.parts = height < _HUGE, parts_of(record)
+        arms = [f"{name} {activity_words(arm)}" for name, arm in record.arms.items() if arm.activity != "unknown"]
+        line = self.query_one(".arms", Static)
+        line.display = bool(arms)
+        line.update("   ".join(arms))
+        most = 1 if height < _TALL else 3 if height < _HUGE else 5
+        newest = [row for row in record.log if LEVELS.index(row.level) > 0][-most:]
+        lines = [Content.styled(f"{row.at:%H:%M:%S} {row.text}", _LEVEL_STYLES.get(row.level, "")) for row in newest]
+        self.query_one(".newest", Static).update(Content("\n").join(lines))

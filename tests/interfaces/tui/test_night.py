@@ -1,0 +1,109 @@
+"""What a terminal tells somebody who looks elsewhere; the live job on every screen, and its time that goes down."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+
+from cellapp.ground.progress import Progress, StateChange
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.job_record import JobRecord, Pace
+from cellapp.interfaces.tui.night import notice_sequence, since_words, title_sequence, title_words
+from cellapp.interfaces.tui.run_state import run_state
+from cellapp.interfaces.tui.screens import SCREENS
+from cellapp.interfaces.tui.widgets.progress_bars import Part, ending_words, parts_of
+from cellapp.interfaces.tui.workspace import Workspace
+from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, ended, opened, shown_text, until
+
+HALF = Progress("collect", 215, 400, "stop 216", 600.0)
+LOST = Progress("collect", 215, 400, detail=StateChange("stopped", "arm right: link lost."))
+
+
+def record(*events: Progress) -> JobRecord:
+    made = JobRecord()
+    made.begin("collect")
+    for event in events:
+        made.add(event)
+    return made
+
+
+@pytest.mark.fast
+def test_the_title_says_state_and_percent() -> None:
+    space = Workspace(folder=Path("logs/day"))
+    assert title_words(run_state(space, JobRecord()), JobRecord()) == "cellapp · logs/day"
+    running = record(HALF)
+    assert title_words(run_state(space, running), running) == "53 % collect · logs/day"
+    stopped = record(HALF, LOST)
+    assert title_words(run_state(space, stopped), stopped) == "STOPPED 53 % collect · logs/day"
+
+
+@pytest.mark.fast
+def test_a_job_that_waits_says_since_when_why_and_how_far_it_is() -> None:
+    stopped = record(HALF, LOST)
+    stopped.since = datetime(2026, 1, 2, 2, 14)
+    assert since_words(stopped) == "since 02:14, arm right: link lost, 215 of 400"
+
+
+@pytest.mark.fast
+def test_no_text_ends_a_sequence_early() -> None:
+    for sequence in (title_sequence("a\x07b\x1b]0;c\n"), notice_sequence("x;y\x07", "a\x1b\\b\x9c")):
+        inner = sequence.strip("\x07").replace("\x1b]2;", "").replace("\x1b]9;", "").replace("\x1b]777;", "")
+        assert "\x1b" not in inner
+        assert "\x9c" not in inner
+    assert notice_sequence("cellapp stopped", "why") == (
+        "\x07\x1b]9;cellapp stopped: why\x07\x1b]777;notify;cellapp stopped;why\x07"
+    )
+
+
+@pytest.mark.fast
+def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
+    part = Part("collect", HALF, Pace(0.0, 15, 100.0))
+    assert part.left_s(100.0) == pytest.approx(600.0)
+    assert part.left_s(220.0) == pytest.approx(480.0)
+    assert replace(part, waits=True).left_s(220.0) is None, "who waits for a person has no time of ending"
+    assert ending_words(-3.0, datetime(2026, 1, 2)) == "any moment"
+    assert Pace(0.0, 15, 100.0).per_minute(215) == pytest.approx(120.0)
+    assert Pace(0.0, 15, 100.0).per_minute(15) is None
+    assert all(one.waits for one in parts_of(record(HALF, LOST)))
+
+
+async def test_every_screen_shows_the_job_with_its_newest_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(CellApp, "tell", lambda app, sequence: told.append(sequence))
+    for name in ("plan", "calibrate", "discover", "verify", "iso9283"):
+        held = HeldJob((Progress(name, 3, 40, "what it does", 240.0),))
+        app = CellApp(PROFILES)
+        async with app.run_test(size=SMALL) as pilot:
+            await opened(pilot, app)
+            app.start_job(held.job(name))
+            await until(pilot, held.reached.is_set, "the job")
+            app.say("the newest line")
+            for entry in SCREENS:
+                await pilot.press(entry.key)
+                await until(pilot, lambda: "what it does" in shown_text(app), f"the job on {entry.step}")
+                text = shown_text(app)
+                assert "3/40" in text
+                assert "4 min left" in text
+                assert "the newest line" in text
+            held.go_on.set()
+            await ended(pilot, app)
+            assert any("done" in one and "\x1b]9;" in one for one in told), "its end is told"
+        told.clear()
+
+
+async def test_a_stop_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(CellApp, "tell", lambda app, sequence: told.append(sequence))
+    held = HeldJob((HALF, LOST))
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, lambda: any("link lost, 215 of 400" in one for one in told), "the notice")
+        await until(pilot, lambda: any("STOPPED 53 % collect" in one for one in told), "the title")
+        assert "link lost, 215 of 400" in app.message
+        held.go_on.set()
+        await ended(pilot, app)

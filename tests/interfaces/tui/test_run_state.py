@@ -1,0 +1,202 @@
+"""Every sentence about the state of a run comes from one state: all states, through all screens and all their tabs."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import TabbedContent, TabPane
+
+from cellapp.cell.run import RunFile
+from cellapp.commands.conclusions import stage_conclusions
+from cellapp.commands.report.result import read_results
+from cellapp.commands.stages import append_stage, read_stages
+from cellapp.ground.progress import JobState, Progress, StateChange
+from cellapp.ground.results import CALIBRATE
+from cellapp.interfaces.tui import work
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.keys import with_keys
+from cellapp.interfaces.tui.marks import SIGNS, marks_of
+from cellapp.interfaces.tui.pictures import settle
+from cellapp.interfaces.tui.screens import SCREENS
+from cellapp.interfaces.tui.screens.collect import CollectScreen
+from cellapp.interfaces.tui.workspace import Workspace, load_workspace
+from tests.cell.run.small_runs import collected_run, planned_run
+from tests.interfaces.tui.pilot import PROFILES, HeldJob, ended, opened, shown_text, until
+
+RUN = Path("logs/day")
+SIZE = (120, 40)
+NO_RUN = ("No run is open", "NO RUN", "no run is open")
+NOTHING = ("Nothing was collected yet", "No readings yet", "ollect first", "Collect and calibrate first", "READY, ")
+UNCALIBRATED = ("Not calibrated yet",)
+RUNS = ("RUNNING", "PAUSED", "STOPPED", " Escape STOP", " esc STOP", " x Abort", "'collect' runs", "is PAUSED")
+COMPLETE = ("COMPLETE", "INTERRUPTED")
+COMMAND = re.compile(r"'cellapp |\bcellapp (?:plan|collect|calibrate|discover|push|report|check|iso9283|locate) ")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A state: how it is made, what every screen together must say, and what none may."""
+
+    make: Callable[[], object]
+    says: tuple[str, ...]
+    never: tuple[str, ...]
+    job: JobState | None = None
+    attached: bool = False
+
+
+def nothing() -> None:
+    """No run."""
+
+
+def calibrated_out_of_date() -> None:
+    with RunFile.open(RUN, write=True) as run:
+        stored = read_stages(run).current[CALIBRATE]
+        result = read_results(run).calibrate
+        assert result is not None
+        assert stored.basis is not None
+        append_stage(run, CALIBRATE, result, stored.basis.model_copy(update={"profile": "another"}), stored.model)
+
+
+def broken() -> None:
+    RUN.mkdir(parents=True)
+    (RUN / "run.sqlite").write_bytes(b"no run")
+
+
+def part() -> None:
+    collected_run(RUN, "stopped")
+
+
+OPEN = (*NO_RUN, *NOTHING)
+CASES = {
+    "empty": Case(nothing, ("no run is open", "No run is open: plan one"), (*RUNS, *COMPLETE)),
+    "planned": Case(lambda: planned_run(RUN).close(), ("READY, 4 stops",), (*NO_RUN, *RUNS, *COMPLETE)),
+    "collecting": Case(part, ("RUNNING", "3 of 4 stops are measured"), (*OPEN, *COMPLETE, "PAUSED"), "running"),
+    "paused": Case(part, ("PAUSED", "3 of 4 stops are measured; 'collect' is PAUSED"), (*OPEN, *COMPLETE), "paused"),
+    "stopped": Case(part, ("STOPPED", "link lost"), (*OPEN, *COMPLETE, "PAUSED"), "stopped"),
+    "part": Case(part, ("INTERRUPTED, 2 of 4", "3 Collect◐"), (*OPEN, *RUNS, "COMPLETE")),
+    "complete": Case(lambda: collected_run(RUN, "complete", 4), ("COMPLETE, 4 stops",), (*OPEN, *RUNS, "INTERRUPTED")),
+    "calibrated": Case(nothing, ("COMPLETE, ", "6 Targets"), (*OPEN, *RUNS, *UNCALIBRATED)),
+    "out of date": Case(calibrated_out_of_date, ("OUT OF DATE", "4 Calibrate!"), (*OPEN, *RUNS, *UNCALIBRATED)),
+    "broken": Case(broken, ("not a run file",), (*RUNS, *NOTHING, *COMPLETE)),
+    "read-only": Case(part, ("READ-ONLY", "This folder cannot be written"), (*OPEN, *RUNS, " b Begin", "b measures")),
+    "attached": Case(part, ("ATTACHED", "3 of 4 stops are measured"), (*OPEN, *COMPLETE), "running", attached=True),
+}
+FINISHED = ("calibrated", "out of date")
+
+
+async def texts_of(pilot: Pilot[None], app: CellApp) -> dict[str, str]:
+    """Screen and tab -> the words that are shown."""
+    texts: dict[str, str] = {}
+    for entry in SCREENS:
+        await pilot.press(entry.key)
+        await settle(pilot)
+        texts[entry.step] = words(app)
+        for tab in app.screen.query(TabPane).results():
+            app.screen.query_one(TabbedContent).active = tab.id or ""
+            await pilot.pause()
+            texts[f"{entry.step}, {tab.id}"] = words(app)
+        if isinstance(app.screen, CollectScreen):
+            for _ in range(4):
+                await pilot.press("t")
+                await pilot.pause()
+                texts[entry.step] += words(app)
+    return texts
+
+
+def words(app: CellApp) -> str:
+    return " ".join(shown_text(app).split())
+
+
+@pytest.mark.parametrize("name", CASES)
+async def test_no_sentence_contradicts_the_state(
+    name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = CASES[name]
+    monkeypatch.setattr(work, "interrupted_run", lambda logs: None)
+    if name in FINISHED:
+        shutil.copytree(request.getfixturevalue("finished_run"), RUN)
+    if name == "read-only":
+        monkeypatch.setattr("cellapp.interfaces.tui.workspace.os.access", lambda path, mode: False)
+    case.make()
+    app = CellApp(PROFILES)
+    held = HeldJob((Progress("collect", 3, 4, "stop 4", 60.0),), result=None)
+    if case.job not in (None, "running"):
+        held.events += (Progress("collect", 3, 4, detail=StateChange(case.job, "link lost")),)
+    async with app.run_test(size=SIZE) as pilot:
+        await opened(pilot, app)
+        if RUN.exists():
+            app.open_run(RUN)
+            await until(pilot, lambda: app.workspace.folder == RUN or app.workspace.problem != "", "the run")
+        if case.job is not None:
+            job = replace(held.job(folder=RUN), process=99 if case.attached else None)
+            app.record.begin(job.name, attached=case.attached)
+            app.jobs.start(job)
+            await until(pilot, lambda: app.record.state == case.job and bool(app.record.progress), "the job")
+        texts = await texts_of(pilot, app)
+        wrong = [f"{place}: {phrase}" for place, text in texts.items() for phrase in case.never if phrase in text]
+        wrong += [f"{place}: {found[0]}" for place, text in texts.items() if (found := COMMAND.search(text))]
+        assert not wrong, "\n".join(
+            [*wrong, *{place.partition(":")[0]: texts[place.partition(":")[0]] for place in wrong}.values()]
+        )
+        missing = [phrase for phrase in case.says if not any(phrase in text for text in texts.values())]
+        assert not missing
+        if case.job is not None:
+            held.go_on.set()
+            await ended(pilot, app)
+            await pilot.pause()
+            assert not [word for word in RUNS if word in words(app)], "what the footer and the screen say afterwards"
+
+
+# -- the marks ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fast
+def test_a_tick_is_no_verdict(finished_run: Path) -> None:
+    held = load_workspace(None, finished_run)
+    assert held.results is not None
+    verify = held.results.verify
+    assert verify is not None
+    stopped = verify.model_copy(update={"stopped": "stopped after 3 of 40 targets: link lost"})
+    signs = {}
+    for kind, result in (("done", verify), ("part", stopped)):
+        results = held.results.model_copy(update={"verify": result})
+        mark = marks_of(replace(held, results=results, conclusions=stage_conclusions(results)), 1, 1, 0, None)[
+            "targets"
+        ]
+        signs[kind] = SIGNS[mark.kind]
+        if kind == "part":
+            assert mark.words == "stopped after 3 of 40 targets"
+    assert signs["part"] == "◐"
+    assert signs["done"] in "✓≤?✗"
+    assert len(set(SIGNS.values())) == len(SIGNS), "each conclusion has its own mark"
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("conformity", "sign"), [("conforms", "≤"), ("cannot say", "?"), ("does not conform", "✗"), (None, "✓")]
+)
+def test_the_mark_of_accept_is_the_verdict(conformity: str | None, sign: str, finished_run: Path) -> None:
+    held = replace(load_workspace(None, finished_run), reported=True, conformity=conformity)  # type: ignore[arg-type]
+    assert SIGNS[marks_of(held, 1, 1, 0, None)["accept"].kind] == sign
+
+
+@pytest.mark.fast
+def test_what_runs_is_marked_and_what_is_next_keeps_its_own_mark() -> None:
+    marks = marks_of(Workspace(), 0, 0, 0, "plan")
+    assert marks["plan"].kind == "running"
+    assert marks["cell"].is_next
+    assert marks["cell"].kind == "next"
+
+
+@pytest.mark.fast
+def test_sentences_name_keys_and_no_commands() -> None:
+    assert with_keys("report.html is old; run 'cellapp report logs/a'") == "report.html is old; keys 7, b"
+    assert with_keys("Measure them: cellapp push DIR TARGETS --verify") == "Measure them: keys 6, m"
+    assert with_keys("run 'cellapp iso9283 PROFILE --run DIR', then go on") == "keys 7, m, then go on"
+    assert with_keys("cellapp is a program") == "cellapp is a program"

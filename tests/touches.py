@@ -1,0 +1,128 @@
+"""How many files a new effect, driver, export, verb, chart or screen touches: before the house was drawn anew, and now.
+
+    python -m tests.touches
+
+prints the table of the handbook. *Before* are the files of ``cellapp`` and ``drivers`` that named the traced one
+outside of its own at commit c6ef7c5d (``git grep -lw NAME c6ef7c5d -- cellapp drivers``): a table, a branch or a list
+in each had to be edited. *Now* is what the toys of the tests need: their own files, and lines elsewhere.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+TESTS = Path(__file__).parent
+_EXAMPLE = "interfaces/plugins/example_plugin/cellapp_example"
+_VERB = "commands/toys/greet"
+
+
+@dataclass(frozen=True)
+class Touch:
+    """What a new one of some kind touches.
+
+    Attributes
+    ----------
+    kind : str
+    traced : str
+        What was traced before.
+    before : int
+        Files outside of its own that named it.
+    own : tuple of str
+        Files of the toy, relative to ``tests``.
+    elsewhere : tuple of str
+        Lines elsewhere: file, relative to the repository, and what is written there.
+    shown_by : str
+        Test that shows the toy at work.
+    """
+
+    kind: str
+    traced: str
+    before: int
+    own: tuple[str, ...]
+    elsewhere: tuple[str, ...]
+    shown_by: str
+
+
+TOUCHES: tuple[Touch, ...] = (
+    Touch(
+        "effect",
+        "`target_slip`, `TargetSlip`",
+        6,
+        (f"{_EXAMPLE}/hose_pull.py",),
+        ("cellapp/robot/effects/registry.py: its class",),
+        "robot/effects/test_new_effect.py",
+    ),
+    Touch(
+        "driver of an arm",
+        "`URSettings`",
+        3,
+        (f"{_EXAMPLE}/line_settings.py", f"{_EXAMPLE}/line_arm.py"),
+        ("drivers/arms/registry.py: its settings",),
+        "interfaces/plugins/test_example_plugin.py",
+    ),
+    Touch(
+        "driver of a tracker",
+        "`BridgeSettings`",
+        2,
+        ("cell/driving/toys/tracker.py",),
+        ("drivers/trackers/registry.py: its settings",),
+        "cell/driving/test_new_kinds.py",
+    ),
+    Touch(
+        "export",
+        "`POE`",
+        1,
+        (f"{_EXAMPLE}/serial_link.py",),
+        ("cellapp/cell/exports/formats.py: its format",),
+        "commands/test_export.py",
+    ),
+    Touch(
+        "verb with its result",
+        "`locate`",
+        26,
+        tuple(f"{_VERB}/{part}.py" for part in ("request", "run", "result", "view")),
+        ("cellapp/commands/folders.py: its folder",),
+        "commands/test_toy_verb.py",
+    ),
+    Touch(
+        "chart of a result",
+        "`drift_chart` of `collect`",
+        2,
+        (f"{_VERB}/view.py",),
+        (),
+        "commands/test_toy_verb.py",
+    ),
+    Touch(
+        "dialog with its job",
+        "`LocateTracker`",
+        1,
+        (f"{_VERB}/request.py",),
+        (),
+        "commands/test_toy_verb.py",
+    ),
+    Touch(
+        "screen of the day",
+        "`RunsScreen`",
+        1,
+        (),
+        ("cellapp/interfaces/tui/screens/__init__.py: its entry", "cellapp/interfaces/tui/workspace.py: its step"),
+        "test_touches.py",
+    ),
+)
+
+
+def touches_table(touches: Sequence[Touch] = TOUCHES) -> str:
+    """The table of the handbook, in Markdown."""
+    lines = ["| a new | traced before: other files that named it | now: files of its own | now: lines elsewhere |"]
+    lines.append("| --- | --- | --- | --- |")
+    for one in touches:
+        own = str(len(one.own)) if one.own else "1"
+        lines.append(f"| {one.kind} | {one.traced}: {one.before} | {own} | {len(one.elsewhere)} |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(touches_table())
