@@ -57,6 +57,19 @@ def discovery_tables(result: DiscoverResult) -> list[Table]:
     ]
 
 
+def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """What recordings of motion show of the joints, by effect; None without recordings."""
+    if arm.motion is None or not arm.motion.effects:
+        return None
+    rows: list[tuple[Cell, ...]] = []
+    for found in arm.motion.effects:
+        for parameter, estimate in found.parameters.items():
+            value, interval, unit = interval_95(estimate)
+            rows.append((found.effect, parameter, value, interval, unit, found.only_motion or ""))
+    columns = (Column("effect"), *_SIZE_COLUMNS[1:5], Column("only in motion"))
+    return without_empty(Table(f"Arm {name}: what its recordings of motion show", columns, tuple(rows)))
+
+
 def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
     """Held-out error after each step, with the step numbers of its chart, and the noise floor."""
     rows: list[tuple[Cell, ...]] = [(str(number), what, gap) for number, (what, gap) in enumerate(gap_steps(arm))]
@@ -132,7 +145,7 @@ def _accepted_row(found: AcceptedEffect) -> tuple[Cell, ...]:
 
 
 def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
-    """Parameters with 95 % intervals, one table for each effect, what moves the SMR most first.
+    """Parameters with 95 % intervals, one table for each effect, what moves the SMR most first; then those in motion.
 
     Free curves and data-driven terms have too many coefficients for a table: it has their size, figures show the rest.
     """
@@ -141,6 +154,8 @@ def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
         order = "the largest first" if one.movements is None else "what moves the SMR most first"
         title = f"Arm {name}: size of {one.effect}, {order}"
         tables.append(without_empty(Table(title, _SIZE_COLUMNS, tuple(_size_rows(one)))))
+    if (in_motion := _motion_table(name, arm)) is not None:
+        tables.append(in_motion)
     return tables
 
 

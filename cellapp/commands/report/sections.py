@@ -30,6 +30,7 @@ from cellapp.commands.calibrate.detail_tables import (
     nominal_and_identified_tables,
     pair_tables,
 )
+from cellapp.commands.calibrate.motion_view import motion_sentences
 from cellapp.commands.calibrate.view import cooperative_noise_mm, detailed_tables, distance_mm, transform_tables
 from cellapp.commands.check.view import view as check_view
 from cellapp.commands.collect.charts_drift import residual_drift_chart
@@ -131,6 +132,7 @@ def _accuracy(data: ReportData) -> Section:
             *_absent_stages(data),
             *accuracy_charts(data),
             *detailed_tables(calibrate),
+            *motion_sentences(calibrate),
             Section("Terms: models, errors, noise floor", [*_terms(calibrate)], folded=True),
         ],
         _accuracy_message(data),
@@ -400,7 +402,7 @@ def _parameters_message(data: ReportData) -> str:
 
 def _notes(data: ReportData) -> Section | None:
     notes, missing = warnings(data), missing_results(data)
-    counts = [f"{counted(len(notes), 'warning')} or note{'s' if len(notes) != 1 else ''}"] if notes else []
+    counts = [counted(len(notes), "warning or note", "warnings or notes")] if notes else []
     counts += [f"{counted(len(missing), 'result')} not in this report"] if missing else []
     about = "DIR is the folder of this run, TARGETS a list of targets."
     parts = [
@@ -417,7 +419,8 @@ def _provenance(data: ReportData) -> Section:
     return Section(
         "",
         [provenance_facts(data), *([Section("Log of the run", [log])] if log.rows else [])],
-        f"Calibrated by {origin.program} on {day_of(origin.written)} from {count} readings; hashes identify the data.",
+        f"Calibrated by {origin.program} on {day_of(origin.written)} from {counted(count, 'reading')}; hashes"
+        " identify the data.",
     )
 
 
