@@ -245,10 +245,10 @@ class CellScreen(DayScreen):
 
     @on(TodayRead)
     def show_today(self, event: TodayRead) -> None:
-        """Draw what waits; at the start it is what is shown, unless something else was chosen meanwhile."""
+        """Draw what waits."""
         from cellapp.commands.runs.today import today_sentences, today_tables
 
-        now, tabs = datetime.now(UTC), self.query_one("#cell-tabs", TabbedContent)
+        now = datetime.now(UTC)
         self.query_one("#today", WrappedTables).show(
             today_tables(event.found, now), after=today_sentences(event.found, now)
         )
