@@ -189,7 +189,7 @@ class Readings:
             for entry in fields(self)
             if isinstance(getattr(self, entry.name), np.ndarray)
         }
-        words = {
+        words: dict[str, Any] = {
             name: None if texts is None else tuple(texts[index] for index in chosen)
             for name, texts in (("point", self.point), ("split", self.split))
         }

@@ -42,7 +42,7 @@ def with_ball(geometry: Geometry, readings: Readings, *, unknown: bool) -> Geome
         off = _from_centres(contacts, origins, weights)
         root = np.sqrt(weights)[:, None]
         tool = np.linalg.lstsq((columns * root[:, :, None]).reshape(-1, 3), -(off * root).ravel(), rcond=None)[0]
-        weights = 1.0 / np.maximum(np.linalg.norm(off + columns @ tool, axis=1), _LEAST_M)
+        weights = np.asarray(1.0 / np.maximum(np.linalg.norm(off + columns @ tool, axis=1), _LEAST_M), np.float64)
     return replace(geometry, tool=tool)
 
 

@@ -42,7 +42,7 @@ def plant_of(seed: int, effects: Mapping[str, Mapping[str, Any]] | None = None) 
     smr = arm.smr.model_copy(update={"offset": BALL})
     arm = arm.model_copy(update={"base": Pose(position=(0.0, 0.0, 0.0)), "smr": smr})
     errors = GeometryErrors(length=3e-4, angle=1e-3, base_length=0.0, base_angle=0.0, smr=2e-3)
-    plant = PlantSettings(seed=seed, geometry=errors, effects={"left": dict(effects or {})}, noise=False)
+    plant = PlantSettings(seed=seed, geometry=errors, effects={"left": {name: dict(its) for name, its in (effects or {}).items()}}, noise=False)
     tracker = profile.tracker.model_copy(update={"pose": Pose(position=(0.0, 0.0, 0.0))})
     return build_plant(profile.model_copy(update={"arms": {"left": arm}, "plant": plant, "tracker": tracker}))
 
