@@ -278,8 +278,7 @@ class _Session:
                 hands.hang(name, self.task.profile.arms[name].payload.mass)
         for name in self.findings.cubes if "compliance" in self.task.tests else ():
             self.mover.go_home()
-            programme = self._last_programme(name)
-            if programme is None:
+            if (programme := self._last_programme(name)) is None:
                 continue
             self._visit(Visit({name: programme.q[POSE, "P2"]}, None, 0))
             hands.under_forces(programme, self.task.forces, self._measure_here)
