@@ -11,7 +11,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,17 +80,25 @@ def read_readings_csv(
 def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> RunFile:
     """Make a run from a file of readings, after the whole file was read and checked.
 
-    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
-    run then keeps what was derived.
-
     Raises
     ------
     InputError
         As ``read_readings_csv`` and ``RunFile.create`` do, and if an arm of the profile has no readings. No run is
         made then.
     """
+    return RunFile.create(folder, profile, readings_from_csv(profile, csv, in_order=in_order))
+
+
+def readings_from_csv(
+    profile: Profile, csv: Path, *, in_order: bool = False, recorded: Collection[str] = ()
+) -> Callable[[RunFile], None]:
+    """Read and check a whole file of readings; returns what puts them into a new run.
+
+    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
+    run then keeps what was derived. Arms that are ``recorded`` in motion need no readings. Raises as ``import_csv``.
+    """
     table = read_csv_table(Path(csv))
-    readings, orders, notes = readings_of_table(profile, table, in_order=in_order)
+    readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded)
 
     def fill(run: RunFile) -> None:
         run.keep_columns(table.names)
@@ -103,11 +111,11 @@ def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = Fa
         for note in notes:
             run.log("note", note)
 
-    return RunFile.create(folder, profile, fill)
+    return fill
 
 
 def readings_of_table(
-    profile: Profile, table: CsvTable, *, in_order: bool = False
+    profile: Profile, table: CsvTable, *, in_order: bool = False, recorded: Collection[str] = ()
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
     """Check the readings of a cell, from a file or from ``table_in_memory``: the one door for all of them.
 
@@ -127,7 +135,7 @@ def readings_of_table(
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
     readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
-    missing = [name for name in profile.arms if name not in readings]
+    missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
         raise InputError(
             f"{table.path}: arm: no reading of arm {', '.join(missing)} of the profile; add its readings, or remove the"

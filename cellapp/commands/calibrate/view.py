@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from cellapp.commands.calibrate.motion_view import motion_sentences, motion_tables
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
@@ -55,7 +56,7 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
             if method in result.pair
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *ERROR_COLUMNS), tuple(rows)))
-    return [*tables, *prior_tables(result)]
+    return [*tables, *motion_tables(result), *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -79,7 +80,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
             (METHOD_WORDS[key], *_detailed_cells(errors), _ratio(errors, noise)) for key, errors in summaries.items()
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
-    return [*tables, *prior_tables(result)]
+    return [*tables, *motion_tables(result), *prior_tables(result)]
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:
@@ -141,7 +142,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    return [*sentences, *prior_sentences(result)]
+    return [*sentences, *motion_sentences(result), *prior_sentences(result)]
 
 
 def distance_mm(first: float | None, second: float | None) -> float | None:

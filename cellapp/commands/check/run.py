@@ -17,6 +17,7 @@ from cellapp.cell.driving.smr_search import points_of
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import known_readings
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.check.request import FEWEST_STOPS, STOPS, CheckRequest
 from cellapp.commands.confirm import Ask, confirmation
@@ -148,7 +149,7 @@ def _checked(run: RunFile) -> _Checked:
     """Raises ``InputError`` if the run is not calibrated."""
     stages = read_stages(run)
     used, arms = stage_in_force(run, stages), arms_stage(run, stages, "check")
-    readings = {name: run.readings(name) for name in run.profile.arms}
+    readings = {name: known_readings(run, name) for name in run.profile.arms}
     located_T = None
     if used.name == LOCATE:
         located_T = np.array(LocateResult.from_json(used.text, f"{run.path}: {LOCATE}").T_new_old)

@@ -10,6 +10,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.in_order import read_in_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.rows import Event
+from cellapp.cell.run.samples import known_readings
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
@@ -131,13 +132,16 @@ def read_report_data(run: RunFile) -> ReportData:
         raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
     holds = results.discover is not None and DISCOVER not in results.out_of_date
     verb, command = next_step(run, stages, arm_states(run))
+    measured = run.arms()
     return ReportData(
         profile=run.profile,
         results=results,
         calibrate=results.calibrate,
         calibrated=calibrated,
         discovered=_stored_model(run, stages, DISCOVER) if holds else None,
-        readings={name: run.readings(name) for name in calibrated.arms},
+        readings={
+            name: run.readings(name) if name in measured else known_readings(run, name) for name in calibrated.arms
+        },
         in_order=read_in_order(run),
         events=tuple(run.events()),
         model_in_force=stages.in_force.model,

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_
 from cellapp.estimation.calibration.identification import Identification, TooFewReadings, start_from_nominal
 from cellapp.estimation.calibration.network_training import Shape, Training, train_network, training_steps
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
-from cellapp.estimation.calibration.records import ArmPriorResult, Repeatability
+from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
 from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
@@ -67,6 +68,8 @@ class ArmCalibration:
         Configurations of readings with gross errors. Nothing here rests on them: no parameter, no held-out error.
     left_out_counts : mapping
         Their number in each split.
+    clocks, motion
+        Of an arm that was recorded in motion: the clocks by recording, and what was found.
     """
 
     model: ArmModel
@@ -81,6 +84,8 @@ class ArmCalibration:
     prior: ArmPriorResult | None = None
     left_out: tuple[int, ...] = ()
     left_out_counts: Mapping[str, int] = field(default_factory=dict)
+    clocks: Mapping[str, ClockResult] | None = None
+    motion: MotionResult | None = None
 
 
 @dataclass(frozen=True)
@@ -99,8 +104,10 @@ def calibrate_readings(
     readings: Mapping[str, Readings],
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
+    *,
+    known: Mapping[str, ArmCalibration] = MappingProxyType({}),
 ) -> Calibration:
-    """Calibrate from readings whose splits are drawn: geometry, networks, pair.
+    """Calibrate from readings whose splits are drawn: geometry, networks, pair; arms in ``known`` have theirs.
 
     Raises
     ------
@@ -117,7 +124,7 @@ def calibrate_readings(
     for name, arm_readings in readings.items():
         listener(Progress("calibrate", len(arms), total, f"arm {name}: geometry"))
         cancel.check()
-        arms[name], arm_notes = calibrate_arm(profile, name, arm_readings)
+        arms[name], arm_notes = (known[name], []) if name in known else calibrate_arm(profile, name, arm_readings)
         notes += arm_notes
     if profile.network.kind == "mlp":
         listener(Progress("calibrate", len(arms), total, "residual networks"))

@@ -50,7 +50,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 
 _MOST_SEARCHED = 400
@@ -205,7 +205,8 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
     if result.harmful:
         word = "unknown effect"  # something is there: the search fitted it, though not by what it is
-    final = _final_model(model, fitted_model, terms)
+    # as it was calibrated where nothing was found
+    final = replace(fitted_model, effects=terms) if terms else replace(model, posterior=fitted_model.posterior)
     invisible, not_found = detectability(found, scan if found is searched else remaining_scan(found))
     evaluated = ArmDiscoveryResult(
         noise_floor_mm=floor_mm if math.isfinite(floor_mm) else None,
@@ -232,11 +233,6 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     )
     smooth = smoothness_of(found.fit.terms)
     return Discovery(evaluated, terms, final, 0.0 if smooth is None else smooth.scatter_m)
-
-
-def _final_model(calibrated: ArmModel, fitted: ArmModel, terms: tuple[EffectTerm, ...]) -> ArmModel:
-    """The fitted model with the descriptions of data-driven terms; as it was calibrated where nothing was found."""
-    return replace(fitted, effects=terms) if terms else replace(calibrated, posterior=fitted.posterior)
 
 
 def _noise(data: ArmData) -> Noise:

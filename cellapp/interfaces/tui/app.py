@@ -190,7 +190,7 @@ class CellApp(JobKeys):
         """Quit; with a job in progress or something that is not saved, ask first; stop the job and wait for its end."""
         unsaved = [words for screen in self._screens.values() if (words := screen.unsaved)]
         if self.jobs.running or unsaved:
-            if not self._leaving and isinstance(self.screen, DayScreen | Handbook | Reading):
+            if not self._leaving:
                 offer_to_quit(self, self._leave, unsaved)
         else:
             self.exit(return_code=self.code)
@@ -270,7 +270,7 @@ class CellApp(JobKeys):
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable actions that are not possible now; over a dialog only stop and abort remain."""
-        if action in _REQUESTS and not self.jobs.possible(action):
+        if action in _REQUESTS and not self.jobs.possible(action.removesuffix("_job")):
             return False
         if action == "stop" and self.escape_closes:
             return False

@@ -101,7 +101,7 @@ def test_an_older_file_without_the_column_gets_it_with_the_first_change(tmp_path
     with contextlib.closing(sqlite3.connect(tmp_path / "run" / "run.sqlite")) as connection:
         for name in ("torque_nm", "step", "dwell_s", "sequence"):
             connection.execute(f"ALTER TABLE reading DROP COLUMN {name}")
-        for table in ("stage", "session", "request", "outcome", "reference"):
+        for table in ("stage", "session", "request", "outcome", "reference", "recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
         connection.execute("PRAGMA user_version=1")
         connection.commit()

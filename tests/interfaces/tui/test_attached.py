@@ -225,7 +225,7 @@ def test_stop_in_a_second_window_stops_the_arms_of_the_first(
         terminal.send("\x1b")
         assert collecting.wait(WAIT_S) == 4
         assert cell.wait_at_rest(0.0), "the program waits for the arms"
-        shows(terminal, "Stopped; go on here with the key of that step", f"READY, {STOPS} stops")
+        shows(terminal, "Stopped; keys 3, b go on", f"READY, {STOPS} stops")
         terminal.send("q")
         terminal.process.wait(WAIT_S)
     with RunFile.open(tmp_path / "cell" / "logs" / "day") as run:

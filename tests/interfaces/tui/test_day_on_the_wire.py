@@ -148,9 +148,9 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(da
     with cellapp(day) as terminal:
         shows(terminal, "Go on with the last run?", f"{STOPS - done} stops left")
         terminal.send("o")
-        shows(terminal, f"INTERRUPTED, {done} of {STOPS} stops", "e measures")
+        shows(terminal, f"INTERRUPTED, {done} of {STOPS} stops", "b measures")
         cell.control("*", "pace", UNDISTURBED_PACE)
-        terminal.send("e")
+        terminal.send("b")
         shows(terminal, "Resume?")
         terminal.send("b")
         shows(terminal, f"COMPLETE, {STOPS} stops")

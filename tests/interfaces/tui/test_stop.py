@@ -68,7 +68,7 @@ async def braked_over(dialog: str, way: str, verb: str) -> float:
             await until(pilot, lambda: app.record.state == "stopped", "the state")
             await aborted(pilot, app)
         await ended(pilot, app)
-        assert "cellapp collect here --resume" in app.message or dialog == "motion"
+        assert "keys 3, b go on" in app.message or dialog == "motion"
     return braked_s - pressed_s
 
 

@@ -211,7 +211,7 @@ async def test_a_broken_list_is_refused_in_a_sentence(tmp_path: Path, text: str,
         await show_targets(pilot, app, None)
         await open_list(pilot, app, path)
         await until(pilot, lambda: says in app.message, "the refusal")
-        assert app.message.endswith("i opens another list.")
+        assert app.message.endswith("o opens another list.")
         assert grid(app).row_count == len(LISTED), "the list before stays"
 
 
@@ -245,11 +245,24 @@ async def test_an_empty_list_and_an_arm_that_the_run_does_not_have(
         assert app.message == "Target 'left-01': no arm 'middle'; arms are left, right. Enter edits it."
         monkeypatch.setattr(screen, "_edits", TargetEdits(few, (), ()))
         screen._draw_list()
-        for key, says in (("b", "No targets"), ("v", "No targets"), ("w", "An empty list cannot be saved")):
+        for key, says in (("b", "No targets"), ("m", "No targets"), ("w", "An empty list cannot be saved")):
             await pilot.press(key)
             assert app.message.startswith(says)
         await pilot.press("enter", "-", "ctrl+z")
         assert app.screen is screen
+
+
+async def test_the_application_asks_before_edits_are_lost(few: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_targets(pilot, app, None, few)
+        await pilot.press("-", "1", "q")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        assert "Not saved, and lost: 2 targets with edits" in " ".join(shown_text(app).split())
+        await pilot.press("enter")
+        await until(pilot, lambda: app.screen is app.day_screen, "it stays")
+        await pilot.press("6", "ctrl+z", "q")
+        await until(pilot, lambda: app.return_code is not None, "nothing is lost: it ends at once")
 
 
 async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, few: Path) -> None:
@@ -257,8 +270,9 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
     async with app.run_test(size=(120, 40)) as pilot:
         await show_targets(pilot, app, finished_copy, few)
         await pilot.press("ctrl+end", "-", "ctrl+home", "b")
-        await until(pilot, lambda: column(app, 3) == ["in, predicted", "out, predicted"], "the predictions")
+        await until(pilot, lambda: "predicted: in" in about(app), "the prediction for the first")
         await ended(pilot, app)
+        assert column(app, 3)[0] == "in, measured", "what was measured is judged by the new tolerance"
         await pilot.press("m")
         await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the question")
         assert "arm left to 2 targets" in asked(app)
@@ -277,7 +291,15 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
         assert "out of date" not in heading(app)
         await fill_form(pilot, app, "enter", tolerance="")
         await pilot.press("enter")
-        await until(pilot, lambda: column(app, 3)[0] == "", "a target that is not compensated as it is now")
+        await until(pilot, lambda: column(app, 3)[0] == "measured", "what was measured, without a tolerance")
+        assert "compensated;" not in about(app)
+        await fill_form(pilot, app, "enter", tolerance="0.000001")
+        await pilot.press("enter")
+        await until(pilot, lambda: column(app, 3)[0].endswith(", measured"), "judged anew by another tolerance")
+        assert column(app, 3)[0] != "in, measured"
+        await fill_form(pilot, app, "enter", x="0.0")
+        await pilot.press("enter")
+        await until(pilot, lambda: column(app, 3)[0] == "", "a target that is elsewhere now")
         assert about(app).startswith("left-01: not compensated yet as it is now.\n")
     with RunFile.open(finished_copy) as run:
         verify = read_results(run).verify

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, ClassVar
 
 from textual import on
@@ -13,11 +12,11 @@ from textual.message import Message
 from textual.widgets import Static, TabbedContent, TabPane
 from textual.worker import get_current_worker
 
-from cellapp.commands.certificate.view import certificate_sentences, certificate_tables
-from cellapp.commands.check.view import check_sentences, check_tables
+from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
+from cellapp.commands.check.request import VERB as CHECK_VERB
+from cellapp.commands.check_certificate.request import VERB as CHECK_CERTIFICATE
 from cellapp.commands.check_certificate.result import CertificateCheckResult
-from cellapp.commands.check_certificate.view import check_sentences as check_file_sentences
-from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
+from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.sign_key.request import VERB as SIGN_KEY
 from cellapp.commands.sign_key.result import SignKeyResult
@@ -27,6 +26,7 @@ from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens import accept_jobs
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
 from cellapp.interfaces.tui.widgets.tabs import show_next_tab
 from cellapp.interfaces.tui.widgets.verdict_bars import VerdictBars
@@ -34,7 +34,7 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.report.verdict_view import RunVerdict
-    from cellapp.commands.view.table import Table
+    from cellapp.commands.view.parts import Parts
 
 _NOT_JUDGED = "Nothing is judged yet."
 _NOT_CHECKED = f"The calibration was not checked yet. {SHOWN['check']} measures a few stops: does it still hold?"
@@ -97,9 +97,8 @@ The check and the tests ask first, and real arms ask again with the first path. 
     AcceptScreen #decision.cannot-say { color: $text-warning; }
     AcceptScreen #outdated { height: auto; max-height: 5; padding-left: 1; background: $error; color: white; }
     AcceptScreen #outdated { text-style: bold; }
-    AcceptScreen TablesView { overflow-x: auto; }
-    AcceptScreen .table DataTable { width: auto; }
-    AcceptScreen #certificate-tables .table { min-width: 110; }
+    AcceptScreen PartsView { overflow-x: auto; }
+    AcceptScreen PartsView .table { min-width: 110; }
     """
 
     def __init__(self) -> None:
@@ -115,11 +114,11 @@ The check and the tests ask first, and real arms ask again with the first path. 
                 yield VerdictBars(id="verdict-bars")
                 yield WrappedTables(_NOT_JUDGED, id="verdict-tables")
             with TabPane("Check", id="check-pane"):
-                yield TablesView(id="check-tables")
+                yield PartsView(id="check-tables")
             with TabPane("ISO 9283", id="iso9283-pane"):
-                yield TablesView(id="iso9283-tables")
+                yield PartsView(id="iso9283-tables")
             with TabPane("Certificate", id="certificate-pane"):
-                yield WrappedTables(id="certificate-tables")
+                yield PartsView(id="certificate-tables")
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
@@ -236,25 +235,19 @@ The check and the tests ask first, and real arms ask again with the first path. 
 
     def _draw_measured(self, results: RunResults | None) -> None:
         check, tests = (None, None) if results is None else (results.check, results.iso9283)
-        self._draw_stage(CHECK, "check", check_tables(check) if check else [], check_sentences(check) if check else [])
-        self._draw_stage(
-            ISO9283, "measure", iso9283_tables(tests) if tests else [], iso9283_sentences(tests) if tests else []
-        )
-
-    def _draw_stage(self, stage: StageName, again: str, tables: Sequence[Table], sentences: Sequence[str]) -> None:
-        """Draw a result with its outcome, the first sentence, before the tables."""
-        marks = self._outdated(stage, again)
-        self.query_one(f"#{stage}-tables", TablesView).show(tables, [*marks, *sentences[:1]], sentences[1:])
+        self._draw_stage(CHECK, "check", () if check is None else CHECK_VERB.view(check).parts)
+        self._draw_stage(ISO9283, "measure", () if tests is None else ISO9283_VERB.view(tests).parts)
 
     def _draw_certificate(self) -> None:
         result = None if self.workspace.results is None else self.workspace.results.certificate
-        view = self.query_one("#certificate-tables", TablesView)
-        checked = [] if self._checked is None else check_file_sentences(self._checked)
-        if result is None:
-            view.show([], [*checked, _NO_CERTIFICATE] if checked else [])
-        else:
-            words = [*checked, *self._outdated(CERTIFICATE, "export"), *certificate_sentences(result)]
-            view.show(certificate_tables(result), words)
+        parts = [] if result is None else [*CERTIFICATE_VERB.view(result).parts]
+        if self._checked is not None:
+            parts = [*CHECK_CERTIFICATE.view(self._checked).parts, *(parts or [_NO_CERTIFICATE])]
+        self._draw_stage(CERTIFICATE, "export", parts)
+
+    def _draw_stage(self, stage: StageName, again: str, parts: Parts) -> None:
+        """Draw a result, below the mark of one that no longer holds."""
+        self.query_one(f"#{stage}-tables", PartsView).show_parts(parts, self._outdated(stage, again))
 
     def _outdated(self, stage: StageName, again: str) -> list[str]:
         """The mark of a result that no longer holds."""

@@ -13,7 +13,7 @@ from cellapp.commands.view.table import Table
 from cellapp.interfaces.render.terminal import rich_table
 from cellapp.interfaces.tui.plots import ChartPlot
 
-_LEAST_COLUMNS = 56
+LEAST_COLUMNS = 56
 """Width of a chart: two stand side by side in a terminal of 120 columns."""
 _ROWS = 16
 """Lines of a chart with axes: half of a usual terminal."""
@@ -21,7 +21,7 @@ _WORDS = 5
 """Lines of title and message around bars."""
 
 
-class _Plot(ChartPlot):
+class ScrolledPlot(ChartPlot):
     """A chart as high as it needs."""
 
     def get_content_height(self, container: Size, viewport: Size, width: int) -> int:
@@ -52,7 +52,7 @@ class ChartsView(VerticalScroll):
     async def show(self, charts: Sequence[Chart], tables: Sequence[Table] = (), sentences: Sequence[str] = ()) -> None:
         """Draw sentences, charts and tables in the place of those before."""
         await self.remove_children()
-        grid = [ItemGrid(*map(_Plot, charts), min_column_width=_LEAST_COLUMNS)] if charts else []
+        grid = [ItemGrid(*map(ScrolledPlot, charts), min_column_width=LEAST_COLUMNS)] if charts else []
         await self.mount(
             *(Static(text, markup=False) for text in sentences),
             *grid,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import cast
 
 from textual.app import ComposeResult
@@ -10,7 +11,7 @@ from textual.content import Content
 from textual.widgets import Static
 
 from cellapp.interfaces.tui.host import Host
-from cellapp.interfaces.tui.job_record import LEVELS, JobRecord
+from cellapp.interfaces.tui.job_record import JobRecord, LogRow
 from cellapp.interfaces.tui.widgets.arm_panel import activity_words
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 
@@ -31,6 +32,7 @@ class JobPanel(Vertical):
 
     def __init__(self) -> None:
         super().__init__()
+        self._drawn: tuple[object, ...] = ()
         self.tooltip = "The job: its parts, steps a minute, the time that is left; each arm; its newest lines."
 
     def compose(self) -> ComposeResult:
@@ -50,11 +52,19 @@ class JobPanel(Vertical):
         height = self.app.size.height
         bars = self.query_one(ProgressBars)
         bars.compact, bars.parts = height < _HUGE, parts_of(record)
-        arms = [f"{name} {activity_words(arm)}" for name, arm in record.arms.items() if arm.activity != "unknown"]
+        bars.styles.height = bars.lines  # said outright: its container does not ask again
+        arms = "   ".join(
+            f"{name} {activity_words(arm)}" for name, arm in record.arms.items() if arm.activity != "unknown"
+        )
+        most = 1 if height < _TALL else 3 if height < _HUGE else 5
+        told = (row for row in reversed(record.log) if row.level != "debug")
+        drawn = (arms, *islice(told, most))
+        if drawn == self._drawn:
+            return
+        self._drawn = drawn
         line = self.query_one(".arms", Static)
         line.display = bool(arms)
-        line.update("   ".join(arms))
-        most = 1 if height < _TALL else 3 if height < _HUGE else 5
-        newest = [row for row in record.log if LEVELS.index(row.level) > 0][-most:]
+        line.update(arms)
+        newest = [row for row in reversed(drawn) if isinstance(row, LogRow)]
         lines = [Content.styled(f"{row.at:%H:%M:%S} {row.text}", _LEVEL_STYLES.get(row.level, "")) for row in newest]
         self.query_one(".newest", Static).update(Content("\n").join(lines))
