@@ -22,6 +22,7 @@ from cellapp.commands.view.recordings import recording_tables
 from cellapp.commands.view.table import Table
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.interfaces.page import write_page
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
@@ -157,3 +158,15 @@ def test_a_request_that_makes_no_sense_is_refused(given: dict[str, object], said
 @pytest.mark.fast
 def test_nothing_is_shown_of_no_recordings() -> None:
     assert recording_tables(()) == []
+
+
+def test_the_page_of_a_run_shows_clocks_and_what_is_not_determined(tmp_path: Path) -> None:
+    profile = without_devices("left")
+    import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left"))
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        result = calibrate_run(run)
+        page = write_page(run).read_text("utf-8")
+    assert result.arms["left"].motion is not None
+    assert result.arms["left"].motion.undetermined
+    for said in ("the tracker&#39;s against the controller&#39;s", "what their points are worth", "not determined"):
+        assert said in page or said.replace("&#39;", "'") in page, said

@@ -67,8 +67,6 @@ class Sweeps:
             **dict(zip(POINT, record.p_M.T, strict=True)),
             "sigma_m": record.sigma_m,
         }
-        tables = (
-            StreamTable(Path(f"{sweep.name} of arm {sweep.arm}"), its, {}, np.arange(len(its["time_s"])))
-            for its in (columns, points)
-        )
-        return checked_recording(self._run.profile, (sweep.arm, sweep.name), *tables, session=self._session)
+        where = Path(f"{sweep.name} of arm {sweep.arm}")
+        samples, seen = (StreamTable(where, its, {}, np.arange(len(its["time_s"]))) for its in (columns, points))
+        return checked_recording(self._run.profile, (sweep.arm, sweep.name), samples, seen, self._session)

@@ -172,7 +172,7 @@ def _drawn(center: Array, towards: Array, period_s: float, rng: np.random.Genera
     sine, cosine = (rng.normal(size=(_HARMONICS, len(center))) / order for _ in range(2))
     motion = Sweep(center, sine, cosine, period_s)
     reach = np.abs(motion.at(motion.times(period_s / 200.0)) - center).max(axis=0)
-    wanted = np.exp(rng.uniform(*np.log(_REACH_RAD), len(center))) / reach
+    wanted = np.exp(rng.uniform(np.log(_REACH_RAD[0]), np.log(_REACH_RAD[1]), len(center))) / reach
     cosine *= wanted
     cosine[0] += rng.uniform(0.0, 0.5) * (towards - center)
     return Sweep(center, sine * wanted, cosine, period_s)

@@ -80,7 +80,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
             (METHOD_WORDS[key], *_detailed_cells(errors), _ratio(errors, noise)) for key, errors in summaries.items()
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
-    return [*tables, *prior_tables(result)]
+    return [*tables, *motion_tables(result), *prior_tables(result)]
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:

@@ -25,7 +25,7 @@ def view(
     """What was planned, refused, foreseen or seen; a check fails where the safety gate refuses something."""
     match result:
         case PlanResult():
-            parts = (*plan_result_tables(result), *plan_lines(result), *sweep_lines(result))
+            parts: tuple[Table | str, ...] = (*plan_result_tables(result), *plan_lines(result), *sweep_lines(result))
             return View(parts, held="; ".join(result.notes))
         case PlanCheckResult():
             verdict, *offences = check_sentences(result)

@@ -132,13 +132,16 @@ def read_report_data(run: RunFile) -> ReportData:
         raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
     holds = results.discover is not None and DISCOVER not in results.out_of_date
     verb, command = next_step(run, stages, arm_states(run))
+    measured = run.arms()
     return ReportData(
         profile=run.profile,
         results=results,
         calibrate=results.calibrate,
         calibrated=calibrated,
         discovered=_stored_model(run, stages, DISCOVER) if holds else None,
-        readings={name: known_readings(run, name) for name in calibrated.arms},
+        readings={
+            name: run.readings(name) if name in measured else known_readings(run, name) for name in calibrated.arms
+        },
         in_order=read_in_order(run),
         events=tuple(run.events()),
         model_in_force=stages.in_force.model,

@@ -99,7 +99,7 @@ def test_collecting_records_each_sweep_once_and_calibrates(planned: Path, tmp_pa
     rates = [clock.rate_ppm for arm in result.arms.values() for clock in (arm.clocks or {}).values()]
     errors = [c.rate_standard_error_ppm for arm in result.arms.values() for c in (arm.clocks or {}).values()]
     assert len(rates) == 2
-    assert abs(rates[0] - rates[1]) < 6.0 * float(np.hypot(*errors)), "both arms have the same two clocks"
+    assert abs(rates[0] - rates[1]) < 6.0 * float(np.hypot(errors[0], errors[1])), "both arms have the same two clocks"
 
 
 def test_a_sweep_that_the_gate_refuses_is_left_out_with_a_note(
