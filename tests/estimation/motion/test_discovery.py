@@ -48,6 +48,7 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
     assert {term.slug for term in discovery.terms} == {"backlash", "transmission_error"}
     assert {one.effect for one in discovery.result.motion.effects} == {"backlash", "transmission_error", "tracking_lag"}
     model_arm = found.model.arms["left"]
+    assert model_arm.covariance is not None
     assert model_arm.covariance.shape == (len(model_arm.identified),) * 2
     q, side = motion.at(np.linspace(0.0, 50.0, 200)), np.sign(motion.speed(np.linspace(0.0, 50.0, 200)))
     true = arm.points(q - arm.half_play * side + arm.amplitude[:6] * np.sin(40.0 * q + arm.phase[:6]))
