@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from cellapp.estimation.calibration.parameters import SetName
-from cellapp.estimation.motion.fit import Problem, Solution, solve
+from cellapp.estimation.motion.fit import Problem, Solution, free_clocks, solve
 from cellapp.estimation.motion.identify import held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.noise import whitening_filter
 from cellapp.estimation.motion.observe import Stops, residuals
@@ -127,6 +127,14 @@ class MotionDiscovery:
     heldout_after_mm: float
     covariance: Array = field(repr=False)
 
+    def lags_s(self, joints: int) -> Array:
+        """Lag of each joint (N,) behind the mean of all [s]; zero where none shows."""
+        found = np.zeros(joints)
+        for effect in self.effects:
+            if effect.slug == Law.LAG.value:
+                found[[joint - 1 for joint in effect.joints]] = effect.values
+        return found
+
     @property
     def terms(self) -> tuple[EffectTerm, ...]:
         """Terms of an arm model that serve commands at rest."""
@@ -220,7 +228,9 @@ class _Search:
             steps.append(step)
         state, steps = self._with_exact_counts(state, steps)
         final = self._unwhitened(state)
-        fit = motion_fit(final.problem, final.solution)
+        # with lags an offset is known by its sum with their mean only, and is left as it is
+        freed = final.solution if _has(steps, Law.LAG) else free_clocks(final.problem, final.solution)
+        fit = motion_fit(final.problem, freed)
         effects = tuple(_effect(final, law, steps) for law in dict.fromkeys(step.law for step in steps))
         laws_at_rest = [law for law in dict.fromkeys(step.law for step in steps) if law in _AT_REST]
         at_rest = [term for law in laws_at_rest for term in _shown(final, law, steps)]
