@@ -91,7 +91,7 @@ def test_whole_placements_are_held_out() -> None:
     assert not notes
     assert len(held_out) == 2
     assert not held_out & learnt
-    assert len({name.split("_")[0] for name in held_out}) == 1
+    assert len({str(name).split("_")[0] for name in held_out}) == 1
 
 
 def test_two_placements_are_too_few_to_hold_one_out_and_it_is_said() -> None:
