@@ -107,6 +107,30 @@ def test_ten_touches_between_tracker_visits_find_and_name_a_changed_joint(finish
         assert after.changes[0].value == pytest.approx(5e-4, abs=2e-4)
 
 
+def test_touches_check_an_arm_that_was_calibrated_from_sockets(panda_run: Path, tmp_path: Path) -> None:
+    with RunFile.open(Path(shutil.copytree(panda_run, tmp_path / "run")), write=True) as run:
+        readings = run.readings("left")
+        rows = np.flatnonzero(np.array(readings.point) == "right_0")[:10]
+        header = ["configuration", "arm", *(f"q{joint}" for joint in range(1, 8)), "point"]
+        for name, shift in (("before", 0.0), ("after", 0.01)):  # the joint's encoder slipped
+            q = readings.q[rows] + shift * np.eye(7)[3]
+            cells = [[str(n), "left", *map(repr, row.tolist()), "right_0"] for n, row in enumerate(q)]
+            write_csv(tmp_path / f"{name}.csv", header, cells)
+        assert not check_by_touches(run, tmp_path / "before.csv").changes
+        found = check_by_touches(run, tmp_path / "after.csv")
+    assert found.verdict == "arm changed"
+    assert found.changes[0].what == "zero of joint 4"
+    assert found.changes[0].value == pytest.approx(-0.01, abs=0.002)
+
+
+def test_an_earlier_calibration_as_prior_is_refused_for_sockets(panda_run: Path, tmp_path: Path) -> None:
+    with (
+        RunFile.open(Path(shutil.copytree(panda_run, tmp_path / "run")), write=True) as run,
+        pytest.raises(InputError, match="needs measured points"),
+    ):
+        calibrate_run(run, prior=panda_run)
+
+
 def test_a_file_of_measured_points_is_no_file_of_touches(finished_copy: Path, tmp_path: Path) -> None:
     header = ["configuration", "arm", *(f"q{joint}" for joint in range(1, 7)), "x_m", "y_m", "z_m"]
     write_csv(tmp_path / "points.csv", header, [[str(n), "left", *["0.1"] * 6, "1", "2", "0"] for n in range(5)])

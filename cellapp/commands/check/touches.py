@@ -66,7 +66,7 @@ def _stops(readings: Mapping[str, Readings], found: TouchCheck) -> tuple[Checked
                     log_evidence=standing.log_evidence,
                     log_valid=standing.log_valid,
                     p_value=standing.p_value,
-                    time_s=float(row),
+                    time_s=time_s if math.isfinite(time_s := float(its.time_s[row])) else 0.0,
                 )
             )
     return tuple(stops)

@@ -189,14 +189,11 @@ class Readings:
             for entry in fields(self)
             if isinstance(getattr(self, entry.name), np.ndarray)
         }
-        words: dict[str, Any] = {
-            name: None if texts is None else tuple(texts[index] for index in chosen)
-            for name, texts in (("point", self.point), ("split", self.split))
-        }
         return replace(
             self,
             **arrays,
-            **words,
+            point=None if self.point is None else tuple(self.point[index] for index in chosen),
+            split=None if self.split is None else tuple(self.split[index] for index in chosen),
             extras={name: tuple(texts[index] for index in chosen) for name, texts in self.extras.items()},
         )
 

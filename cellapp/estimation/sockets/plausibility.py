@@ -41,8 +41,9 @@ def with_ball(geometry: Geometry, readings: Readings, *, unknown: bool) -> Geome
         columns = np.stack([_from_centres(contacts, rotations[:, :, axis], weights) for axis in range(3)], axis=2)
         off = _from_centres(contacts, origins, weights)
         root = np.sqrt(weights)[:, None]
-        tool = np.linalg.lstsq((columns * root[:, :, None]).reshape(-1, 3), -(off * root).ravel(), rcond=None)[0]
-        weights = np.asarray(1.0 / np.maximum(np.linalg.norm(off + columns @ tool, axis=1), _LEAST_M), np.float64)
+        rows, left = (columns * root[:, :, None]).reshape(-1, 3), -(off * root).ravel()
+        tool = np.asarray(np.linalg.lstsq(rows, left, rcond=None)[0], dtype=np.float64)
+        weights = 1.0 / np.maximum(np.linalg.norm(off + columns @ tool, axis=1), _LEAST_M)
     return replace(geometry, tool=tool)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ SEATING_M = 3e-5
 BALL = (0.0, 0.004, 0.14)
 HOME = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.9, 0.6])
 PLACES = np.array([[0.45, 0.25, 0.15], [0.45, -0.25, 0.15], [0.6, 0.0, 0.35], [0.3, 0.35, 0.4], [0.35, -0.3, 0.5]])
-ELASTIC = {"joint_compliance": {"stiffness": [3e4, 8e3, 6e3, 5e3, 5e3, 5e3, 5e3]}}
+ELASTIC: dict[str, dict[str, Any]] = {"joint_compliance": {"stiffness": [3e4, 8e3, 6e3, 5e3, 5e3, 5e3, 5e3]}}
 
 
 @functools.cache
@@ -35,14 +35,14 @@ def panda() -> Profile:
     return load_profile(PROFILE)
 
 
-def plant_of(seed: int, effects: Mapping[str, Mapping[str, Any]] | None = None) -> Plant:
+def plant_of(seed: int, effects: dict[str, dict[str, Any]] | None = None) -> Plant:
     """The true arm, with the errors of an industrial one."""
     profile = panda()
     arm = profile.arms["left"]
     smr = arm.smr.model_copy(update={"offset": BALL})
     arm = arm.model_copy(update={"base": Pose(position=(0.0, 0.0, 0.0)), "smr": smr})
     errors = GeometryErrors(length=3e-4, angle=1e-3, base_length=0.0, base_angle=0.0, smr=2e-3)
-    plant = PlantSettings(seed=seed, geometry=errors, effects={"left": {name: dict(its) for name, its in (effects or {}).items()}}, noise=False)
+    plant = PlantSettings(seed=seed, geometry=errors, effects={"left": effects or {}}, noise=False)
     tracker = profile.tracker.model_copy(update={"pose": Pose(position=(0.0, 0.0, 0.0))})
     return build_plant(profile.model_copy(update={"arms": {"left": arm}, "plant": plant, "tracker": tracker}))
 
