@@ -273,8 +273,9 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 def test_a_run_of_an_older_schema_has_no_recordings_and_takes_some(tmp_path: Path) -> None:
     with imported(tmp_path, joint_columns(), point_columns()) as run:
         path = run.path
+    newer = ("DROP TABLE recording", "DROP TABLE stream", "ALTER TABLE reading DROP COLUMN point")
     with sqlite3.connect(path) as connection:
-        for statement in ("DROP TABLE recording", "DROP TABLE stream", "PRAGMA user_version=5"):
+        for statement in (*newer, "PRAGMA user_version=5"):
             connection.execute(statement)
     connection.close()
     with RunFile.open(path.parent, write=True) as older:
