@@ -7,30 +7,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.plant import effects as hidden
 from drivers.plant.clearance import Clearance
 from drivers.plant.climate import Air, joint_rise
-from drivers.plant.config import ArmConfig, Array, PlantConfig, broadcast
+from drivers.plant.config import Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
 from drivers.plant.executed import Executed, executed_clearance
-from drivers.plant.lines import carry, inverse, rigid
+from drivers.plant.lines import carry, inverse
 from drivers.plant.mechanism import (
     NO_DEFLECTION,
-    STANDARD_GRAVITY,
     Deflection,
     Load,
     Mechanism,
     Posture,
     combined,
-    nominal,
-    with_errors,
-    with_true_masses,
 )
 from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule
 from drivers.plant.servo import follow
-from drivers.plant.true_arm import Target, TrueArm, largest_change, watch
+from drivers.plant.true_arm import Target, TrueArm, draw_true_arm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
 _MAX_ITERATIONS = 200
@@ -61,33 +56,10 @@ class Plant:
         self._noise = np.random.default_rng([config.seed, 1])
         # one random stream per arm and purpose: draws of one do not change another
         self._arms = {
-            arm.name: self._true_arm(arm, np.random.SeedSequence([config.seed, 2, number]))
+            arm.name: draw_true_arm(arm, config, self._T_M_C, np.random.SeedSequence([config.seed, 2, number]))
             for number, arm in enumerate(config.arms)
         }
         self._watch(np.zeros(1))
-
-    def _true_arm(self, arm: ArmConfig, seed: np.random.SeedSequence) -> TrueArm:
-        geometry, base, repeatability, masses = (np.random.default_rng(s) for s in seed.spawn(4))
-        errors = self.config.errors
-        effects = hidden.build(arm.name, arm.joints, arm.effects)
-        sizes = np.repeat([errors.base_length, errors.base_angle], 3)
-        T_C_B = arm.T_C_B @ rigid(sizes * base.standard_normal(6))
-        assert arm.home is not None
-        return TrueArm(
-            config=arm,
-            mechanism=with_true_masses(with_errors(nominal(arm), errors, geometry), errors.mass, masses),
-            T_C_B=T_C_B,
-            T_M_B=self._T_M_C @ T_C_B,
-            gravity=T_C_B[:3, :3].T @ np.array([0.0, 0.0, -STANDARD_GRAVITY]),
-            effects=effects,
-            repeatability=repeatability,
-            q=arm.home,
-            memories=[effect.initial_memory(arm.home[None]) for effect in effects],
-            approach=np.zeros(arm.joints),
-            last_step=np.zeros(arm.joints),
-            stop_error=self.config.repeatability * repeatability.standard_normal(arm.joints),
-            rise=np.zeros(arm.joints),
-        )
 
     def _arm(self, name: str) -> TrueArm:
         try:

@@ -1,4 +1,4 @@
-"""The state of one true arm and of its SMR, and the observation of distances while the arms move."""
+"""One true arm and its SMR: their state, and the observation of distances while the arms move."""
 
 from __future__ import annotations
 
@@ -7,11 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.plant import effects as hidden
 from drivers.plant.clearance import Clearance, segment_distances
-from drivers.plant.config import ArmConfig, Array
+from drivers.plant.config import ArmConfig, Array, PlantConfig
 from drivers.plant.effect import Effect
-from drivers.plant.lines import carry
-from drivers.plant.mechanism import NO_DEFLECTION, Deflection, Mechanism, Posture
+from drivers.plant.lines import carry, rigid
+from drivers.plant.mechanism import (
+    NO_DEFLECTION,
+    STANDARD_GRAVITY,
+    Deflection,
+    Mechanism,
+    Posture,
+    nominal,
+    with_errors,
+    with_true_masses,
+)
 from drivers.plant.motion import AnyMotion
 
 
@@ -77,3 +87,28 @@ def watch(clearance: Clearance, arms: Sequence[TrueArm], times_s: Array, floor: 
         for c, d, s in bodies[i + 1 :]:
             gaps = segment_distances(a[:, None], b[:, None], c[None], d[None]) - (r[:, None] + s)[..., None]
             clearance.update_arms(gaps, times_s)
+
+
+def draw_true_arm(arm: ArmConfig, config: PlantConfig, T_M_C: Array, seed: np.random.SeedSequence) -> TrueArm:
+    """The true arm of ``arm`` at rest in its home position, with errors drawn from ``seed``."""
+    geometry, base, repeatability, masses = (np.random.default_rng(s) for s in seed.spawn(4))
+    errors = config.errors
+    effects = hidden.build(arm.name, arm.joints, arm.effects)
+    sizes = np.repeat([errors.base_length, errors.base_angle], 3)
+    T_C_B = arm.T_C_B @ rigid(sizes * base.standard_normal(6))
+    assert arm.home is not None
+    return TrueArm(
+        config=arm,
+        mechanism=with_true_masses(with_errors(nominal(arm), errors, geometry), errors.mass, masses),
+        T_C_B=T_C_B,
+        T_M_B=T_M_C @ T_C_B,
+        gravity=T_C_B[:3, :3].T @ np.array([0.0, 0.0, -STANDARD_GRAVITY]),
+        effects=effects,
+        repeatability=repeatability,
+        q=arm.home,
+        memories=[effect.initial_memory(arm.home[None]) for effect in effects],
+        approach=np.zeros(arm.joints),
+        last_step=np.zeros(arm.joints),
+        stop_error=config.repeatability * repeatability.standard_normal(arm.joints),
+        rise=np.zeros(arm.joints),
+    )

@@ -43,6 +43,7 @@ from cellapp.cell.run.readings_table import (
     insert_readings,
     mean_temperatures,
     select_readings,
+    select_stops_done,
     update_splits,
 )
 from cellapp.cell.run.rows import Document, Event, StageRow, insert_document, utc_now
@@ -211,7 +212,7 @@ class RunFile:
         with self.change() as connection:
             before = select_plan(connection, list(self.profile.arms))
             changed, planned = changed_stops(before, plans), range(min(map(len, plans.values()), default=0))
-            if measured := [stop for stop in self._stops_done(connection) if stop in changed or stop not in planned]:
+            if measured := [stop for stop in select_stops_done(connection) if stop in changed or stop not in planned]:
                 raise InputError(
                     f"{self.path}: stop {min(measured)} is measured already and differs in the new plan;"
                     " plan into a new run folder instead"
@@ -298,11 +299,7 @@ class RunFile:
     def stops_done(self) -> set[int]:
         """Numbers of the stored configurations; each was stored for all of its arms at once."""
         with self.look() as connection:
-            return self._stops_done(connection)
-
-    @staticmethod
-    def _stops_done(connection: sqlite3.Connection) -> set[int]:
-        return {stop for (stop,) in connection.execute("SELECT DISTINCT configuration FROM reading")}
+            return select_stops_done(connection)
 
     def assign_splits(self, arm: str, names: Sequence[str | None]) -> None:
         """Store the split of each reading of ``arm``, in the order of ``readings``; None is no split."""

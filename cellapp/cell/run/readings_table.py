@@ -63,6 +63,11 @@ def select_readings(connection: sqlite3.Connection, arm: str, joints: int) -> Re
     return readings_from_columns(values, _extras_from_cells(extras))
 
 
+def select_stops_done(connection: sqlite3.Connection) -> set[int]:
+    """Numbers of the configurations that are stored."""
+    return {stop for (stop,) in connection.execute("SELECT DISTINCT configuration FROM reading")}
+
+
 def check_readings(arm: str, joints: int, readings: Readings) -> None:
     """Check readings of an arm with this number of joints before they are stored.
 
