@@ -9,7 +9,6 @@ from typing import Literal
 
 from cellapp.cell.driving.controllers import noting_controllers
 from cellapp.cell.driving.following import follow
-from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.path_file import PathSpec, load_paths
@@ -25,7 +24,6 @@ from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force, stale_notes
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
-from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore, with_eta
 from cellapp.ground.results import FOLLOW, PATH
 from cellapp.robot.model import CellModel
@@ -97,55 +95,24 @@ def follow_run(
     with ExitStack() as stack:
         if driving != "plan":
             listener = stack.enter_context(running_job(run, control, "follow", listener))
-            followed = _driven(
-                run,
-                profile_at_station(run, stages),
+            profile = profile_at_station(run, stages)  # the tracker of a simulated cell where it stands now
+            followed = follow(
+                profile,
                 model,
                 plans,
-                notes,
-                listener,
+                with_eta(listener),
                 control,
-                confirmation(run.profile, ask),
                 verify=driving == "verify",
                 rehearse=rehearse,
+                judge=judge_of(run, profile),
+                confirm=confirmation(run.profile, ask),
+                opened=noting_controllers(run, notes),
             )
         result = path_result(model, followed, notes)
         basis = basis_on_model(run, used, paths)
         # those who watch read the run when they hear of the end
         append_stage(run, FOLLOW if driving == "verify" else PATH, result, basis)
     return result
-
-
-def _driven(
-    run: RunFile,
-    profile: Profile,
-    model: CellModel,
-    plans: Sequence[PathPlan],
-    notes: list[str],
-    listener: Listener,
-    control: JobControl,
-    confirm: Confirm | None,
-    *,
-    verify: bool,
-    rehearse: bool,
-) -> list[tuple[PathPlan, DrivenPath | None]]:
-    """Drive paths after the controllers were checked; what that finds is added to ``notes``.
-
-    ``profile`` is that of the run, with the tracker of a simulated cell where it stands now.
-    """
-
-    return follow(
-        profile,
-        model,
-        plans,
-        with_eta(listener),
-        control,
-        verify=verify,
-        rehearse=rehearse,
-        judge=judge_of(run, profile),
-        confirm=confirm,
-        opened=noting_controllers(run, notes),
-    )
 
 
 def _planned(

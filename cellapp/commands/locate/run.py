@@ -166,7 +166,7 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
         chi_squared=fit.chi_squared,
         degrees_of_freedom=fit.degrees_of_freedom,
         probability=fit.probability,
-        tracker_pose=_pose(T_C_M),
+        tracker_pose=StationPose(position=xyz_of(T_C_M[:3, 3]), rpy=rpy_of(T_C_M[:3, :3])),
         simulated_pose=None if placed is None else StationPose(position=placed.position, rpy=placed.rpy),
         carried=all(arm.posterior is not None for arm in task.model.arms.values()),
         points=tuple(
@@ -266,7 +266,3 @@ def _added_mm(found: LocatedStation) -> float:
     J = twist_columns(np.array([one.point.p_M for one in found.found]))
     variance = np.einsum("nai,ij,naj->na", J, found.fit.covariance, J)
     return float(np.sqrt(variance.mean())) * 1e3
-
-
-def _pose(T: Array) -> StationPose:
-    return StationPose(position=xyz_of(T[:3, 3]), rpy=rpy_of(T[:3, :3]))

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import check_cell
-from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.push import Visited, push
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import all_known_readings
-from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target
 from cellapp.commands.certificate.evidence import evidence_of
@@ -23,7 +20,7 @@ from cellapp.commands.locate.station import profile_at_station
 from cellapp.commands.push.request import VERB, PushRequest
 from cellapp.commands.record import Work
 from cellapp.commands.run_results import read_stage_results
-from cellapp.commands.stages import StoredStage, append_stage, basis_on_model, read_stages
+from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.judging import Judge
@@ -33,26 +30,6 @@ from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import PUSH, VERIFY
-
-
-@dataclass(frozen=True)
-class PushJob:
-    """What is pushed: the commands that ``model`` gave for ``targets``, and how.
-
-    ``profile`` is that of the run, with the tracker of a simulated cell where it stands now.
-    ``notes`` are those of the commands. ``rounds`` and ``verify`` are as in ``push``; ``out_of_date`` accepts a
-    controller whose own D-H has changed.
-    """
-
-    run: RunFile
-    profile: Profile
-    model: StoredStage
-    commands: tuple[Command, ...]
-    targets: tuple[Target, ...]
-    notes: tuple[str, ...]
-    verify: bool
-    rounds: int
-    out_of_date: bool
 
 
 def run(request: PushRequest, work: Work) -> VerifyResult:
@@ -123,56 +100,44 @@ def push_targets(
     if not out_of_date:
         require_current_model(run, stages, "push")
     commands, compensated = compensated_commands(run, stages, targets)
-    job = PushJob(
-        run=run,
-        profile=profile_at_station(run, stages),
-        model=stage_in_force(run, stages),
-        commands=commands,
-        targets=tuple(targets),
-        notes=compensated.notes,
-        verify=verify,
-        rounds=iterate or 0,
-        out_of_date=out_of_date,
-    )
-    return push_commands(job, with_eta(listener), control, confirmation(run.profile, ask))
-
-
-def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm: Confirm | None) -> VerifyResult:
-    """Push, and store the result; where the job is stopped, what was measured until then.
-
-    Raises as ``push`` and ``check_cell`` do.
-    """
-    run, notes, visited = job.run, list(job.notes), Visited()
-    judge = judge_of(run, job.profile)
+    # the tracker of a simulated cell where it stands now
+    profile, used, visited = profile_at_station(run, stages), stage_in_force(run, stages), Visited()
+    notes, judge = list(compensated.notes), judge_of(run, profile)
 
     def opened(cell: Cell) -> None:
-        notes.extend(check_cell(run, cell, job.commands, changed_controller=job.out_of_date))
+        notes.extend(check_cell(run, cell, commands, changed_controller=out_of_date))
+
+    def store(pushed: VerifyResult) -> VerifyResult:
+        said = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
+        judged = list(dict.fromkeys(one.arm for one in pushed.targets if one.tolerance_mm is not None))
+        stated = {"rule": judge.rule, "not_given": judge.not_given(judged) if verify else ()}
+        result = pushed.model_copy(update={"notes": tuple([*notes, *said]), **stated})
+        append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, tuple(targets)))
+        return result
 
     try:
         pushed = push(
-            job.profile,
-            model_of(run, job.model),
-            job.commands,
-            listener,
+            profile,
+            model_of(run, used),
+            commands,
+            with_eta(listener),
             control,
-            verify=job.verify,
-            rounds=job.rounds,
+            verify=verify,
+            rounds=iterate or 0,
             repeatability_m=_repeatability_m(run),
             judge=judge,
-            confirm=confirm,
+            confirm=confirmation(run.profile, ask),
             opened=opened,
             visited=visited,
         )
     except (CellappError, Cancelled) as error:
         if visited.targets:
-            asked = len(dict.fromkeys(command.target.name for command in job.commands))
+            asked = len(dict.fromkeys(command.target.name for command in commands))
             done = len(dict.fromkeys(target.name for target in visited.targets))
             with suppress(InputError):  # the reason of the stop is the one to report
-                _store(
-                    job, judge, visited.result(f"stopped after {done} of {counted(asked, 'target')}: {error}"), notes
-                )
+                store(visited.result(f"stopped after {done} of {counted(asked, 'target')}: {error}"))
         raise
-    return _store(job, judge, pushed, notes)
+    return store(pushed)
 
 
 def judge_of(run: RunFile, profile: Profile) -> Judge:
@@ -180,16 +145,6 @@ def judge_of(run: RunFile, profile: Profile) -> Judge:
     results = read_stage_results(run)
     measured = measured_conditions(all_known_readings(run))
     return Judge(profile, {name: evidence_of(results, name, measured.get(name)) for name in profile.arms})
-
-
-def _store(job: PushJob, judge: Judge, pushed: VerifyResult, notes: list[str]) -> VerifyResult:
-    said = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
-    judged = list(dict.fromkeys(one.arm for one in pushed.targets if one.tolerance_mm is not None))
-    stated = {"rule": judge.rule, "not_given": judge.not_given(judged) if job.verify else ()}
-    result = pushed.model_copy(update={"notes": tuple([*notes, *said]), **stated})
-    basis = basis_on_model(job.run, job.model, job.targets)
-    append_stage(job.run, VERIFY if job.verify else PUSH, result, basis)
-    return result
 
 
 def _repeatability_m(run: RunFile) -> dict[str, float]:
