@@ -21,7 +21,8 @@ def test_the_twin_is_first_and_each_has_a_sentence() -> None:
     starters = starter_profiles()
     assert starters[0].name == "twin"
     assert all(starter.sentence.endswith(".") for starter in starters)
-    assert {starter.name for starter in starters if not starter.has_device} == {"ur10-real", "ur10-real-d", "ur5-real"}
+    without_device = {starter.name for starter in starters if not starter.has_device}
+    assert without_device == {"panda-sockets", "ur10-real", "ur10-real-d", "ur5-real"}
 
 
 def test_the_small_twin_is_the_twin_with_fewer_stops() -> None:
