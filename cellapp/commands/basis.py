@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import astuple, fields
 
 import numpy as np
 
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.recordings import recordings_digest
 from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.results import Record, StageName
 
@@ -36,13 +37,14 @@ class PriorBasis(Record):
 
 class Basis(Record):
     """SHA-256 hashes of what a stage rests on; ``stages`` maps each earlier stage that it used to its digest,
-    ``priors`` each arm to the earlier run that was its prior."""
+    ``priors`` each arm to the earlier run that was its prior, ``recordings`` those of motion, if any (``n`` points)."""
 
     profile: str
     readings: Mapping[str, ReadingsBasis]
     stages: Mapping[StageName, str] = {}
     targets: str | None = None
     priors: Mapping[str, PriorBasis] = {}
+    recordings: Mapping[str, ReadingsBasis] = {}
 
 
 def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
@@ -52,7 +54,14 @@ def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Bas
         profile=sha256_of(profile_to_json(run.profile)),
         readings={name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm)) for name, arm in readings.items()},
         stages=stages or {},
+        recordings=recordings_basis(run),
     )
+
+
+def recordings_basis(run: RunFile) -> dict[str, ReadingsBasis]:
+    """What a stage rests on of the recordings of motion, by arm; empty without one."""
+    found = {name: recordings_digest(run, name) for name in run.profile.arms}
+    return {name: ReadingsBasis(n=n, sha256=digest) for name, (n, digest) in found.items() if digest}
 
 
 def counted_basis(run: RunFile) -> Basis:
@@ -65,6 +74,7 @@ def counted_basis(run: RunFile) -> Basis:
     return Basis(
         profile=sha256_of(profile_to_json(run.profile)),
         readings={name: ReadingsBasis(n=n, sha256="") for name, n in counts.items()},
+        recordings=recordings_basis(run),
     )
 
 
@@ -77,6 +87,8 @@ def readings_digest(readings: Readings) -> str:
             digest.update(f"{entry.name} {values.shape}\n".encode())
             digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
     digest.update(json.dumps(readings.split).encode())
+    if readings.point is not None:
+        digest.update(json.dumps([readings.point, [astuple(one) for one in readings.distances]]).encode())
     return digest.hexdigest()
 
 

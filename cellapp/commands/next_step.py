@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.recordings import recordings_digest
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.stages import NextVerb, RunStages, next_command
 from cellapp.ground.results import COMPENSATE, Record
 
 
 class ArmState(Record):
-    """How much of one arm's plan is measured, and in which splits."""
+    """How much of one arm's plan is measured, and in which splits; points that were ``recorded`` in motion."""
 
     type: str
     planned: int
     measured: int
     splits: Mapping[str, int]
+    recorded: int = 0
 
 
 def arm_states(run: RunFile) -> dict[str, ArmState]:
@@ -30,6 +32,7 @@ def arm_states(run: RunFile) -> dict[str, ArmState]:
             planned=total - len(run.profile.plan.reserves(total)),
             measured=sum(splits.values()),
             splits={split or "none": n for split, n in splits.items()},
+            recorded=recordings_digest(run, name)[0],
         )
     return states
 
@@ -42,7 +45,7 @@ def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> 
 
 
 def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> NextVerb:
-    if not any(arm.measured for arm in arms.values()):
+    if not any(arm.measured or arm.recorded for arm in arms.values()):
         return "collect" if any(arm.planned for arm in arms.values()) else ""  # a run of tests alone has no plan
     sessions = run.sessions()
     ended = sessions[-1].outcome if sessions else None
@@ -58,7 +61,7 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
 
 
 def _has_new_stops(run: RunFile) -> bool:
-    """Whether stops are planned that no session has tried, reserves aside: they were added since."""
+    """Whether no session has tried some of the planned stops, as they were added later; reserves do not count."""
     total = max(run.planned_counts().values(), default=0)
     tried = run.stops_done() | {one.stop for one in run.outcomes()}
     return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))

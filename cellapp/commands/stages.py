@@ -237,6 +237,7 @@ def basis_on_model(run: RunFile, model: StoredStage, targets: Sequence[BaseModel
     return Basis(
         profile=sha256_of(profile_to_json(run.profile)),
         readings=model.basis.readings,
+        recordings=model.basis.recordings,
         stages={model.name: model.digest},
         targets=sha256_of("\n".join(one.model_dump_json(exclude_none=True, exclude_defaults=True) for one in targets)),
     )
@@ -333,6 +334,8 @@ def _why_outdated(
     if stage.basis.profile != now.profile:
         reasons.append("the profile was changed since")
     reasons += _changed_readings(stage.basis.readings, now.readings)
+    if dict(stage.basis.recordings) != dict(now.recordings):
+        reasons.append("the recordings of motion were changed since")
     reasons += _changed_priors(stage.basis.priors)
     for name, digest in stage.basis.stages.items():
         if name in _MEASURED:

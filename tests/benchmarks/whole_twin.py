@@ -3,9 +3,10 @@
     python -m tests.benchmarks.whole_twin [PROFILE]
 
 Every command runs in a process of its own, as a user starts it. Printed are seconds by the clock, seconds of processor
-time of all threads and children, the largest memory of the process with its children, and which of the modules that
-take long to load it has loaded. ``run`` does in one process what the commands below it do one after the other.
-Needs Linux: memory is read from /proc every 20 ms.
+time of all threads and children, that time in *loops*, the reference of ``reference_time`` as it was before and after
+the command, so that other computers can be compared, the largest memory of the process with its children, and which of
+the modules that take long to load it has loaded. ``run`` does in one process what the commands below it do one after
+the other. Needs Linux: memory is read from /proc every 20 ms.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from tests.benchmarks.reference_time import loop_s, processor
 
 PROFILE = Path(__file__).parents[2] / "profiles" / "twin.yaml"
 SLOW_TO_LOAD = (
@@ -133,12 +136,15 @@ def say(line: str) -> None:
 def main() -> None:
     """Print the two tables."""
     profile = Path(sys.argv[1]) if len(sys.argv) > 1 else PROFILE
-    say(f"{'command':14} {'clock s':>8} {'cpu s':>7} {'MB':>6}  modules that are slow to load")
+    say(f"{processor()}; a loop of a million rounds in Python took {1e3 * loop_s():.0f} ms")
+    say(f"{'command':14} {'clock s':>8} {'cpu s':>7} {'loops':>6} {'MB':>6}  modules that are slow to load")
     with tempfile.TemporaryDirectory() as folder:
         for name, arguments in commands(profile, Path(folder)).items():
+            before_s = loop_s()
             found = measured(arguments)
+            loops = 2.0 * found.cpu_s / (before_s + loop_s())
             loaded = " ".join(module for module in SLOW_TO_LOAD if module in found.modules)
-            say(f"{name:14} {found.wall_s:8.2f} {found.cpu_s:7.2f} {found.peak_mb:6.0f}  {loaded}")
+            say(f"{name:14} {found.wall_s:8.2f} {found.cpu_s:7.2f} {loops:6.0f} {found.peak_mb:6.0f}  {loaded}")
     say(f"\n{'--help of':20} {'clock s':>8} {'MB':>6}  modules that are slow to load")
     for verb in verbs():
         rounds = [measured([*verb.split(), "--help"]) for _ in range(_HELP_ROUNDS)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cellapp.commands.view.charts import Axis, Chart
-from cellapp.commands.view.parts import Facts, Section, printed, section_of
+from cellapp.commands.view.parts import Facts, Parts, Section, printed, section_of
 from cellapp.commands.view.table import Column, Table
 from cellapp.interfaces.page.drawn import drawn_parts
 from cellapp.interfaces.page.templates import template
@@ -16,16 +16,21 @@ pytestmark = pytest.mark.fast
 
 TABLE = Table("a table", (Column("name"),), (("<b>",),))
 CHART = Chart("a chart", Axis("x"), Axis("y"), (), "nothing")
-INSIDE = Section("details", ["`cellapp docs x` says more"], folded=True)
-PARTS = ["first", Facts((("title", "text"), ("", "more"))), CHART, TABLE, INSIDE, "last"]
+INSIDE = Section("details", ["'cellapp docs x' says more"], folded=True)
+SHOWN = Section(
+    "shown", [CHART, "word " * 30, Section("empty", [CHART])], message="In a sentence.", about="how to read"
+)
+PARTS: Parts = ["first", Facts((("title", "text"), ("", "more"))), CHART, TABLE, INSIDE, SHOWN, "last"]
 
 
-def test_plain_text_says_everything_but_charts_in_its_order() -> None:
+def test_plain_text_says_everything_but_charts_and_details_in_its_order() -> None:
     told = list(printed(PARTS))
-    assert told == ["first", "title: text", "  more", TABLE, "details", "`cellapp docs x` says more", "last"]
+    wrapped = ["  " + " ".join(["word"] * 15), "    " + " ".join(["word"] * 15)]
+    section = ["shown", "  In a sentence.", *wrapped, ""]
+    assert told == ["first", "title: text", "  more", TABLE, *section, "last"]
     for text in (plain_text(PARTS), html_view(PARTS)):
-        assert all(words in text for words in ("first", "title: text", "a table", "details", "last"))
-        assert "a chart" not in text
+        assert all(words in text for words in ("first", "title: text", "a table", "shown", "last"))
+        assert not any(words in text for words in ("a chart", "details", "empty", "how to read"))
 
 
 def test_the_message_of_a_section_is_its_first_line_or_what_is_said() -> None:

@@ -24,11 +24,13 @@ import yaml
 from typer.testing import CliRunner
 
 from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import CheckFailed
 from cellapp.interfaces.cli.app import app
+from tests.commands.moved_arms import add_arm, true_arm, write_recording
 from tests.estimation.monitoring.fleet.runs import measured_run, set_month
 from tests.handbook.chapters import ROOT, Command, Example
 from tests.handbook.doors import merged
@@ -260,6 +262,14 @@ def _few_stops(space: Workspace, path: Path) -> None:
     path.write_text("".join([rows[0], *(row for row in rows if row[:2] in ("0,", "1,"))]), "utf-8")
 
 
+def _recording(space: Workspace, path: Path) -> None:
+    """Files of joints and points of one arm of the twin, which name the arm."""
+    arm = path.name.partition("_")[0]
+    profile = load_profile(PROFILES / "twin.yaml")
+    for file in write_recording(space.folder, arm, true_arm(profile, arm)):
+        add_arm(file, arm)
+
+
 MADE: Mapping[str, Callable[[Workspace, Path], None]] = {
     "profiles": _profiles,
     RUN: _copy_run,
@@ -267,6 +277,8 @@ MADE: Mapping[str, Callable[[Workspace, Path], None]] = {
     "logs": _months,
     "logs/january": _months,
     "few.csv": _few_stops,
+    "left_joints.csv": _recording,
+    "right_joints.csv": _recording,
     "day.script": _program("set_tcp(p[0,0,0.1,0,0,0])\nmovej([Q])\n"),
     "loops.script": _program("movej([Q])\nmovel(pose_add(get_actual_tcp_pose(), p[0,0,0.1,0,0,0]))\n"),
     "bare.script": _program("movej([Q])\n"),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.cell.driving.attendance import SimulatedPerson
 from cellapp.cell.driving.pulse import JobPulse
@@ -19,11 +21,12 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile import Profile
-from cellapp.robot.model.nominal import pose_matrix
+from cellapp.robot.model.nominal import joint_rates, pose_matrix
 from drivers.arms.protocol import Arm, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
 from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+from drivers.plant.sweep import SweepRecord, record_sweep, recorder_of
 from drivers.sensors.protocol import AirSensor, SensorError
 from drivers.settings import SettingError
 from drivers.trackers.protocol import NotReady, Tracker, TrackerError
@@ -42,6 +45,10 @@ class ClearanceObserver(Protocol):
         """Smallest distance of an arm from the floor."""
 
 
+RecordSweep = Callable[[str, NDArray[np.float64], float], SweepRecord]
+"""Arm, joint positions (n, N) [rad] and the time between two of them [s] -> what both devices recorded."""
+
+
 @dataclass(frozen=True)
 class Cell:
     """An open cell: connected devices and their common clock.
@@ -50,7 +57,8 @@ class Cell:
     functions of several devices at once; ``watch_tracker`` watches the tracker while the arms move.
     ``gate`` checks every motion; a trial that drives the same plan many times shares its answers. ``tracker_unmet``
     lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's sign of life. ``person``
-    does in a simulated cell what a person does in others, None there.
+    does in a simulated cell what a person does in others, None there. ``record_sweep`` lets an arm follow joint
+    positions and records it; None in others, which do not do that yet.
     """
 
     arms: Mapping[str, Arm]
@@ -64,6 +72,7 @@ class Cell:
     tracker_unmet: tuple[str, ...] = ()
     pulse: JobPulse = field(default_factory=JobPulse)
     person: SimulatedPerson | None = None
+    record_sweep: RecordSweep | None = None
 
     def oldest_data_s(self) -> float:
         """Return the age of the newest state of the arm that was heard last [s]; never blocks."""
@@ -107,7 +116,8 @@ def open_cell(
     simulated = None if _has_real_arm(profile) else plant
     together = in_threads if simulated is None else one_by_one
     with ExitStack() as stack:
-        stack.callback(_disconnect_all, arms, together)
+        # whatever one of them says: an earlier error is the one to report
+        stack.callback(answers_of_all, together, {name: arm.disconnect for name, arm in arms.items()})
         _connect_all(arms, together, control)
         stack.callback(tracker.disconnect)
         unmet = start_tracker(tracker, profile.tracker.driver)
@@ -123,8 +133,18 @@ def open_cell(
             yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
         else:
             clock, clearance = SimulatedClock(simulated), simulated.clearance
-            person = SimulatedPerson(simulated)
-            yield Cell(arms, tracker, clock, air, clearance, together, unwatched, tracker_unmet=unmet, person=person)
+            yield Cell(
+                arms,
+                tracker,
+                clock,
+                air,
+                clearance,
+                together,
+                unwatched,
+                tracker_unmet=unmet,
+                person=SimulatedPerson(simulated),
+                record_sweep=partial(record_sweep, simulated, recorder_of(simulated)),
+            )
 
 
 def _needs_plant(profile: Profile) -> bool:
@@ -157,11 +177,6 @@ def _connect_all(arms: Mapping[str, Arm], together: Together, control: JobContro
         raise HardwareError(str(error)) from error
 
 
-def _disconnect_all(arms: Mapping[str, Arm], together: Together) -> None:
-    """Disconnect every arm, whatever another one says: an earlier error is the one to report."""
-    answers_of_all(together, {name: arm.disconnect for name, arm in arms.items()})
-
-
 def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...]:
     """Connect and prepare the tracker; return what keeps it from measuring, as sentences.
 
@@ -191,16 +206,12 @@ def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...
 
 def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None) -> ArmContext:
     """Return what the profile specifies for the driver of an arm."""
-    joints = arm.type.joints
+    speed, acceleration = joint_rates(arm)
     return ArmContext(
         name=name,
         model=arm.type.model,
-        joints=len(joints),
-        limits=JointLimits(
-            position=np.array(arm.limits or tuple(joint.limit for joint in joints)),
-            speed=np.array([joint.speed for joint in joints]) * arm.speed_scale,
-            acceleration=np.array([joint.acceleration for joint in joints]) * arm.speed_scale,
-        ),
+        joints=len(arm.type.joints),
+        limits=JointLimits(position=np.array(arm.joint_limits), speed=speed, acceleration=acceleration),
         payload_kg=arm.payload.mass,
         payload_center_m=np.array(arm.payload.center_of_mass),
         plant=plant,
@@ -279,11 +290,10 @@ def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, obj
     if arm.base is None or arm.smr.offset == "unknown":
         raise InputError(f"arms.{name}: a simulated arm needs 'base' and a known 'smr.offset'")
     joints = arm.type.joints
-    limits = arm.limits or tuple(joint.limit for joint in joints)
     return ArmConfig(
         name=name,
         rows=np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in joints]),
-        limits=np.array(limits),
+        limits=np.array(arm.joint_limits),
         speed=np.array([joint.speed for joint in joints]),
         acceleration=np.array([joint.acceleration for joint in joints]),
         T_C_B=pose_matrix(arm.base),

@@ -1,4 +1,4 @@
-"""Ways of one or more arms to commands: straight, one after the other, or via home; never where they are stranded."""
+"""How one or more arms are driven to commands: straight, one after the other, or via home, never into a dead end."""
 
 from __future__ import annotations
 

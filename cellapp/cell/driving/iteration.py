@@ -99,7 +99,7 @@ def significant(rest: Rest, names: Sequence[str]) -> list[str]:
 
 
 def is_better(now: Rest, before: Rest) -> bool:
-    """Whether what is left after a correction is less than before, by more than noise makes of equal errors (95 %)."""
+    """Whether a correction made the error smaller than before, by more than noise explains (95 %)."""
     noise_M = [one.noise_M for rest in (now, before) for one in rest.values()]
     sigma_m = float(np.sqrt(sum(np.linalg.eigvalsh(one)[-1] for one in noise_M) / len(now)))
     return rms_error_m(before) - rms_error_m(now) > _ONE_SIDED_95 * sigma_m

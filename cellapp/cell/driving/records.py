@@ -9,7 +9,7 @@ from pydantic import Field
 
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.records import PlannedTime
-from cellapp.cell.run.records import ArmOrder, MissingReading, ReferenceDrift
+from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, ReferenceDrift
 from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result
 
@@ -17,10 +17,18 @@ End = Literal["complete", "accurate enough"]
 """How collecting ends by itself."""
 
 
+class SweepCount(Record):
+    """Planned sweeps of one arm: number, and how long they last together."""
+
+    n: int
+    seconds: float
+
+
 class PlanResult(Result):
     """``plan``: number of planned stops of each arm, and of further ones in reserve.
 
-    ``design`` is what is known of designed stops, ``time`` how long collecting them takes.
+    ``design`` is what is known of designed stops, ``time`` how long collecting them takes; ``sweeps`` are
+    those of each arm.
     """
 
     schema_: Literal["cellapp-plan"] = "cellapp-plan"
@@ -30,8 +38,9 @@ class PlanResult(Result):
     reserves: int = 0
     design: PlanDesignResult | None = None
     time: PlannedTime | None = None
+    sweeps: Mapping[str, SweepCount] | None = None
     notes: tuple[str, ...] = ()
-    omitted_when_none = frozenset({"design", "time"})
+    omitted_when_none = frozenset({"design", "time", "sweeps"})
 
 
 class CollectResult(Result):
@@ -134,5 +143,6 @@ class ImportResult(Result):
     version: Literal[1] = 1
     run: str
     readings: Mapping[str, int]
+    recordings: tuple[RecordingState, ...] = ()
     in_order: Mapping[str, ArmOrder] = Field(default_factory=dict)
     notes: tuple[str, ...]

@@ -17,6 +17,7 @@ from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, 
 from cellapp.cell.driving.records import End
 from cellapp.cell.driving.references import References
 from cellapp.cell.driving.supervision import Supervisor
+from cellapp.cell.driving.sweeping import Sweeps
 from cellapp.cell.driving.travel import Travel
 from cellapp.cell.driving.work import StopQueue, Work
 from cellapp.cell.run import Outcome, RunFile
@@ -84,6 +85,7 @@ class CollectSession:
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
         stored = {name: self.run.readings(name) for name in self.work.plan}
         self._model = LiveModel(profile, self.work.plan, stored, self._log)
+        self._sweeps = Sweeps(self.run, self.cell, self.bodies, self.number, self._note)
         self._travel = Travel(profile, self._mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None
@@ -157,6 +159,8 @@ class CollectSession:
         rows, outcomes = self._measure(stop, states)
         self._store(stop, rows, outcomes)
         self._queue.done()
+        if recorded := self._sweeps.at_stop(stop, self.work.targets(stop), self._supervisor.checkpoint):
+            self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded)} are recorded")
         if outcomes and self._queue.replace() is not None:
             self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
         self._travel.stop_visited()

@@ -190,9 +190,10 @@ class TargetVisit:
         return corrected_command(self.model.arms[name], last[name].sent, last[name].error_M, first[name].sent)
 
     def _again(self, found: Findings, states: States, sent: Mapping[str, Vector], names: Sequence[str]) -> Rest:
-        """Means of fresh measurements of all arms; ``names`` come to their commands anew each time.
+        """Measure all arms again and return the means; empty if one cannot be measured.
 
-        Those that do not move still rest, and both arms of a pair belong together. Empty if one cannot be measured.
+        The arms in ``names`` drive to their commands anew for each repeat; the others stay at rest. Both arms of a pair
+        are measured together.
         """
         sides = {name: found.rounds[0][name].approach for name in names}
         each: list[Rest] = []

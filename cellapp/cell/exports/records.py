@@ -57,6 +57,7 @@ class ExportResult(Result):
     version: Literal[1] = 1
     csv: str | None = None
     readings: Mapping[str, int] | None = None
+    recordings: Mapping[Literal["joints", "points"], str] | None = None
     plan: str | None = None
     geometry: str | None = None
     ur_lost_rms_mm: Mapping[str, float] | None = None
@@ -65,5 +66,5 @@ class ExportResult(Result):
     commands: Mapping[str, CommandFile] | None = None
     notes: tuple[str, ...] = ()
     omitted_when_none = frozenset(
-        {"csv", "readings", "plan", "geometry", "ur_lost_rms_mm", "format", "arms", "commands"}
+        {"csv", "readings", "recordings", "plan", "geometry", "ur_lost_rms_mm", "format", "arms", "commands"}
     )

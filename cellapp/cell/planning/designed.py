@@ -75,14 +75,10 @@ def design_stops(
     for number, name in enumerate(cell.arms):
         listener(Progress("candidates", number, len(cell.arms), f"arm {name}"))
         pools[name] = _pool(profile, roomy, name, count, rng, cancel)
-    rows = select_stops(profile, pools, count + _spares(count), rng, listener, cancel, None if kept is None else kept.q)
+    spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
+    rows = select_stops(profile, pools, count + spares, rng, listener, cancel, None if kept is None else kept.q)
     chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
     return DesignedStops(*_in_order(profile, cell, chosen, count, kept, rng, listener, cancel), pools)
-
-
-def _spares(count: int) -> int:
-    """Stops that are chosen beside ``count``, for those that cannot be reached from the others."""
-    return max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))
 
 
 def _in_order(
@@ -117,15 +113,12 @@ def _in_order(
             stops = more.stops if stops is None or not len(stops) else joined_after(stops, more.stops)
     reached = 0 if stops is None else len(stops)
     if stops is None or reached < wanted - profile.plan.reserve:
+        reason = f". {given_up[0]}" if given_up else ""
         raise InputError(
             f"plan: only {reached} of {counted(wanted, 'stop')} can be reached; ask for fewer stops, a smaller"
-            f" plan.clearance, or move bases, tracker or obstacles{_first_of(given_up)}"
+            f" plan.clearance, or move bases, tracker or obstacles{reason}"
         )
     return stops, tuple(given_up)
-
-
-def _first_of(given_up: list[str]) -> str:
-    return f". {given_up[0]}" if given_up else ""
 
 
 def _pool(

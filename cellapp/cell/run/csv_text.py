@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -116,11 +116,24 @@ def read_csv_table(path: Path, what: str = "readings", row: str = "a row per arm
     Raises
     ------
     InputError
+        As ``csv_rows``.
+    """
+    (_, names), *rows = csv_rows(path, what, row)
+    columns = zip(*(cells for _, cells in rows), strict=True) if rows else [()] * len(names)
+    return CsvTable(path, tuple(names), tuple(line for line, _ in rows), dict(zip(names, columns, strict=True)))
+
+
+def csv_rows(path: Path, what: str, row: str) -> Iterator[tuple[int, list[str]]]:
+    """Line and cells of each row of a UTF-8, comma-separated file that is not blank; the first is the header.
+
+    Raises
+    ------
+    InputError
         If it cannot be read, is not CSV in UTF-8, is empty, or a row differs in length from the header.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            return _parse(path, file, row)
+            yield from _parse(path, file, row)
     except FileNotFoundError:
         raise InputError(f"{path}: file not found; give a CSV file of {what}") from None
     except OSError as error:
@@ -138,11 +151,9 @@ def check_names(table: CsvTable, problems: Problems) -> None:
         problems.add(1, name, "the column is there twice; keep one")
 
 
-def _parse(path: Path, file: Iterable[str], expected: str) -> CsvTable:
+def _parse(path: Path, file: Iterable[str], expected: str) -> Iterator[tuple[int, list[str]]]:
     reader = csv.reader(file, strict=True)
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    names: tuple[str, ...] | None = None
+    names: list[str] | None = None
     line = 0
     try:
         for row in reader:
@@ -150,23 +161,19 @@ def _parse(path: Path, file: Iterable[str], expected: str) -> CsvTable:
             if not any(row):
                 continue
             if names is None:
-                names = tuple(name.strip() for name in row)
+                names = row = [name.strip() for name in row]
                 if len(names) == 1 and re.search(r"[;\t|]", names[0]):
                     raise InputError(
                         f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
                     )
-                continue
-            if len(row) != len(names):
+            elif len(row) != len(names):
                 column = names[len(row)] if len(row) < len(names) else f"column {len(names) + 1}"
                 hint = "; write 0.5, not 0,5, and texts with commas in quotes" if len(row) > len(names) else ""
                 raise InputError(
                     f"{path}:{line}: {column}: the row has {len(row)} cells, the header has {len(names)}{hint}"
                 )
-            rows.append(row)
-            lines.append(line)
+            yield line, row
     except csv.Error as error:
         raise InputError(f"{path}:{line + 1}: not CSV: {error}; correct the line") from None
     if names is None:
         raise InputError(f"{path} is empty; expected a header row and {expected}")
-    columns = zip(*rows, strict=True) if rows else [()] * len(names)
-    return CsvTable(path, names, tuple(lines), dict(zip(names, columns, strict=True)))

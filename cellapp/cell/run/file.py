@@ -34,6 +34,7 @@ from cellapp.cell.run.collection_rows import (
     select_references,
     select_sessions,
 )
+from cellapp.cell.run.distances import with_distances
 from cellapp.cell.run.plan_table import changed_stops, check_plan, replace_plan, select_plan
 from cellapp.cell.run.readings_table import (
     check_readings,
@@ -207,7 +208,7 @@ class RunFile:
         for arm in plans:
             self._check_arm(arm)
         check_plan(plans, {arm: self._joints(arm) for arm in plans})
-        with self._transaction() as connection:
+        with self.change() as connection:
             before = select_plan(connection, list(self.profile.arms))
             changed, planned = changed_stops(before, plans), range(min(map(len, plans.values()), default=0))
             if measured := [stop for stop in self._stops_done(connection) if stop in changed or stop not in planned]:
@@ -222,12 +223,12 @@ class RunFile:
 
     def read_plan(self) -> dict[str, NDArray[np.float64]]:
         """The plan, arm -> q (n, N) [rad]; empty without a plan."""
-        with self._reading() as connection:
+        with self.look() as connection:
             return select_plan(connection, list(self.profile.arms))
 
     def planned_counts(self) -> dict[str, int]:
         """Number of planned stops of each arm, reserves included; empty without a plan."""
-        with self._reading() as connection:
+        with self.look() as connection:
             counts = dict(connection.execute("SELECT arm, COUNT(*) FROM plan GROUP BY arm").fetchall())
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
 
@@ -253,7 +254,7 @@ class RunFile:
         for arm, readings in batches.items():
             self._check_arm(arm)
             check_readings(arm, self._joints(arm), readings)
-        with self._transaction() as connection:
+        with self.change() as connection:
             for arm, readings in batches.items():
                 try:
                     insert_readings(connection, arm, readings)
@@ -269,34 +270,34 @@ class RunFile:
     def readings(self, arm: str) -> Readings:
         """All readings of one arm, ordered by configuration; n is 0 if there are none."""
         self._check_arm(arm)
-        with self._reading() as connection:
-            return select_readings(connection, arm, self._joints(arm))
+        with self.look() as connection:
+            return with_distances(connection, select_readings(connection, arm, self._joints(arm)))
 
     def split_counts(self) -> dict[str, dict[str | None, int]]:
         """Number of readings of each arm that has some, by split; None is no split."""
-        with self._reading() as connection:
+        with self.look() as connection:
             counts = count_splits(connection)
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
 
     def mean_temperatures(self) -> dict[str, dict[str, float]]:
         """Mean temperatures [degC] of the readings of each arm: of the "air" and of each "joint N", where known."""
-        with self._reading() as connection:
+        with self.look() as connection:
             return mean_temperatures(connection)
 
     @property
     def created(self) -> str:
         """When the run was made (ISO 8601, UTC); empty if that is not recorded."""
-        with self._reading() as connection:
+        with self.look() as connection:
             return read_meta(connection, "created") or ""
 
     def arms(self) -> list[str]:
         """Names of the arms that have readings, in the profile's order."""
-        with self._reading() as connection:
+        with self.look() as connection:
             return self._in_profile_order({name for (name,) in connection.execute("SELECT DISTINCT arm FROM reading")})
 
     def stops_done(self) -> set[int]:
         """Numbers of the stored configurations; each was stored for all of its arms at once."""
-        with self._reading() as connection:
+        with self.look() as connection:
             return self._stops_done(connection)
 
     @staticmethod
@@ -307,38 +308,38 @@ class RunFile:
         """Store the split of each reading of ``arm``, in the order of ``readings``; None is no split."""
         self._check_arm(arm)
         check_splits(names)
-        with self._transaction() as connection:
+        with self.change() as connection:
             update_splits(connection, arm, names)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Columns of the imported CSV file in its order; empty for a run that was collected."""
-        with self._reading() as connection:
+        with self.look() as connection:
             return tuple(json.loads(read_meta(connection, "columns") or "[]"))
 
     def keep_columns(self, names: Sequence[str]) -> None:
         """Store the columns of an imported file, so that the export has the same ones."""
-        with self._transaction() as connection:
+        with self.change() as connection:
             connection.execute("INSERT OR REPLACE INTO meta VALUES ('columns', ?)", (json.dumps(list(names)),))
 
     # -- events and documents ----------------------------------------------------------------------------------------
 
     def log(self, level: str, text: str, time_s: float | None = None) -> None:
         """Add a line to the run's log; ``level`` is info, warning, error or note."""
-        with self._transaction() as connection:
+        with self.change() as connection:
             connection.execute(
                 "INSERT INTO event (written, time_s, level, text) VALUES (?, ?, ?, ?)", (utc_now(), time_s, level, text)
             )
 
     def events(self) -> list[Event]:
         """The run's log, oldest first."""
-        with self._reading() as connection:
+        with self.look() as connection:
             rows = connection.execute("SELECT number, written, time_s, level, text FROM event ORDER BY number")
             return [Event(*row) for row in rows]
 
     def write_result(self, name: str, json_text: str) -> None:
         """Store a document that is not a verb's result under a name; it replaces an earlier one of that name."""
-        with self._transaction() as connection:
+        with self.change() as connection:
             insert_document(connection, name, json_text)
 
     def read_result(self, name: str) -> str | None:
@@ -348,7 +349,7 @@ class RunFile:
 
     def read_document(self, name: str) -> Document | None:
         """A stored document, or None."""
-        with self._reading() as connection:
+        with self.look() as connection:
             row = connection.execute("SELECT written, text FROM result WHERE name = ?", (name,)).fetchone()
         return None if row is None else Document(*row)
 
@@ -356,7 +357,7 @@ class RunFile:
 
     def append_stage(self, name: str, basis: str | None, text: str, model: str | None) -> None:
         """Append what a verb made: its result, its model (JSON) if it made one, and what they rest on."""
-        with self._transaction() as connection:
+        with self.change() as connection:
             connection.execute(
                 "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)",
                 (name, utc_now(), program_of(self.profile), basis, text, model),
@@ -364,7 +365,7 @@ class RunFile:
 
     def stage_rows(self) -> list[StageRow]:
         """All stages, oldest first; none in a file of schema 1 or 2."""
-        with self._reading() as connection:
+        with self.look() as connection:
             if schema_version(connection) < 3:
                 return []
             rows = connection.execute(
@@ -376,48 +377,50 @@ class RunFile:
 
     def begin_session(self) -> int:
         """Record that collecting begins; return the session's number."""
-        with self._transaction() as connection:
+        with self.change() as connection:
             return insert_session(connection, utc_now())
 
     def record_request(self, session: int, kind: str, reason: str) -> None:
         """Record a request of a person, or what suspended or resumed a session."""
-        with self._transaction() as connection:
+        with self.change() as connection:
             insert_request(connection, session, utc_now(), kind, reason)
 
     def end_session(self, session: int, outcome: SessionEnd, reason: str) -> None:
         """Record how a session ended."""
-        with self._transaction() as connection:
+        with self.change() as connection:
             end_session(connection, session, utc_now(), outcome, reason)
 
     def add_reference(self, row: ReferenceRow) -> None:
         """Store a reference measurement; on return it is on disk."""
-        with self._transaction() as connection:
+        with self.change() as connection:
             insert_reference(connection, row)
 
     def sessions(self) -> list[Session]:
         """All sessions of collecting, oldest first."""
-        with self._reading() as connection:
+        with self.look() as connection:
             return select_sessions(connection)
 
     def outcomes(self) -> list[Outcome]:
         """Why arms have no reading at stops that were tried, by stop."""
-        with self._reading() as connection:
+        with self.look() as connection:
             return select_outcomes(connection)
 
     def references(self) -> list[ReferenceRow]:
         """All reference measurements, oldest first."""
-        with self._reading() as connection:
+        with self.look() as connection:
             return select_references(connection)
 
     # -- inside ------------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def _reading(self) -> Iterator[sqlite3.Connection]:
+    def look(self) -> Iterator[sqlite3.Connection]:
+        """The database for reading, for the modules of this package that keep a table each."""
         with self._lock, sentences(self.folder):
             yield self._connection
 
     @contextlib.contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
+    def change(self) -> Iterator[sqlite3.Connection]:
+        """The database within a transaction, which ends with the block; undone if that raises."""
         with self._lock, sentences(self.folder):
             if not self.writable:
                 raise InputError(f"{self.path} is open for reading only; open it for writing")

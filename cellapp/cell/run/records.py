@@ -41,3 +41,47 @@ class ArmOrder(Record):
     approach: int
     step: int
     contradicted: int = 0
+
+
+class StreamState(Record):
+    """The stamps of one stream: how many, how often, and where its clock is not steady.
+
+    Attributes
+    ----------
+    n : int
+        Samples or points.
+    seconds : float
+        From the first stamp to the last one.
+    rate_hz : float
+        One over the median step of the stamps.
+    gaps, longest_gap_s
+        Steps of more than 2.5 times the median one, and the longest of them.
+    repeats, backward : int
+        Stamps that are the same as the one before, and stamps before it.
+    lost : int
+        Rows of points without coordinates: the beam was lost there. They are not kept.
+    """
+
+    n: int
+    seconds: float
+    rate_hz: float
+    gaps: int = 0
+    longest_gap_s: float = 0.0
+    repeats: int = 0
+    backward: int = 0
+    lost: int = 0
+
+
+class RecordingState(Record):
+    """A recording of motion in a run; ``unknown`` are columns that are kept and not used.
+
+    Recordings of one arm with the same ``session`` were made without a pause of the devices: their clocks are the same.
+    """
+
+    name: str
+    arm: str
+    session: str = ""
+    joints: StreamState
+    points: StreamState
+    optional: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()

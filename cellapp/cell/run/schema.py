@@ -6,10 +6,10 @@ import sqlite3
 
 from cellapp.estimation.readings.columns import COLUMNS
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 7
 """2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
 collecting, outcomes of stops that were not measured, reference measurements. 5: place of a reading in the order of
-measurement."""
+measurement. 6: recordings of motion. 7: names of points in place of measured positions."""
 
 _KEY = ("arm TEXT NOT NULL", "PRIMARY KEY (arm, configuration)")
 _EXTRAS = "extras TEXT"
@@ -29,6 +29,13 @@ _COLLECTION_TABLES = (
     "CREATE TABLE reference (name TEXT NOT NULL, stops_done INTEGER NOT NULL, time_s NOT NULL, p_m TEXT NOT NULL,"
     " session INTEGER NOT NULL)",
 )
+_RECORDING_TABLES = (
+    "CREATE TABLE recording (arm TEXT NOT NULL, name TEXT NOT NULL, about TEXT NOT NULL, sha256 TEXT NOT NULL,"
+    " PRIMARY KEY (arm, name))",
+    "CREATE TABLE stream (arm TEXT NOT NULL, recording TEXT NOT NULL, kind TEXT NOT NULL, place INTEGER NOT NULL,"
+    " name TEXT NOT NULL, words TEXT, data BLOB NOT NULL, PRIMARY KEY (arm, recording, kind, place))",
+)
+"""A recording of motion, and its columns: ``data`` as in ``stream_codes``, or places in ``words``."""
 
 
 def create_tables(connection: sqlite3.Connection) -> None:
@@ -44,6 +51,7 @@ def create_tables(connection: sqlite3.Connection) -> None:
         "CREATE TABLE result (name TEXT PRIMARY KEY, written TEXT NOT NULL, text TEXT NOT NULL)",
         _STAGE_TABLE,
         *_COLLECTION_TABLES,
+        *_RECORDING_TABLES,
     ):
         connection.execute(statement)
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
@@ -68,7 +76,8 @@ def upgrade(connection: sqlite3.Connection) -> None:
     for column in COLUMNS:
         if column.since > version:
             connection.execute(f"ALTER TABLE reading ADD COLUMN {column.sql_declaration}")
-    for statement in (*([_STAGE_TABLE] if version < 3 else []), *(_COLLECTION_TABLES if version < 4 else ())):
+    tables = {3: (_STAGE_TABLE,), 4: _COLLECTION_TABLES, 6: _RECORDING_TABLES}
+    for statement in (one for since, its in tables.items() if version < since for one in its):
         connection.execute(statement)
     connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")

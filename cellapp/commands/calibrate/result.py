@@ -58,6 +58,8 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         left_out_configurations=arm.left_out,
         left_out_splits=arm.left_out_counts,
         validate_=arm.validate,
+        clocks=arm.clocks,
+        motion=arm.motion,
     )
 
 

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.recordings import read_recordings_of, recording_states
+from cellapp.cell.run.samples import keep_samples
 from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_arms, recorded_priors
 from cellapp.commands.calibrate.request import CalibrateRequest
@@ -16,6 +18,7 @@ from cellapp.commands.stages import CALIBRATION_FILE, RunStages, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
 from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.motion.calibrate import calibrate_with_motion
 from cellapp.estimation.prior.calibrate import calibrate_with_prior
 from cellapp.estimation.prior.earlier import Earlier
 from cellapp.estimation.readings import Readings
@@ -50,11 +53,21 @@ def calibrate_run(
     """
     notes = draw_missing_splits(run)
     readings = {name: run.readings(name) for name in run.profile.arms}
+    recordings = {name: read_recordings_of(run, name) for name in run.profile.arms}
+    if prior is not None and any(recordings.values()):
+        raise InputError("calibrate: --prior is for readings at rest; recordings of motion have no such prior yet")
     with one_blas_thread():
         earlier = {} if prior is None else earlier_arms(run, prior)
     if not earlier and (used := {record.run for record in recorded_priors(run).values()}):
         notes = (*notes, f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before")
-    result, model = calibrate_cell(run.profile, readings, listener, cancel, earlier=earlier, notes=notes)
+    if any(recordings.values()):
+        with one_blas_thread():
+            moved = calibrate_with_motion(run.profile, readings, recordings, with_eta(listener), cancel)
+        keep_samples(run, moved.samples)
+        found = moved.calibration
+        result, model = calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
+    else:
+        result, model = calibrate_cell(run.profile, readings, listener, cancel, earlier=earlier, notes=notes)
     basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
     append_with_model(run, CALIBRATE, result, model, basis)
     stages = read_stages(run)
@@ -92,12 +105,16 @@ def calibrate_cell(
 def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
     """Draw and store splits, the same for all arms at a stop, where no reading has one yet. Returns notes."""
     readings = {name: run.readings(name) for name in run.profile.arms}
+    recorded = {state.arm for state in recording_states(run)}
     for name, arm in readings.items():
-        if len(arm) == 0:
+        if len(arm) == 0 and name not in recorded:
             raise InputError(
                 f"{run.path}: arm '{name}' has no readings; collect or import them, or take the arm out of the profile"
             )
-    drawn, notes = missing_splits(run.profile, readings)
+    at_rest = {name: arm for name, arm in readings.items() if len(arm)}
+    if not at_rest:
+        return ()
+    drawn, notes = missing_splits(run.profile, at_rest)
     for name, words in drawn.items():
         run.assign_splits(name, words)
     return notes

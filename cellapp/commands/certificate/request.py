@@ -13,7 +13,7 @@ from cellapp.ground.outputs import Writes
 
 
 class CertificateRequest(Request):
-    """Write certificate.json and certificate.html: errors as found and left, budget, tolerances, hashes, what lacks."""
+    """Write certificate.json and .html: errors as found and left, budget, tolerances, hashes, what is missing."""
 
     folder: RunFolder
     out: Annotated[

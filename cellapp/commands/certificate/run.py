@@ -17,6 +17,7 @@ from cellapp.cell.driving.controllers import recorded_controllers
 from cellapp.cell.profile.files import path_exists
 from cellapp.cell.profile.loader import with_sections
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import all_known_readings
 from cellapp.commands.basis import Basis, basis_of
 from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.result import CertificateResult, CertifiedData
@@ -190,7 +191,7 @@ def _private_key(request: CertificateRequest, path: Path, work: Work) -> Ed25519
 
 
 def _input(run: RunFile, profile: Profile, basis: Basis, stages: RunStages, asked: _Asked) -> CertificateInput:
-    readings = {name: run.readings(name) for name in run.arms()}
+    readings = all_known_readings(run)
     return CertificateInput(
         number=asked.number or _new_number(run, profile, asked.written, basis),
         run=str(run.folder),

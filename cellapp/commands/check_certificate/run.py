@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,8 +63,10 @@ def check_certificate(
         certificate = CertificateResult.from_json(content.decode("utf-8"), str(path))
     except (InputError, UnicodeDecodeError):
         problems.append("it is no certificate that this cellapp can read")
-    documents = {} if certificate is None else _checked_documents(certificate, path.parent)
-    problems += [f"{name} was changed: it is not the file that was certified" for name in _changed(documents)]
+    certified = {} if certificate is None else {Path(name).name: sha for name, sha in certificate.documents.items()}
+    documents = {name: _document(path.parent / name, sha) for name, sha in certified.items()}
+    changed = [name for name, state in documents.items() if state == "changed"]
+    problems += [f"{name} was changed: it is not the file that was certified" for name in changed]
     if certificate is not None:
         problems += _uncovered(certificate, path.parent, shown)
     if certificate is not None and run is not None:
@@ -115,20 +117,11 @@ def _checked_signature(path: Path, content: bytes, public_key: PublicKey | None)
     return _Checked("valid", key_id, signature.trusted_comment)
 
 
-def _checked_documents(certificate: CertificateResult, folder: Path) -> dict[str, DocumentState]:
-    """Whether each file that shows the certificate is the one that was certified."""
-    return {Path(name).name: _document(folder / Path(name).name, sha) for name, sha in certificate.documents.items()}
-
-
 def _document(path: Path, sha256: str) -> DocumentState:
     if not path_exists(path):
         return "not here"
     same = hmac.compare_digest(hashlib.sha256(content_of(path)).hexdigest(), sha256)
     return "as certified" if same else "changed"
-
-
-def _changed(documents: Mapping[str, DocumentState]) -> list[str]:
-    return [name for name, state in documents.items() if state == "changed"]
 
 
 def _uncovered(certificate: CertificateResult, folder: Path, shown: Path | None) -> list[str]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import known_readings
 from cellapp.cell.targets.compensate import Command, compensate, compensate_result
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
@@ -43,7 +44,7 @@ def compensated_commands(
     """As ``compensate_run``; also returns the commands themselves."""
     used = stage_in_force(run, stages)
     model = model_of(run, used)
-    readings = {name: run.readings(name) for name in run.profile.arms}
+    readings = {name: known_readings(run, name) for name in run.profile.arms}
     commands, result = compensate_targets(run.profile, readings, model, targets, stale_notes(stages, used))
     append_stage(run, COMPENSATE, result, basis_on_model(run, used, targets))
     for note in result.notes:
@@ -60,7 +61,7 @@ def compensate_targets(
 ) -> tuple[tuple[Command, ...], CompensateResult]:
     """Commands for targets with a model, and their result; ``readings`` are those of the model.
 
-    ``notes`` stand before the one that says what is not known of a cell of which nothing moves here.
+    The result has ``notes`` first, then what is not known of a cell that this program does not drive.
 
     Raises
     ------

@@ -21,7 +21,7 @@ from cellapp.commands.view.table import Table
 _SOURCES = "What the uncertainty of each target is made of"
 _ABOUT = (
     "A measured target was approached twice: with the joint positions from the nominal model, and with those from the"
-    " calibrated model. Bounds are those that the error keeps with 95 % probability; `cellapp docs targets` explains"
+    " calibrated model. Bounds are those that the error keeps with 95 % probability; 'cellapp docs targets' explains"
     " them."
 )
 

@@ -138,7 +138,8 @@ def refusal_tables(result: CompensateResult) -> list[Table]:
 
 def measured_targets(verify: VerifyResult, arm: str) -> list[MeasuredTarget]:
     """The targets of one arm that were measured with both commands: the order of tables and charts."""
-    return [target for target in verify.targets if target.arm == arm and _measured(target)]
+    own = [target for target in verify.targets if target.arm == arm]
+    return [target for target in own if None not in (target.nominal_mm, target.compensated_mm)]
 
 
 def measured_tables(verify: VerifyResult) -> list[Table]:
@@ -201,10 +202,6 @@ def _prediction_urgency(target: TargetCommand) -> float:
     if target.refusal:
         return math.inf
     return (target.within_mm or target.uncertainty_mm or 0.0) / (target.tolerance_mm or math.inf)
-
-
-def _measured(target: MeasuredTarget) -> bool:
-    return target.nominal_mm is not None and target.compensated_mm is not None
 
 
 def verification_tables(result: VerifyResult) -> list[Table]:

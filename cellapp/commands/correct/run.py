@@ -17,6 +17,7 @@ from cellapp.cell.programs.targets import ReadProgram, Six
 from cellapp.cell.programs.urp_targets import read_urp
 from cellapp.cell.programs.words import assumptions, model_notes
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import known_readings
 from cellapp.commands.correct.request import ENDINGS, CorrectRequest
 from cellapp.commands.record import Work
 from cellapp.commands.stages import read_stages
@@ -90,9 +91,10 @@ def correct_run(
     if not read.targets and not read.left:
         raise InputError(f"{program}: no motion with a target found; nothing was written")
     settings = run.profile.arms[name]
-    limits = np.array(settings.limits or [joint.limit for joint in settings.type.joints])
+    limits = np.array(settings.joint_limits)
     home = np.zeros(_JOINTS) if settings.home is None else np.array(settings.home)
-    place = Workplace(model_arm, limits, home, run.readings(name).q, run.profile.seed, read.payload_kg, extrapolate)
+    q = known_readings(run, name).q
+    place = Workplace(model_arm, limits, home, q, run.profile.seed, read.payload_kg, extrapolate)
     corrected = solve_targets(place, read.targets)
     stale = stages.stale_arms()
     result = CorrectResult(

@@ -15,6 +15,7 @@ class DemoRequest(Request):
         Path, Asked("Profile and run go into FOLDER/profiles and FOLDER/logs.", "FOLDER", argument=True)
     ] = Path()
     full: Annotated[bool, Asked("All 400 stops instead of 80.")] = False
+    sweeps: Annotated[bool, Asked("20 stops, and a sweep of each arm about every one: calibration in motion.")] = False
 
 
 VERB = Verb("demo", DemoRequest, chapter="tutorial")

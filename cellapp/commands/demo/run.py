@@ -10,6 +10,9 @@ from cellapp.commands.run import run as whole
 from cellapp.commands.run.request import RunRequest
 from cellapp.commands.run.result import WholeRunResult
 
+_SWEEPS = 20
+"""Stops of the demonstration in motion, each with a sweep of every arm."""
+
 
 def run(request: DemoRequest, work: Work) -> WholeRunResult:
     """Write the profile where there is none, and run everything."""
@@ -20,4 +23,5 @@ def run(request: DemoRequest, work: Work) -> WholeRunResult:
     else:
         write_starter(name, request.folder)
         work.say(f"written: {profile}")
-    return whole.run(RunRequest(profile=profile, folder=request.folder / default_folder(name)), work)
+    sweeps = _SWEEPS if request.sweeps else None
+    return whole.run(RunRequest(profile=profile, folder=request.folder / default_folder(name), sweeps=sweeps), work)

@@ -9,6 +9,8 @@ from cellapp.cell.planning.proposal.candidate_poses import Effort
 from cellapp.cell.planning.proposal.propose import propose_stops
 from cellapp.cell.planning.proposed_stops import append_proposed_stops, why_not_driven
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.recordings import read_recordings_of
+from cellapp.cell.run.samples import known_readings
 from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
 from cellapp.commands.discover.request import DiscoverRequest
@@ -20,6 +22,7 @@ from cellapp.estimation.calibration.calibrate import provenance_of
 from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.records import DiscoverResult, Proposal
+from cellapp.estimation.motion.discovery import with_motion
 from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.prior.earlier import Earlier
 from cellapp.estimation.readings import Readings
@@ -57,7 +60,6 @@ def propose_run(
     count: int,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-    effort: Effort | None = None,
 ) -> DiscoverResult:
     """Discover, then propose ``count`` further stops of all arms and write them into the plan.
 
@@ -73,7 +75,7 @@ def propose_run(
     """
     result, found = _discover(run, listener, cancel)
     try:
-        proposal = propose_after(run, found, count, listener, cancel, effort)
+        proposal = propose_after(run, found, count, listener, cancel)
     except InputError as error:
         raise InputError(f"{error}. The discovery is stored: 'cellapp show {run.folder} discovery'") from None
     return result.model_copy(update={"proposal": proposal})
@@ -88,7 +90,7 @@ def propose_after(
     effort: Effort | None = None,
 ) -> Proposal:
     """Propose ``count`` further stops after a discovery and write them into the plan. Raises as ``propose_stops``."""
-    readings = {name: run.readings(name) for name in run.profile.arms}
+    readings = {name: known_readings(run, name) for name in run.profile.arms}
     with one_blas_thread():
         proposed = propose_stops(
             run.profile, found.model, readings, found.arms, count, with_eta(listener), cancel, effort
@@ -136,9 +138,15 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
         )
     with one_blas_thread():
         earlier = earlier_of_calibration(run)
-    readings = {name: run.readings(name) for name in run.profile.arms}
+    readings = {name: known_readings(run, name) for name in run.profile.arms}
     calibrated_model = model_of(run, calibrated)
     result, found = discover_effects(run.profile, calibrated_model, readings, listener, cancel, earlier=earlier)
+    recordings = {name: read_recordings_of(run, name) for name in run.profile.arms}
+    if any(recordings.values()):
+        stops = {name: run.readings(name) for name in run.profile.arms}
+        with one_blas_thread():
+            found = with_motion(run.profile, found, calibrated_model.arms, readings, stops, recordings, cancel)
+        result = discover_result(found)
     basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
     append_with_model(run, DISCOVER, result, found.model, basis)
     for note in result.notes or ():

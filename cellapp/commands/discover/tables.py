@@ -49,27 +49,29 @@ def noise_floor_words(arm: ArmDiscoveryResult) -> str:
 
 def discovery_tables(result: DiscoverResult) -> list[Table]:
     """Held-out error after each step of each arm, its accepted effects, and the sizes of each of them."""
-    tables = []
-    for name, arm in result.arms.items():
-        tables.append(steps_table(name, arm))
-        if arm.accepted:
-            tables.append(_short_accepted_table(name, arm))
-        tables += _effect_size_tables(name, arm)
-    return tables
+    return [
+        table
+        for name, arm in result.arms.items()
+        for table in (numbered_steps_table(name, arm), short_accepted_table(name, arm), *size_tables(name, arm))
+        if table is not None
+    ]
 
 
-def steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """Held-out error after each step, and the noise floor."""
-    rows: list[tuple[Cell, ...]] = [*gap_steps(arm)]
-    floor = noise_floor(arm)
-    if floor is not None:
-        rows.append((noise_floor_words(arm), floor))
-    columns = (Column("step"), number_column("held-out rms", _MM, "mm"))
-    return Table(f"Arm {name}: {arm.verdict}", columns, tuple(rows))
+def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """What recordings of motion show beside the accepted effects; None without any."""
+    accepted = {one.effect for one in arm.accepted}
+    rows: list[tuple[Cell, ...]] = []
+    for found in () if arm.motion is None else arm.motion.effects:
+        for parameter, estimate in () if found.effect in accepted else found.parameters.items():
+            rows.append((found.effect, parameter, *interval_95(estimate)))
+    if not rows:
+        return None
+    columns = (Column("effect"), *_SIZE_COLUMNS[1:5])
+    return without_empty(Table(f"Arm {name}: what its recordings of motion show besides", columns, tuple(rows)))
 
 
 def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
-    """``steps_table`` with the step numbers of its figure."""
+    """Held-out error after each step, with the step numbers of its chart, and the noise floor."""
     rows: list[tuple[Cell, ...]] = [(str(number), what, gap) for number, (what, gap) in enumerate(gap_steps(arm))]
     floor = noise_floor(arm)
     if floor is not None:
@@ -78,7 +80,10 @@ def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
     return Table(f"Arm {name}: held-out error after each step", columns, tuple(rows))
 
 
-def _short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
+def short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
+    """Accepted effects by their names in the handbook, with their probability and what they explain; None without."""
+    if not arm.accepted:
+        return None
     columns = (
         Column("accepted"),
         Column("where"),
@@ -139,39 +144,19 @@ def _accepted_row(found: AcceptedEffect) -> tuple[Cell, ...]:
     )
 
 
-def size_tables(result: DiscoverResult) -> list[Table]:
-    """Parameters with 95 % intervals as in ``parameter_table``, one table for each effect: they fit a terminal."""
-    return [table for name, arm in result.arms.items() for table in _effect_size_tables(name, arm)]
-
-
-def _effect_size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
-    tables = []
-    for found in _by_movement(arm):
-        title = f"Arm {name}: size of {found.effect}, {_order_words(found)}"
-        rows = tuple(_size_rows(found))
-        tables.append(without_empty(Table(title, _SIZE_COLUMNS, rows)))
-    return tables
-
-
-def parameter_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Parameters with 95 % intervals, what moves the SMR most first; None if there are none.
+def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
+    """Parameters with 95 % intervals, one table for each effect, what moves the SMR most first; then those in motion.
 
     Free curves and data-driven terms have too many coefficients for a table: it has their size, figures show the rest.
     """
-    if not arm.accepted:
-        return None
-    rows = tuple((found.effect, *row) for found in _by_movement(arm) for row in _size_rows(found))
-    columns = (Column("effect"), *_SIZE_COLUMNS)
-    return without_empty(Table(f"Arm {name}: size of the effects, the largest first", columns, rows))
-
-
-def _by_movement(arm: ArmDiscoveryResult) -> list[AcceptedEffect]:
-    """Accepted effects, that which moves the SMR most first; as they were found where that is not known."""
-    return sorted(arm.accepted, key=lambda found: found.movements[0].moves_mm if found.movements else 0.0, reverse=True)
-
-
-def _order_words(found: AcceptedEffect) -> str:
-    return "the largest first" if found.movements is None else "what moves the SMR most first"
+    tables = []
+    for one in sorted(arm.accepted, key=lambda one: one.movements[0].moves_mm if one.movements else 0.0, reverse=True):
+        order = "the largest first" if one.movements is None else "what moves the SMR most first"
+        title = f"Arm {name}: size of {one.effect}, {order}"
+        tables.append(without_empty(Table(title, _SIZE_COLUMNS, tuple(_size_rows(one)))))
+    if (in_motion := _motion_table(name, arm)) is not None:
+        tables.append(in_motion)
+    return tables
 
 
 def _size_rows(found: AcceptedEffect) -> list[tuple[Cell, ...]]:

@@ -1,145 +1,170 @@
-"""The result of ``discover`` as lines, tables and charts."""
+"""The result of ``discover``: a section for each arm; on the page of a run with how discovery decides."""
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
-from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
+from cellapp.commands.discover.charts import gap_chart, picture_chart
 from cellapp.commands.discover.proposal_view import proposal_lines
-from cellapp.commands.discover.tables import gap_steps, noise_floor, noise_floor_words, size_tables
+from cellapp.commands.discover.tables import (
+    accepted_table,
+    candidates_table,
+    cycle_table,
+    invisible_table,
+    not_found_table,
+    numbered_steps_table,
+    short_accepted_table,
+    size_tables,
+    structure_table,
+)
 from cellapp.commands.discover.words import (
     also_possible,
     contradiction_sentences,
-    cycle_words,
+    description_sentences,
     misfit_sentences,
-    misfit_words,
+    picture_words,
+    remainder_sentences,
+    rival_sentences,
     size_words,
-    structure_sentences,
+    undrawn_sentences,
     verdict_sentence,
 )
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
-from cellapp.commands.view.parts import Part
-from cellapp.commands.view.words import place_words, probability_words, short_reason
-from cellapp.estimation.discovery.records import AcceptedEffect, DiscoverResult, EffectMeaning
+from cellapp.commands.view.parts import Facts, Part, Section, printed, section_of, sentence
+from cellapp.commands.view.words import place_words, ranges, short_reason
+from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
+from cellapp.ground.profile.schema import Discovery
 
-WIDTH = 80
-"""Columns of a terminal."""
+_MOST_PICTURES = 6
+"""Pictures of effects of an arm that are drawn, those of the joints that move most; the JSON has the values of all."""
 
 
 def view(result: DiscoverResult, request: Request | None = None) -> View:
-    """What was found, the sizes of the effects, what they mean, and the stops that were proposed."""
-    proposed = () if result.proposal is None else ("", *proposal_lines(result.proposal))
-    told: tuple[Part, ...] = (*discovery_lines(result), *size_tables(result), "", *meaning_lines(result), *proposed)
-    return View((*told, *_charts(result)))
-
-
-def _charts(result: DiscoverResult) -> Iterator[Chart]:
-    """How the error fell, what is probable, and what each effect looks like, arm by arm."""
-    for name, arm in result.arms.items():
-        yield gap_chart(name, arm)
-        yield candidates_chart(name, arm)
-        yield from (picture_chart(name, picture) for picture in arm.pictures)
-
-
-# -- lines for a terminal ---------------------------------------------------------------------------------------------
-
-
-def discovery_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
-    """Held-out error by step, accepted effects, alternatives, invisible effects and verdict of each arm."""
-    lines: list[str] = []
-    for name, arm in result.arms.items():
-        lines += [f"Arm {name}", "  held-out rms [mm] after each step"]
-        for what, gap in [*gap_steps(arm), (noise_floor_words(arm), noise_floor(arm))]:
-            if gap is not None:
-                lines += _hanging(f"  {gap:9.4f}  ", what, width)
-        lines += _accepted_lines(arm.accepted, width)
-        for found in arm.accepted:
-            if found.indistinguishable:
-                words = f"of {found.effect}: {' or '.join(found.indistinguishable)}: these data cannot distinguish them"
-                lines += _hanging("  or instead   ", words, width)
-        possible = also_possible(arm)
-        if possible:
-            lines += _hanging("  possible too ", possible, width)
-        for place, entry in enumerate(arm.invisible):
-            line = f"{entry.effect}: {short_reason(entry.reason)}"
-            lines.append(_cut(f"  {'' if place else 'not visible':11}  {line}", width))
-        if arm.structure is not None:
-            lines += _hanging("  remainder    ", arm.structure.sentence, width)
-        lines += _hanging("  verdict      ", f"{arm.verdict}: {verdict_sentence(name, arm)}", width)
-        lines.append("")
-    for note in result.notes or ():
-        lines += _hanging("Note  ", note, width)
-    return lines
-
-
-def _accepted_lines(accepted: Sequence[AcceptedEffect], width: int) -> list[str]:
-    """One line for each accepted effect; below it the cycles of a periodic error, or the description of a term."""
-    if not accepted:
-        return []
-    lines = [f"  {'accepted':23} {'where':16} {'prob.':>6} {'corr. p':>8}  without -> with [mm]"]
-    for found in accepted:
-        gap = found.evidence.heldout_mm
-        place, p = place_words(found.where), f"{found.evidence.corrected_p:.2g}"
-        probable = probability_words(found.posterior)
-        numbers = f"{probable:>6} {p:>8}  {gap.before:7.4f} -> {gap.after:.4f}"
-        lines.append(_cut(f"  {found.effect:23} {place:16} {numbers}", width))
-        cycles = cycle_words(found)
-        if cycles:
-            lines += _hanging("    cycles/revolution  ", cycles, width)
-        if found.description is not None:
-            lines += _hanging("    ", found.description.sentence, width)
-        misfit = misfit_words(found)
-        if misfit:
-            lines += _hanging("    ", misfit, width)
-    return lines
-
-
-def meaning_lines(result: DiscoverResult, width: int = WIDTH) -> list[str]:
-    """Cause, usual size, what to check and what would settle it, of every accepted effect of every arm."""
-    lines: list[str] = []
-    for name, arm in result.arms.items():
-        said: set[str] = set()
-        for found in arm.accepted:
-            if found.meaning is None:
-                continue
-            lines.append(_cut(f"Arm {name}, {place_words(found.where)}: {found.title}", width))
-            again = found.effect in said and found.description is None
-            lines += [f"  as {found.effect} above"] if again else _meaning_lines(found.effect, found.meaning, width)
-            lines.append("")
-            said.add(found.effect)
-    return lines
-
-
-def _meaning_lines(effect: str, meaning: EffectMeaning, width: int) -> list[str]:
-    lines = _hanging("  cause    ", meaning.cause, width)
-    lines += _hanging("  size     ", size_words(meaning), width)
-    for heading, items in (("check", meaning.check), ("settle", meaning.settle)):
-        for place, item in enumerate(items):
-            lines += _hanging(f"  {'' if place else heading:9}- ", item, width)
-    return [*lines, f"  more     cellapp docs {effect}"]
-
-
-def remark_lines(result: DiscoverResult) -> list[str]:
-    """What contradicts an effect, is possible too, hardly fits its law, or is left with structure: a line each."""
-    lines = []
-    for name, arm in result.arms.items():
-        possible = also_possible(arm)
-        others = [f"Not accepted, but possible: {possible}."] if possible else []
-        sentences = (*contradiction_sentences(arm), *others, *misfit_sentences(arm), *structure_sentences(arm))
-        lines += [f"Arm {name}: {sentence}" for sentence in sentences]
-    return [*lines, ""] if lines else []
+    """What was found in each arm and what it means, notes, and the stops that were proposed."""
+    arms = [arm_section(f"discovery-{number}", name, arm) for number, (name, arm) in enumerate(result.arms.items(), 1)]
+    notes = [f"Note: {note}" for note in result.notes or ()]
+    return View((*arms, *notes, *([] if result.proposal is None else proposal_lines(result.proposal))))
 
 
 def explanation_text(result: DiscoverResult) -> str:
     """All that explains the tables of a discovery."""
-    return "\n".join([*remark_lines(result), *meaning_lines(result)])
+    arms = [Section(f"Arm {name}", [*_remarks(arm), *_meanings(arm)]) for name, arm in result.arms.items()]
+    return "\n".join(line for line in printed(arms) if isinstance(line, str))
 
 
-def _hanging(first: str, text: str, width: int) -> list[str]:
-    return textwrap.wrap(text, width, initial_indent=first, subsequent_indent=" " * len(first)) or [first.rstrip()]
+def discovery_section(
+    discover: DiscoverResult, settings: Discovery, charts: Mapping[str, tuple[Sequence[Chart], Sequence[Chart]]]
+) -> Section:
+    """All arms; ``charts`` has of each how sure its model is, and what its effects turn each joint by."""
+    verdicts = (f"arm {name}, {arm.verdict}: {verdict_sentence(name, arm)}" for name, arm in discover.arms.items())
+    arms = [
+        arm_section(f"discovery-{number}", name, arm, *charts[name])
+        for number, (name, arm) in enumerate(discover.arms.items(), start=1)
+    ]
+    decides = Section("How discovery decides", [_decision_words(settings)], folded=True)
+    return section_of("", [*arms, decides], message="; ".join(verdicts))
 
 
-def _cut(line: str, width: int) -> str:
-    return line if len(line) <= width else line[: width - 3].rstrip() + "..."
+def arm_section(
+    key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = (), curves: Sequence[Chart] = ()
+) -> Section:
+    """Verdict, steps, accepted effects with pictures, undetectable effects and the remainder of one arm."""
+    found = (
+        numbered_steps_table(name, arm),
+        short_accepted_table(name, arm),
+        *size_tables(name, arm),
+        cycle_table(name, arm),
+    )
+    parts: list[Part] = [
+        *_remarks(arm),
+        *remainder_sentences(arm),
+        gap_chart(name, arm),
+        *certainty,
+        *filter(None, found),
+        *_meanings(arm),
+        *(Section(heading, [words]) for heading, words in description_sentences(arm)),
+        *_pictures(name, arm),
+    ]
+    if curves:
+        about = (
+            "What all effects together turn a joint by while its angle alone changes; bands hold 95 % of the model's"
+            " posterior, and widen beyond the measured angles."
+        )
+        parts.append(Section("What effects turn joints by", curves, about=about))
+    evidence = (candidates_table(name, arm), structure_table(name, arm), accepted_table(name, arm))
+    undetected = (invisible_table(name, arm), not_found_table(name, arm))
+    parts.append(Section("All evidence", [*filter(None, evidence)], folded=True))
+    title = "Effects that were not found, or that these data cannot show"
+    parts.append(Section(title, [*filter(None, undetected)], folded=True))
+    return Section(f"Arm {name}: {arm.verdict}", parts, sentence(verdict_sentence(name, arm)), key=key)
+
+
+def _motion_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """What recordings of motion show, what only they can show, and what stays out of commands."""
+    if arm.motion is None:
+        return []
+    said = []
+    for one in arm.motion.effects:
+        place = f"joint{'s' if len(one.joints) > 1 else ''} {ranges(one.joints)}"
+        only = f"; only motion can: {one.only_motion}" if one.only_motion else ""
+        aside = "" if one.at_rest else "; it stays out of commands for poses at rest"
+        said.append(f"Recordings of motion show {one.effect} ({one.title}) of {place}{only}{aside}.")
+    return said or ["Recordings of motion show no effect of the joints."]
+
+
+def _remarks(arm: ArmDiscoveryResult) -> list[str]:
+    """What contradicts an effect, could replace it, is possible too, hardly fits its law, or cannot be shown."""
+    possible = also_possible(arm)
+    hidden = [f"{one.effect} ({short_reason(one.reason)})" for one in arm.invisible]
+    return [
+        *contradiction_sentences(arm),
+        *_motion_sentences(arm),
+        *rival_sentences(arm),
+        *([f"Not accepted, but possible: {possible}."] if possible else []),
+        *misfit_sentences(arm),
+        *([f"Not visible in these data: {', '.join(hidden)}."] if hidden else []),
+    ]
+
+
+def _meanings(arm: ArmDiscoveryResult) -> Iterator[Section]:
+    """Cause, usual size, what to check and what would settle it, of every accepted effect."""
+    for found in arm.accepted:
+        meaning = found.meaning
+        if meaning is None:
+            continue
+        rows: list[tuple[str, str]] = []
+        for title, lines in (
+            ("Check or mend", meaning.check),
+            ("Further stops or observations that settle it", meaning.settle),
+            ("More", (f"'cellapp docs {found.effect}'",)),
+        ):
+            rows += [(title if place == 0 else "", line) for place, line in enumerate(lines)]
+        words = f"{meaning.cause} Usual size: {size_words(meaning)}."
+        yield Section(f"What it means: {found.title}, {place_words(found.where)}", [words, Facts(tuple(rows))])
+
+
+def _pictures(name: str, arm: ArmDiscoveryResult) -> Iterator[Section]:
+    shown, others = arm.pictures[:_MOST_PICTURES], [picture.title for picture in arm.pictures[_MOST_PICTURES:]]
+    drawn = [replace(picture_chart(name, picture), message=picture_words(picture)) for picture in shown]
+    if drawn:
+        more = [f"Smaller ones are in the terminal application: {', '.join(others)}."] if others else []
+        about = (
+            "Dots are measured values of one effect, with all other parts of the model subtracted, at the readings that"
+            " the search used."
+        )
+        yield Section("What the effects look like", [*undrawn_sentences(arm), *more, *drawn], about=about)
+
+
+def _decision_words(settings: Discovery) -> str:
+    return (
+        "Physical effects that the geometry cannot explain, in the order in which they were found, evaluated on"
+        " configurations that the search did not use. The score of an effect is what it explains beside the re-fitted"
+        " geometry and all other effects, minus a penalty for its parameters. The corrected p-value is the probability"
+        " of such a score anywhere in the scan if nothing were missing: an effect is accepted below"
+        f" {settings.false_alarm}. With {settings.null_simulations} simulations without effects, p is at least"
+        f" {1.0 / (settings.null_simulations + 1):.2g}. The probability of an effect compares all sets of effects that"
+        " were tried; beside its law, relative to what the law moves, is what follows its variables otherwise than the"
+        " law says. 'cellapp docs NAME' explains each effect, 'cellapp docs discovery' how discovery decides."
+    )

@@ -11,7 +11,6 @@ from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     ArmDiscoveryResult,
     CurveRecord,
-    CycleBand,
     EffectMeaning,
     Picture,
 )
@@ -53,19 +52,6 @@ def also_possible(arm: ArmDiscoveryResult) -> str:
     accepted = {found.effect for found in arm.accepted}
     others = [(slug, p) for slug, p in arm.candidates.items() if slug not in accepted and p >= _NOT_IMPROBABLE]
     return ", ".join(f"{slug} ({probability_words(p)})" for slug, p in sorted(others, key=lambda entry: -entry[1]))
-
-
-def cycle_words(found: AcceptedEffect) -> str:
-    """Dominant cycles per revolution of a free curve, joint by joint; empty for any other law."""
-    if found.law.name != "curve":
-        return ""
-    return ", ".join(
-        f"joint {joint}: {_band(band)} ({band.rms_urad:.0f} µrad rms)" for joint, band in (found.cycles or {}).items()
-    )
-
-
-def _band(band: CycleBand) -> str:
-    return str(band.first) if band.first == band.last else f"{band.first}-{band.last}"
 
 
 def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:

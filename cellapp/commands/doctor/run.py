@@ -114,17 +114,13 @@ def _found(profile: Profile, probes: _Probes) -> list[Finding]:
     for device, probe in probes.items():
         arm = device.removeprefix("arm ")
         shared = _shared_address(profile, arm) if arm in profile.arms and arm != device else []
-        findings += _of(device, [*shared, *probe.result()])
+        for one in (*shared, *probe.result()):
+            findings.append(replace(one, subject=f"{device}: {one.subject}" if one.subject else device))
     return findings
 
 
 def _result(finding: Finding) -> ResultFinding:
     return ResultFinding.like(finding, device=None if finding.device is None else DeviceReport.like(finding.device))
-
-
-def _of(device: str, findings: Sequence[Finding]) -> list[Finding]:
-    """Put the device's name in front of each subject."""
-    return [replace(one, subject=f"{device}: {one.subject}" if one.subject else device) for one in findings]
 
 
 def _python(profile: Profile) -> Finding:

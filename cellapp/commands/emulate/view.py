@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from cellapp.commands.emulate.result import EmulatedArm, EmulatedTracker, EmulateResult
+from cellapp.commands.emulate.result import EmulatedArm, EmulateResult
 from cellapp.commands.record import Request, View
 
 
 def view(result: EmulateResult, request: Request | None = None) -> View:
     """Controllers and ports, for the person who started them."""
-    trackers = [] if result.tracker is None else [_tracker_words(result.tracker)]
-    return View((*map(_arm_words, result.arms), *trackers, "Ctrl-C ends this"))
+    served = [_arm_words(arm) for arm in result.arms]
+    if (tracker := result.tracker) is not None:
+        served.append(f"tracker: simulated, bridge protocol at {tracker.host} port {tracker.port}")
+    return View((*served, "Ctrl-C ends this"))
 
 
 def _arm_words(arm: EmulatedArm) -> str:
@@ -18,7 +20,3 @@ def _arm_words(arm: EmulatedArm) -> str:
         f" at {arm.host}: dashboard {arm.dashboard_port}, primary {arm.primary_port}, script {arm.script_port},"
         f" RTDE {arm.rtde_port}; faults on command at 127.0.0.1:{arm.control_port}"
     )
-
-
-def _tracker_words(tracker: EmulatedTracker) -> str:
-    return f"tracker: simulated, bridge protocol at {tracker.host} port {tracker.port}"

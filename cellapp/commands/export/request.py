@@ -17,7 +17,7 @@ STAGES = ("calibrate", "discover", "compensate", "verify")
 
 
 class ExportRequest(Request):
-    """Write the readings or the plan of a run as CSV, or calibrated arms and commands for other programs.
+    """Write readings, recordings or the plan of a run as CSV, or calibrated arms and commands for other programs.
 
     Importing the CSV again gives the same readings bit for bit, and so does planning from the plan.
     'cellapp docs exports' describes the formats.
@@ -25,6 +25,8 @@ class ExportRequest(Request):
 
     folder: RunFolder
     csv: Annotated[Path | None, Asked("Where to write the readings.", "FILE", writes=Writes.FILE)] = None
+    joints: Annotated[Path | None, Asked("Where to write the joints of recordings.", "FILE", writes=Writes.FILE)] = None
+    points: Annotated[Path | None, Asked("Where to write the points of recordings.", "FILE", writes=Writes.FILE)] = None
     plan: Annotated[Path | None, Asked("Where to write the plan.", "FILE", writes=Writes.FILE)] = None
     form: Annotated[str | None, Asked(f"Write calibrated arms or commands as {_FORMATS}", "FORMAT", option="--as")] = (
         None
@@ -52,9 +54,9 @@ class ExportRequest(Request):
     def _one_way(self) -> Self:
         """Refuse a format without a file, and a format beside readings, plan or geometry."""
         of_format = (self.form, self.out, self.arm, self.stage)
-        plain = any((self.csv, self.plan, self.geometry))
+        plain = any((self.csv, self.plan, self.geometry, self.joints, self.points))
         if any(one is not None for one in of_format) and (self.form is None or self.out is None or plain):
-            raise ValueError("--as FORMAT and --out FILE belong together, without --csv, --plan and --geometry")
+            raise ValueError("--as FORMAT and --out FILE belong together, without the options of single files")
         return self
 
 

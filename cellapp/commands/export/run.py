@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
 from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
@@ -14,6 +15,9 @@ from cellapp.cell.exports.records import ArmFile, ExportResult
 from cellapp.cell.exports.words import form_line, lost_sentences
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
+from cellapp.cell.run.recordings_export import write_recordings_csv
+from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.stream_columns import Kind
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run_commands import export_commands
 from cellapp.commands.plan.run import export_plan
@@ -37,7 +41,9 @@ def run(request: ExportRequest, work: Work) -> ExportResult:
     """Write what is asked for."""
     with RunFile.open(request.folder) as opened:
         if request.form is None or request.out is None:  # neither is given then
-            return export_run(opened, request.csv, request.geometry, request.plan, work.outputs)
+            streams: dict[Kind, Path | None] = {"joints": request.joints, "points": request.points}
+            recordings = {kind: path for kind, path in streams.items() if path is not None}
+            return export_run(opened, request.csv, request.geometry, request.plan, work.outputs, recordings=recordings)
         return export_as_run(opened, request.form, request.out, request.arm, request.stage, work.outputs)
 
 
@@ -162,7 +168,7 @@ def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
 
 
 def _workspaces(run: RunFile, model: CellModel) -> dict[str, Workspace]:
-    readings = {name: run.readings(name) for name in model.arms}
+    readings = {name: known_readings(run, name) for name in model.arms}
     conditions = conditions_of_arms(model.arms, readings)
     return {name: workspace(own.q, conditions[name], run.profile.seed) for name, own in readings.items()}
 
@@ -220,24 +226,32 @@ def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFi
 
 
 def export_run(
-    run: RunFile, csv: Path | None, geometry: Path | None, plan: Path | None = None, outputs: Outputs = NEW_ONLY
+    run: RunFile,
+    csv: Path | None,
+    geometry: Path | None,
+    plan: Path | None = None,
+    outputs: Outputs = NEW_ONLY,
+    *,
+    recordings: Mapping[Kind, Path] = MappingProxyType({}),
 ) -> ExportResult:
-    """Write the readings or the plan as CSV, the identified arms as one JSON file, or several of these.
+    """Write readings, recordings of motion or the plan as CSV, the identified arms as one JSON file, or some of these.
 
     Raises
     ------
     InputError
         If none is given, there is nothing to write, or a file cannot be written, or may not.
     """
-    if csv is None and geometry is None and plan is None:
+    if csv is None and geometry is None and plan is None and not recordings:
         raise InputError(
-            "export: say what to write: --csv FILE for the readings, --plan FILE for the plan, --as FORMAT --out FILE"
-            " for the arms; 'cellapp docs exports' lists the formats"
+            "export: say what to write: --csv FILE for the readings, --joints FILE and --points FILE for recordings,"
+            " --plan FILE for the plan, --as FORMAT --out FILE for the arms; 'cellapp docs exports' lists the formats"
         )
     if plan is not None:
         export_plan(run, plan, outputs)
     if csv is not None:
         write_readings_csv(run, csv, outputs)
+    for kind, path in recordings.items():
+        write_recordings_csv(run, kind, path, outputs)
     lost = None
     if geometry is not None:
         content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))))
@@ -246,6 +260,7 @@ def export_run(
     return ExportResult(
         csv=None if csv is None else str(csv),
         readings=None if csv is None else {name: len(run.readings(name)) for name in run.arms()},
+        recordings={kind: str(path) for kind, path in recordings.items()} or None,
         plan=None if plan is None else str(plan),
         geometry=None if geometry is None else str(geometry),
         ur_lost_rms_mm=lost,

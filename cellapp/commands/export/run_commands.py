@@ -13,6 +13,7 @@ from cellapp.cell.exports.records import CommandFile, ExportResult
 from cellapp.cell.exports.words import form_line
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import known_readings
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, VerifyResult
 from cellapp.cell.targets.unplaced_cell import commanded_profile, is_unplaced
@@ -97,7 +98,7 @@ def _of_arm(
     run: RunFile, stages: RunStages, stage: StoredStage, records: tuple[TargetCommand, ...], name: str
 ) -> ArmCommands:
     in_force = stage_in_force(run, stages)
-    profile = commanded_profile(run.profile, {name: run.readings(name) for name in run.profile.arms})
+    profile = commanded_profile(run.profile, {name: known_readings(run, name) for name in run.profile.arms})
     model, homes, arm = model_of(run, in_force), home_positions(profile), profile.arms[name]
     speed, acceleration = _rates(run, arm)
     return ArmCommands(

@@ -66,7 +66,9 @@ def indexed_records(folder: Path) -> IndexedRecords:
             records[run] = fresh[run] = read_record(run)
     keys = {_key(folder, run) for run in runs}
     if fresh or stored.keys() - keys:
-        rows = [(run, stamp, record) for run, record in fresh.items() if (stamp := stamps[run]) and _lasts(record)]
+        # only what stays true as long as the run does not change: a problem may pass, a prior may change
+        lasting = {run: record for run, record in fresh.items() if record.alone and not record.problem}
+        rows = [(run, stamp, record) for run, record in lasting.items() if (stamp := stamps[run])]
         _store(folder, rows, keys)
     return IndexedRecords(tuple(records.values()), len(fresh))
 
@@ -97,11 +99,6 @@ def stamp_of(run: Path) -> Stamp | None:
 def _key(folder: Path, run: Path) -> str:
     """Path of a run below the folder: the folder may be moved with its index."""
     return run.relative_to(folder).as_posix()
-
-
-def _lasts(record: RunRecord) -> bool:
-    """Whether a record stays true as long as its run does not change: a problem may pass, a prior may change."""
-    return not record.problem and record.alone
 
 
 def _load(folder: Path) -> dict[str, tuple[Stamp, RunRecord]]:

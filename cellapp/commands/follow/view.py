@@ -26,7 +26,7 @@ def paths_section(result: PathResult) -> Section:
         view(result).parts,
         message=f"{words}; {driven} were driven." if driven else f"{words}.",
         about="Lines and arcs with speeds, as joint paths of the calibrated model: distances of the measured SMR from"
-        " the wanted path, moving and at rest, and on the path of the published geometry. `cellapp docs paths` explains"
+        " the wanted path, moving and at rest, and on the path of the published geometry. 'cellapp docs paths' explains"
         " them.",
     )
 

@@ -1,29 +1,76 @@
-"""The verb ``import``: a new run of readings from a CSV file."""
+"""The verb ``import``: a new run of readings or recordings of motion from CSV files."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from cellapp.cell.driving.records import ImportResult
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import import_csv
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.csv_import import readings_from_csv
 from cellapp.cell.run.in_order import read_in_order
+from cellapp.cell.run.recordings import recording_states, recordings_from_csv
 from cellapp.commands.import_.request import ImportRequest
 from cellapp.commands.record import Work
+from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 
 
 def run(request: ImportRequest, work: Work) -> ImportResult:
     """Make the run."""
-    return import_new_run(load_profile(request.profile), request.csv, request.folder, in_order=request.in_order)
+    return import_new_run(
+        load_profile(request.profile),
+        request.csv,
+        request.folder,
+        in_order=request.in_order,
+        recordings=(request.joints, request.points),
+        arm=request.arm,
+        distances=request.distances,
+    )
 
 
-def import_new_run(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> ImportResult:
-    """Make a new run from readings in a CSV file; ``in_order`` and errors are as in ``import_csv``."""
-    with import_csv(profile, csv, folder, in_order=in_order) as run:
+def import_new_run(
+    profile: Profile,
+    csv: Path | None,
+    folder: Path,
+    *,
+    in_order: bool = False,
+    recordings: tuple[Sequence[Path], Sequence[Path]] = ((), ()),
+    arm: str | None = None,
+    distances: Path | None = None,
+) -> ImportResult:
+    """Make a new run from readings in a CSV file, recordings of motion, or both.
+
+    ``recordings`` are files of joints and of points, pair by pair, ``arm`` that of those that do not say it,
+    ``distances`` is a file of known distances between points in sockets.
+
+    Raises
+    ------
+    InputError
+        As ``readings_from_csv`` and ``recordings_from_csv``, and if an arm of the profile has neither; no run is made.
+    """
+    recorded, fills = frozenset[str](), []
+    if any(recordings):
+        recorded, fill = recordings_from_csv(profile, *recordings, arm)
+        fills.append(fill)
+    if csv is not None:
+        fills.append(readings_from_csv(profile, csv, in_order=in_order, distances=distances, recorded=recorded))
+    elif missing := [name for name in profile.arms if name not in recorded]:
+        raise InputError(
+            f"import: no recording of arm {', '.join(missing)} of the profile; add its recordings or readings, or"
+            " remove the arm from the profile"
+        )
+
+    def fill_all(run: RunFile) -> None:
+        for fill in fills:
+            fill(run)
+
+    with RunFile.create(folder, profile, fill_all) as run:
         return ImportResult(
             run=str(folder),
             readings={name: len(run.readings(name)) for name in run.arms()},
+            recordings=recording_states(run),
             in_order=read_in_order(run),
             notes=tuple(event.text for event in run.events() if event.level == "note"),
         )

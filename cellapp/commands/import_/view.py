@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from cellapp.cell.driving.records import ImportResult
 from cellapp.commands.record import Request, View
+from cellapp.commands.view.recordings import recording_tables
 from cellapp.ground.counting import counted
 
 
 def view(result: ImportResult, request: Request | None = None) -> View:
-    """How many readings each arm has, and what was noticed."""
-    return View(
-        (*(f"arm {name}: {counted(count, 'reading')}" for name, count in result.readings.items()), *result.notes),
-        held="; ".join(result.notes),
-    )
+    """How many readings each arm has, its recordings, and what was noticed."""
+    counts = (f"arm {name}: {counted(count, 'reading')}" for name, count in result.readings.items())
+    return View((*counts, *recording_tables(result.recordings), *result.notes), held="; ".join(result.notes))

@@ -106,7 +106,10 @@ class LocateResult(Result):
             return []
         found = next((one for one in self.other_motions if one.explains), None)
         if found is None:
-            return [f"{self._unexplained()}; neither does a moved base or SMR. {self._worst()}. Calibrate again"]
+            return [
+                f"no motion of the tracker explains the points: they are off by {self.rms_mm:.3f} mm rms; neither does"
+                f" a moved base or SMR. {self._worst()}. Calibrate again"
+            ]
         if found.kind == "smr":
             return [
                 f"the SMR of arm {found.arm} sits {found.shift_mm:.3f} mm from where it was on the flange: it was"
@@ -123,9 +126,6 @@ class LocateResult(Result):
             f"arm {found.arm} and {others} were moved against each other by {by}: the base of one of them was moved,"
             " and the tracker too"
         )
-
-    def _unexplained(self) -> str:
-        return f"no motion of the tracker explains the points: they are off by {self.rms_mm:.3f} mm rms"
 
     def _worst(self) -> str:
         worst = max(self.points, key=lambda point: sum(mm**2 for mm in point.residual_mm))

@@ -12,6 +12,7 @@ from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_stati
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import known_readings
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.locate.result import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
@@ -27,7 +28,7 @@ from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.results import LOCATE
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.effects.law import DriverVariable
-from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, xyz_of, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, rpy_of, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import pose_matrix
 from cellapp.robot.model.relocation import relocated
@@ -91,7 +92,7 @@ def locate_run(
         profile=profile_at_station(run, stages, simulated_pose),
         model=model_of(run, used),
         rough_T=_rough_station(run, stages, tracker_pose),
-        candidates={name: run.readings(name).q for name in run.profile.arms},
+        candidates={name: known_readings(run, name).q for name in run.profile.arms},
         excess_m=excess_of_readings(run, model_of(run, used)),
         points=points,
         still_m=run.profile.collection.reference.drift,
@@ -268,5 +269,4 @@ def _added_mm(found: LocatedStation) -> float:
 
 
 def _pose(T: Array) -> StationPose:
-    yaw, pitch, roll = zyx_angles(T[:3, :3])
-    return StationPose(position=xyz_of(T[:3, 3]), rpy=(roll, pitch, yaw))
+    return StationPose(position=xyz_of(T[:3, 3]), rpy=rpy_of(T[:3, :3]))

@@ -39,6 +39,11 @@ class PlanRequest(Request):
     freeze: Annotated[str | None, Asked("Configurations, as 0-9,12, that later designs of the run leave.", "LIST")] = (
         None
     )
+    sweeps: Annotated[
+        int | None,
+        Field(ge=1, le=MOST_STOPS),
+        Asked("Plan N stops, and at each of them a recorded sweep of every arm.", "N"),
+    ] = None
     view: Annotated[bool, Asked("Only say what the tracker sees of each arm's workspace; nothing is stored.")] = False
 
     def job_name(self) -> str:
@@ -55,6 +60,7 @@ class PlanRequest(Request):
             "--replan": self.replan,
             "--freeze": self.freeze is not None,
             "--view": self.view,
+            "--sweeps": self.sweeps is not None,
         }
         words = [word for word, is_given in given.items() if is_given]
         if len(words) > 1:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.records import PlanResult
+from cellapp.cell.driving.records import PlanResult, SweepCount
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
 from cellapp.cell.planning.design_records import ViewResult
@@ -25,6 +25,7 @@ from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
 from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
 from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops, write_planned_stops
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_sweeps
 from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -62,7 +63,7 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | View
         return plan_from_file(profile, request.source, request.folder, *watched)
     if request.keep is not None:
         return plan_around_file(profile, request.keep, request.folder, *watched)
-    return plan_new_run(profile, request.folder, *watched)
+    return plan_new_run(profile, request.folder, *watched, sweeps=request.sweeps)
 
 
 def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
@@ -80,9 +81,16 @@ def default_folder(profile_name: str) -> Path:
 
 
 def new_planned_run(
-    profile: Profile, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+    profile: Profile,
+    folder: Path,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    sweeps: int | None = None,
 ) -> RunFile:
     """A new run with its plan. Nothing is left behind where there is no plan, or on request.
+
+    With ``sweeps`` the plan has this many stops, and at each a sweep of every arm.
 
     Raises
     ------
@@ -91,18 +99,32 @@ def new_planned_run(
     Cancelled
     """
 
+    if sweeps is not None:
+        plan = profile.plan.model_copy(update={"stops": sweeps, "reserve": 0})
+        profile = profile.model_copy(update={"plan": plan})
+
     def fill(run: RunFile) -> None:
         with one_blas_thread():
-            plan_run(run, with_eta(listener), cancel)
+            stops = plan_run(run, with_eta(listener), cancel)
+            if sweeps is not None:
+                planned = plan_sweeps(profile, stops, with_eta(listener), cancel)
+                run.write_result(SWEEPS_RESULT, planned.model_dump_json())
+                for note in planned.notes:
+                    run.log("note", note)
 
     return RunFile.create(folder, profile, fill)
 
 
 def plan_new_run(
-    profile: Profile, folder: Path, listener: Listener = ignore, cancel: CancelToken | None = None
+    profile: Profile,
+    folder: Path,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    sweeps: int | None = None,
 ) -> PlanResult:
-    """Make a new run with its plan. Raises as ``new_planned_run`` does."""
-    with new_planned_run(profile, folder, listener, cancel) as run:
+    """Make a new run with its plan. Arguments and errors are as of ``new_planned_run``."""
+    with new_planned_run(profile, folder, listener, cancel, sweeps=sweeps) as run:
         return plan_result(run)
 
 
@@ -118,8 +140,16 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
         reserves=len(reserves),
         design=read_plan_design(run),
         time=planned_time(run.profile, visited),
+        sweeps=planned_sweeps(run),
         notes=tuple(notes),
     )
+
+
+def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
+    """Number and duration of the planned sweeps of each arm; None without any."""
+    sweeps = read_sweeps(run)
+    times = {name: [one.period_s for one in sweeps if one.arm == name] for name in run.profile.arms}
+    return {name: SweepCount(n=len(its), seconds=sum(its)) for name, its in times.items()} if sweeps else None
 
 
 def planned_stops(run: RunFile) -> StopsResult:

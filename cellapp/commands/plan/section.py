@@ -36,7 +36,7 @@ def plan_section(run: RunFile) -> Section | None:
         about += (
             " The stops were chosen to tell most about geometry and effects. Expected errors follow from the tracker's"
             " noise, with geometry and all these effects unknown; beside them are those of random plans of the same"
-            " size. `cellapp docs planning` explains them."
+            " size. 'cellapp docs planning' explains them."
         )
     return section_of(
         "",

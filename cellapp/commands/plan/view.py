@@ -13,6 +13,7 @@ from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.plan.tracker_view import view_sentences, view_tables
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.ground.counting import counted
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
@@ -24,7 +25,8 @@ def view(
     """What was planned, refused, foreseen or seen; a check fails where the safety gate refuses something."""
     match result:
         case PlanResult():
-            return View((*plan_result_tables(result), *plan_lines(result)), held="; ".join(result.notes))
+            parts: tuple[Table | str, ...] = (*plan_result_tables(result), *plan_lines(result), *sweep_lines(result))
+            return View(parts, held="; ".join(result.notes))
         case PlanCheckResult():
             verdict, *offences = check_sentences(result)
             return View((*offences, verdict), held=verdict) if result.is_safe else View(offences, (verdict,), "plan")
@@ -36,6 +38,14 @@ def view(
     design = result.design
     told: tuple[Table | str, ...] = () if design is None else (*design_tables(design), *design_sentences(design))
     return View((*plan_tables(result), *planned, *told))
+
+
+def sweep_lines(result: PlanResult) -> list[str]:
+    """How many sweeps each arm makes, and how long they last."""
+    return [
+        f"arm {name}: {counted(its.n, 'sweep')} about its stops, {its.seconds / 60.0:.1f} min"
+        for name, its in (result.sweeps or {}).items()
+    ]
 
 
 def plan_tables(stops: StopsResult) -> list[Table]:

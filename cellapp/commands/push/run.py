@@ -12,6 +12,7 @@ from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.push import Visited, push
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import all_known_readings
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target
@@ -177,7 +178,7 @@ def push_commands(job: PushJob, listener: Listener, control: JobControl, confirm
 def judge_of(run: RunFile, profile: Profile) -> Judge:
     """Who decides on tolerances in a run: with the uncertainty that its results and readings give."""
     results = read_stage_results(run)
-    measured = measured_conditions({name: run.readings(name) for name in run.arms()})
+    measured = measured_conditions(all_known_readings(run))
     return Judge(profile, {name: evidence_of(results, name, measured.get(name)) for name in profile.arms})
 
 

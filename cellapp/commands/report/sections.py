@@ -30,13 +30,14 @@ from cellapp.commands.calibrate.detail_tables import (
     nominal_and_identified_tables,
     pair_tables,
 )
+from cellapp.commands.calibrate.motion_view import motion_sentences
 from cellapp.commands.calibrate.view import cooperative_noise_mm, detailed_tables, distance_mm, transform_tables
 from cellapp.commands.check.view import view as check_view
 from cellapp.commands.collect.charts_drift import residual_drift_chart
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collection_section
 from cellapp.commands.compensate.section import targets_section
-from cellapp.commands.discover.sections import discovery_section
+from cellapp.commands.discover.view import discovery_section
 from cellapp.commands.export.run import lost_by_arm
 from cellapp.commands.follow.view import paths_section, stored_paths
 from cellapp.commands.iso9283.view import view as iso9283_view
@@ -45,10 +46,9 @@ from cellapp.commands.plan.section import plan_section
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
-from cellapp.commands.report.judged import judgement_table
 from cellapp.commands.report.provenance import provenance_facts
 from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
-from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence
+from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -132,6 +132,7 @@ def _accuracy(data: ReportData) -> Section:
             *_absent_stages(data),
             *accuracy_charts(data),
             *detailed_tables(calibrate),
+            *motion_sentences(calibrate),
             Section("Terms: models, errors, noise floor", [*_terms(calibrate)], folded=True),
         ],
         _accuracy_message(data),
@@ -238,7 +239,7 @@ def _iso9283(data: ReportData) -> Section | None:
     """Also of tests that do not hold any more, which the section then says."""
     result = data.results.iso9283
     about = (
-        "Each arm was driven through the cube, the poses and the cycles of ISO 9283:1998; `cellapp docs iso9283` has"
+        "Each arm was driven through the cube, the poses and the cycles of ISO 9283:1998; 'cellapp docs iso9283' has"
         " the formulas and says what one SMR cannot show."
     )
     return None if result is None else section_of("", iso9283_view(result).parts, about=about)
@@ -248,7 +249,7 @@ def _check(data: ReportData) -> Section | None:
     """Only of a check that holds: one of another model says nothing."""
     result = data.results.held_check
     about = (
-        "A few stops were measured again and compared with what the stored model expects there; `cellapp docs check`"
+        "A few stops were measured again and compared with what the stored model expects there; 'cellapp docs check'"
         " explains how that is judged."
     )
     return None if result is None else section_of("", check_view(result).parts, about=about)
@@ -367,7 +368,7 @@ def _cell(data: ReportData) -> Section:
 def _parameters(data: ReportData, lost: list[str]) -> Section:
     tables = [*nominal_and_identified_tables(data.calibrate, data.calibrated), *merged_tables(data.calibrate)]
     others = (
-        "Other programs read the geometry of the model in force: `cellapp export DIR --as FORMAT --out FILE`, with"
+        "Other programs read the geometry of the model in force: 'cellapp export DIR --as FORMAT --out FILE', with"
         f" {', '.join(formats_of(ExportFormat))}. No file of a rigid chain holds the rest of the model; without it the"
         f" SMR is off, over the workspace of the readings: {'; '.join(lost)}."
     )
@@ -401,7 +402,7 @@ def _parameters_message(data: ReportData) -> str:
 
 def _notes(data: ReportData) -> Section | None:
     notes, missing = warnings(data), missing_results(data)
-    counts = [f"{counted(len(notes), 'warning')} or note{'s' if len(notes) != 1 else ''}"] if notes else []
+    counts = [counted(len(notes), "warning or note", "warnings or notes")] if notes else []
     counts += [f"{counted(len(missing), 'result')} not in this report"] if missing else []
     about = "DIR is the folder of this run, TARGETS a list of targets."
     parts = [
@@ -418,7 +419,8 @@ def _provenance(data: ReportData) -> Section:
     return Section(
         "",
         [provenance_facts(data), *([Section("Log of the run", [log])] if log.rows else [])],
-        f"Calibrated by {origin.program} on {day_of(origin.written)} from {count} readings; hashes identify the data.",
+        f"Calibrated by {origin.program} on {day_of(origin.written)} from {counted(count, 'reading')}; hashes"
+        " identify the data.",
     )
 
 

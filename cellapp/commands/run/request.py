@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+from pydantic import Field
+
 from cellapp.commands.fields import ProfilePath
 from cellapp.commands.record import Asked, Request, Verb
 
@@ -15,6 +17,11 @@ class RunRequest(Request):
     profile: ProfilePath
     folder: Annotated[
         Path | None, Asked("Folder of the new run; else a new one below logs/.", "DIR", option="--run")
+    ] = None
+    sweeps: Annotated[
+        int | None,
+        Field(ge=1, le=1000),
+        Asked("Measure N stops only, and record a sweep of every arm about each; for simulated cells.", "N"),
     ] = None
 
 

@@ -25,7 +25,9 @@ from cellapp.ground.progress import Listener, ignore
 def run(request: RunRequest, work: Work) -> WholeRunResult:
     """Do everything."""
     ask = work.ask(load_profile(request.profile).name)
-    return run_whole(request.profile, request.folder, work.write_page, work.listener, work.control, ask=ask)
+    return run_whole(
+        request.profile, request.folder, work.write_page, work.listener, work.control, ask=ask, sweeps=request.sweeps
+    )
 
 
 def run_whole(
@@ -36,10 +38,11 @@ def run_whole(
     control: JobControl | None = None,
     *,
     ask: Ask | None = None,
+    sweeps: int | None = None,
 ) -> WholeRunResult:
     """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report by ``write_page``.
 
-    ``ask`` is asked before the first motion of real arms, once.
+    ``ask`` is asked before the first motion of real arms, once. ``sweeps`` is as of ``new_planned_run``.
 
     Raises
     ------
@@ -57,7 +60,7 @@ def run_whole(
         targets = load_targets(profile_path.parent / profile.targets, profile)
     notes: list[str] = []
     with (
-        new_planned_run(profile, folder or default_folder(profile.name), listener, control) as run,
+        new_planned_run(profile, folder or default_folder(profile.name), listener, control, sweeps=sweeps) as run,
         running_job(run, control, "run", listener) as listener,
     ):
         collected = collect_planned(run, listener, control, ask)

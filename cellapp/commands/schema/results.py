@@ -38,11 +38,9 @@ def json_schemas(results: Iterable[type[Result]]) -> dict[str, dict[str, Any]]:
 
     As ``--json`` writes NaN and infinity as null, every number may be null.
     """
-    return {_schema_name(result): _nullable_numbers(result.model_json_schema()) for result in results}
-
-
-def _schema_name(result: type[Result]) -> str:
-    return str(result.model_fields["schema_"].default)
+    return {
+        str(result.model_fields["schema_"].default): _nullable_numbers(result.model_json_schema()) for result in results
+    }
 
 
 def _nullable_numbers(schema: Any) -> Any:

@@ -11,7 +11,7 @@ from cellapp.commands.fields import RunFolder, Strict
 from cellapp.commands.record import Asked, Request, Verb
 from cellapp.commands.storing import STORING
 
-OWN_PARTS = ("overview", "plan", "collection", "log", "profile", "history")
+OWN_PARTS = ("overview", "plan", "collection", "recordings", "log", "profile", "history")
 """What a run holds beside the results of verbs."""
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import SerializeAsAny
 
-from cellapp.cell.run.records import ArmOrder
+from cellapp.cell.run.records import ArmOrder, RecordingState
 from cellapp.commands.next_step import ArmState
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.stages import NextVerb
@@ -59,6 +59,15 @@ class OverviewResult(Result):
     next_step: str
     complaints: tuple[str, ...] = ()
     not_seen_at_rest: Mapping[str, UnseenArmState] = {}
+
+
+class RecordingsResult(Result):
+    """``show DIR recordings``: the recordings of motion that a run holds."""
+
+    schema_: Literal["cellapp-recordings"] = "cellapp-recordings"
+    version: Literal[1] = 1
+    run: str
+    recordings: tuple[RecordingState, ...]
 
 
 class HistoryResult(Result):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from cellapp.cell.planning.check import check_plan_run
 from cellapp.cell.planning.forecast import forecast_run
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.recordings import recording_states
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.compensate.details import stored_state
 from cellapp.commands.out_of_date import complaints_of
@@ -13,7 +14,7 @@ from cellapp.commands.record import Work
 from cellapp.commands.report.result import read_results
 from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
-from cellapp.commands.show.result import Shown
+from cellapp.commands.show.result import RecordingsResult, Shown
 from cellapp.commands.show.tables import profile_text
 from cellapp.commands.storing import STORING
 from cellapp.ground.errors import InputError
@@ -42,11 +43,21 @@ def _found(run: RunFile, request: ShowRequest, work: Work) -> Shown:
                     f"{run.path}: no session of collecting is recorded; an import or an older version made this run"
                 )
             return Shown(part=request.part, result=state)
+        case "recordings":
+            return Shown(part=request.part, result=_recordings(run))
         case "log":
             return Shown(part=request.part, result=run_log(run, request.level, request.last))
         case "profile":
             return Shown(part=request.part, text=profile_text(run.profile))
     return _stored(run, request) if request.target is None else _target(run, request.target)
+
+
+def _recordings(run: RunFile) -> RecordingsResult:
+    if not (states := recording_states(run)):
+        raise InputError(
+            f"{run.path}: it holds no recording of motion; 'cellapp import' with --joints and --points makes a run"
+        )
+    return RecordingsResult(run=str(run.folder), recordings=states)
 
 
 def _plan(run: RunFile, request: ShowRequest, work: Work) -> Result:

@@ -8,9 +8,10 @@ from cellapp.commands.compensate.details import details_tables, stored_state, ta
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.record import Request, View
 from cellapp.commands.show.request import ShowRequest
-from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, Shown
+from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, RecordingsResult, Shown
 from cellapp.commands.show.tables import history_lines, log_lines, overview_sentences, overview_tables
 from cellapp.commands.storing import STORING
+from cellapp.commands.view.recordings import recording_tables
 
 
 def view(found: Shown, request: Request | None = None) -> View:
@@ -30,6 +31,8 @@ def _view_of(found: Shown, request: Request | None) -> View:
             return View((*overview_tables(found.result), *overview_sentences(found.result)))
         case HistoryResult():
             return View(history_lines(found.result))
+        case RecordingsResult():
+            return View(recording_tables(found.result.recordings))
         case LogResult():
             return View(log_lines(found.result) or ("no log lines to show",))
         case CollectionResult():

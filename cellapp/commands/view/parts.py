@@ -6,6 +6,7 @@ and below: within a section they show sentences, then charts, then tables, then 
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Union
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 Part = Union[str, "Facts", "Chart", "CellScene", Table, "Section"]
 """Charts load numpy, which a terminal that draws none needs not."""
 Parts = Sequence[Part]
+_WIDTH = 80
+"""Columns of a terminal."""
 
 
 @dataclass(frozen=True)
@@ -57,16 +60,28 @@ class Section:
     outdated: str = ""
 
 
-def printed(parts: Parts) -> Iterator[Table | str]:
-    """Lines and tables in their order, as plain text shows them: titles and messages of sections, no chart."""
+def printed(parts: Parts, depth: int = 0) -> Iterator[Table | str]:
+    """Lines and tables in their order, as plain text shows them: without charts, details, and what explains them.
+
+    What stands in a section is indented below its title, and wrapped for a terminal of 80 columns.
+    """
     for part in parts:
         if isinstance(part, Section):
-            yield from filter(None, (part.title, part.message, part.about))
-            yield from printed(part.parts)
+            inside = [] if part.folded else [*filter(None, [part.message]), *part.parts]
+            body = list(printed(inside, depth + 1))
+            yield from (*_indented(part.title, depth), *body, *([] if depth else [""])) if body else ()
         elif isinstance(part, Facts):
-            yield from (f"{title}: {text}" if title else f"  {text}" for title, text in part.rows)
-        elif isinstance(part, str | Table):
+            for title, text in part.rows:
+                yield from _indented(f"{title}: {text}" if title else f"  {text}", depth)
+        elif isinstance(part, str):
+            yield from _indented(part, depth) if depth else [part]
+        elif isinstance(part, Table):
             yield part
+
+
+def _indented(text: str, depth: int) -> list[str]:
+    first = "  " * depth + text[: len(text) - len(text.lstrip())]
+    return textwrap.wrap(text.strip(), _WIDTH, initial_indent=first, subsequent_indent=f"{first}  ")
 
 
 def sentence(text: str) -> str:

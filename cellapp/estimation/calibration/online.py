@@ -203,7 +203,9 @@ class OnlineFit:
         except ValueError as error:
             raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
         self._table = auto_set(typical, planned_q) if parameter_set == "auto" else self._parameters
-        weak = {**weak_priors(nominal.joints), **_tool_priors(tool_unknown=tool_unknown)}
+        # the base has none: four points determine it
+        tool = dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M)
+        weak = {**weak_priors(nominal.joints), **tool}
         self._precision = 1.0 / prior_sds(self._parameters, weak | dict(priors)) ** 2
         self._spreads = prior_spreads(self._parameters, set(priors) - set(given))
         self._rows = _Rows(self._parameters, planned_q, gravity)
@@ -473,8 +475,3 @@ class _Rows:
         """Gravity torques (n, N) [Nm]."""
         assert self._gravity is not None
         return gravity_loads(frame_poses(origin, q), self._gravity.bodies, self._gravity.up_M).joint_torques()
-
-
-def _tool_priors(*, tool_unknown: bool) -> dict[str, float]:
-    """Standard deviations [m] of the SMR offset. The base has none: four points determine it."""
-    return dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M)

@@ -124,6 +124,66 @@ class ArmPriorResult(Record):
     changes: tuple[SignatureChange, ...] = ()
 
 
+class ClockSegmentResult(Record):
+    """Offset of the clocks between two steps of either: from ``first_s`` to ``last_s``, stamps of the tracker."""
+
+    offset_s: float
+    offset_standard_error_s: float
+    first_s: float
+    last_s: float
+
+
+class ClockResult(Record):
+    """The tracker's clock against the controller's in one recording.
+
+    ``offset_s`` is the tracker's stamp less the controller's of the same instant, at the tracker's stamp ``at_s``;
+    ``rate_ppm`` is by how much the tracker's clock is faster. Intervals hold with 95 %. Steps are pairs of a stamp and
+    the size [s]; where there are some, ``offset_s`` is that of the first of the ``segments`` between them.
+    """
+
+    offset_s: float
+    offset_standard_error_s: float
+    offset_interval_s: tuple[float, float]
+    rate_ppm: float
+    rate_standard_error_ppm: float
+    rate_interval_ppm: tuple[float, float]
+    at_s: float
+    steps_of_joints: tuple[tuple[float, float], ...] = ()
+    steps_of_points: tuple[tuple[float, float], ...] = ()
+    segments: tuple[ClockSegmentResult, ...] = ()
+    correlation: float
+
+
+class RecordingResult(Record):
+    """One recording in the fit: points in all, learnt from, of held-out blocks, left out as gross errors, at times at
+    which the joints are not known; how many independent points those that were learnt from are worth; ``scatter_mm`` is
+    the standard deviation of a coordinate of the residuals."""
+
+    points: int
+    learnt: int
+    held_out: int
+    gross: int
+    in_gaps: int
+    effective_points: float
+    scatter_mm: float
+    heldout_rms_mm: float | None
+
+
+class MotionResult(Record):
+    """What recordings of motion told of an arm.
+
+    ``half_play`` is how far each joint lies behind its motor against its last motion, ``validate_`` the errors at the
+    points of held-out blocks of time, ``undetermined`` says what these data cannot determine.
+    """
+
+    recordings: Mapping[str, RecordingResult]
+    effective_points: float
+    half_play: Mapping[str, Estimate]
+    stops_scatter_mm: float | None = None
+    validate_: Mapping[Stage, StageErrors]
+    undetermined: tuple[str, ...] = ()
+
+
 class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
@@ -132,7 +192,8 @@ class ArmCalibrationResult(Record):
     uncertainty, ``tracker_mm`` the rms length of the stated noise. Where an earlier calibration was taken as ``prior``,
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
-    ``splits`` counts the others.
+    ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
+    has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion.
     """
 
     identified: Mapping[str, Estimate]
@@ -155,7 +216,9 @@ class ArmCalibrationResult(Record):
     left_out_configurations: tuple[int, ...] = ()
     left_out_splits: Mapping[str, int] = {}
     validate_: Mapping[Stage, StageErrors]
-    omitted_when_none = frozenset({"prior"})
+    clocks: Mapping[str, ClockResult] | None = None
+    motion: MotionResult | None = None
+    omitted_when_none = frozenset({"prior", "clocks", "motion"})
 
     @property
     def best_stage(self) -> Stage:

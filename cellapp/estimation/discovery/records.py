@@ -258,6 +258,33 @@ class Contradiction(Record):
     sentence: str
 
 
+class MotionEffectResult(Record):
+    """An effect that recordings of motion show; ``only_motion`` says why stops cannot, None where they can.
+
+    ``at_rest``: whether it belongs into commands of poses at rest.
+    """
+
+    effect: str
+    title: str
+    joints: tuple[int, ...]
+    parameters: Mapping[str, Estimate]
+    evidence: Evidence
+    only_motion: str | None = None
+    at_rest: bool
+
+
+class MotionDiscoveryResult(Record):
+    """What recordings of motion show of an arm; ``heldout_mm`` are rms errors at held-out blocks of time.
+
+    ``used``: whether the model with these effects is the one from now on.
+    """
+
+    effects: tuple[MotionEffectResult, ...]
+    heldout_mm: BeforeAfter
+    used: bool
+    seconds: float | None = None
+
+
 class ArmDiscoveryResult(Record):
     """Discovery in the data of one arm; ``heldout_mm`` are rms errors on stops that the search did not see.
 
@@ -288,8 +315,10 @@ class ArmDiscoveryResult(Record):
     pictures: tuple[Picture, ...] = ()
     validate_: Mapping[Stage, StageErrors] = {}
     left_out_configurations: tuple[int, ...] = ()
+    motion: MotionDiscoveryResult | None = None
     verdict: Verdict
     sentence: str
+    omitted_when_none = frozenset({"motion"})
 
 
 class Discrimination(Record):

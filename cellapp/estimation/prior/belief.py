@@ -169,7 +169,7 @@ def own_columns(columns: tuple[int, ...], joints: int) -> NDArray[np.intp]:
 
 def own_places(columns: tuple[int, ...], model: ArmModel) -> NDArray[np.intp]:
     """Places of the arm's own parameters among geometric parameters and the values of a model's effects."""
-    of_terms = np.repeat([EFFECTS[term.slug].arm_bound for term in model.effects], _sizes(model)).astype(bool)
+    of_terms = np.array([EFFECTS[term.slug].arm_bound for term in model.effects for _ in term.names], dtype=bool)
     own = own_columns(columns, model.geometry.joints)
     return np.concatenate([own, len(columns) + np.flatnonzero(of_terms)]).astype(np.intp)
 
@@ -177,10 +177,6 @@ def own_places(columns: tuple[int, ...], model: ArmModel) -> NDArray[np.intp]:
 def is_smooth(term: EffectTerm) -> bool:
     """Whether the values of a term have a prior: those of a free function."""
     return term.law.form.is_smooth
-
-
-def _sizes(model: ArmModel) -> list[int]:
-    return [len(term.names) for term in model.effects]
 
 
 def sizes(profile: Profile, model: ArmModel, measured: Measured) -> Array:

@@ -100,7 +100,7 @@ class DaskCluster:
         digest = hashlib.sha256(common.encode()).hexdigest()
         with self._lost_as_sentence():
             # a task of its own: the scheduler has the text once, and makes it again if its worker is killed
-            shared = self.client.submit(_itself, common, key=f"cellapp-common-{digest}", pure=False)
+            shared = self.client.submit(str, common, key=f"cellapp-common-{digest}", pure=False)
             suspects: list[Task] = []
             for task, answer in self._several(shared, program, tasks, cancel):
                 if answer is None:
@@ -199,10 +199,6 @@ def _silence_dask() -> None:
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
-
-
-def _itself(text: str) -> str:
-    return text
 
 
 def _answer(future: Future) -> Answer | None:

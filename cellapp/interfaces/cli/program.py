@@ -15,7 +15,7 @@ from typing import Any, NoReturn, TextIO, cast
 
 import typer
 
-from cellapp.ground.errors import CellappError
+from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.progress import Cancelled
 from cellapp.interfaces.cli.job import HANGUP, INTERRUPTS
@@ -23,6 +23,8 @@ from cellapp.interfaces.cli.job import HANGUP, INTERRUPTS
 EXIT_UNEXPECTED = 1
 EXIT_INTERRUPTED = 4
 _ERROR_LOG = "cellapp-error.log"
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What a disk or device answers that takes no more."""
 
 
 def run_program(app: Callable[[], object]) -> None:
@@ -61,20 +63,35 @@ def _ended(app: Callable[[], object]) -> None:
         if isinstance(ended.__context__, OSError) and ended.__context__.errno == errno.EPIPE:  # typer's own exit code
             _reader_gone()
         raise
+    except OSError as error:
+        if error.errno not in _FULL or error.filename is not None:
+            _unexpected(error)
+        _complain(f"standard output cannot be written ({os.strerror(error.errno or 0)}); nothing more is printed")
+        _print_nowhere()
+        sys.exit(InputError.exit_code)
     except Exception as error:  # noqa: BLE001 - the last door: a user gets a sentence, the trace goes to a file
-        with contextlib.suppress(CellappError):
-            RENEWED.write_text(Path(_ERROR_LOG), traceback.format_exc())
-        _complain(error_text(error))
-        sys.exit(EXIT_UNEXPECTED)
+        _unexpected(error)
+
+
+def _unexpected(error: Exception) -> NoReturn:
+    with contextlib.suppress(CellappError):
+        RENEWED.write_text(Path(_ERROR_LOG), traceback.format_exc())
+    _complain(error_text(error))
+    sys.exit(EXIT_UNEXPECTED)
 
 
 def _reader_gone() -> NoReturn:
     """End as any program does whose reader, as ``head``, has read enough. Nothing more is written to it."""
+    _print_nowhere()
+    sys.exit(0)
+
+
+def _print_nowhere() -> None:
+    """Let what is still to be printed vanish: where it would go takes nothing any more."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     with contextlib.suppress(OSError, ValueError):  # a stream of a test has no number
         os.dup2(nowhere, sys.__stdout__.fileno() if sys.__stdout__ else 1)
     os.close(nowhere)
-    sys.exit(0)
 
 
 def error_text(error: BaseException) -> str:

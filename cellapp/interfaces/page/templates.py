@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from jinja2 import Template
 
-_QUOTED = re.compile(r"`([^`<>]+)`")
-"""A command in a sentence."""
+_COMMAND = re.compile(r"&#39;(cellapp [^&]+)&#39;")
+"""A command in an escaped sentence."""
 _SHA_256 = re.compile(r"[0-9a-f]{64}")
 
 
@@ -26,6 +26,6 @@ def template(name: str) -> Template:
         lstrip_blocks=True,
     )
     environment.filters["svg"] = Markup  # made by cellapp, without any text that a user wrote
-    environment.filters["prose"] = lambda text: Markup(_QUOTED.sub(r"<code>\1</code>", str(escape(text))))
+    environment.filters["prose"] = lambda text: Markup(_COMMAND.sub(r"<code>\1</code>", str(escape(text))))
     environment.filters["is_hash"] = lambda text: bool(_SHA_256.fullmatch(text))
     return environment.get_template(name)

@@ -140,7 +140,7 @@ class RunMachine(RuleBasedStateMachine):
     @rule()
     def die_while_writing(self) -> None:
         """A death in the middle of a transaction leaves nothing of it."""
-        with contextlib.suppress(KeyboardInterrupt), self.run._transaction() as connection:
+        with contextlib.suppress(KeyboardInterrupt), self.run.change() as connection:
             connection.execute("INSERT INTO event (written, level, text) VALUES ('', 'info', ?)", (LONG_TEXT,))
             connection.execute("DELETE FROM reading")
             copy = self._copied()

@@ -1,4 +1,4 @@
-"""Certificates of a run: they state what it holds, name what lacks, and show whatever was changed afterwards."""
+"""Certificates of a run: they state what it holds, name what is missing, and show whatever was changed afterwards."""
 
 from __future__ import annotations
 

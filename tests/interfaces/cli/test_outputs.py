@@ -289,6 +289,12 @@ def test_devices_pipes_and_standard_output_are_written_to_as_they_are(run_file: 
         done = program("schema", "--json", "-", stdout=out)
     assert done.returncode == 2
     assert b"cellapp: --json: standard output cannot be written (No space left on device)" in done.stderr
+    for words in (("schema",), ("docs", "effects"), ("show", "R")):
+        with Path("/dev/full").open("wb") as out:
+            done = program(*words, stdout=out)
+        assert done.returncode == 2, words
+        told = b"cellapp: standard output cannot be written (No space left on device); nothing more is printed"
+        assert done.stderr.splitlines() == [told], words
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell with pipes")

@@ -17,11 +17,10 @@ from cellapp.commands.discover.tables import (
     invisible_table,
     not_found_table,
     numbered_steps_table,
-    parameter_table,
     size_tables,
     structure_table,
 )
-from cellapp.commands.discover.view import discovery_lines, meaning_lines
+from cellapp.commands.discover.view import explanation_text, view
 from cellapp.commands.discover.words import (
     contradiction_sentences,
     description_sentences,
@@ -30,6 +29,7 @@ from cellapp.commands.discover.words import (
     remainder_sentences,
     rival_sentences,
 )
+from cellapp.commands.view.parts import printed
 from cellapp.commands.view.table import format_cell
 from cellapp.commands.view.words import interval_95, law_words, place_words, probability_words, ranges, short_reason
 from cellapp.estimation.discovery.records import (
@@ -56,48 +56,58 @@ from tests.robot.effects.cell import context_of
 
 pytestmark = pytest.mark.fast
 
-MOST_LINES = 30
+
+def terminal_lines(result: DiscoverResult) -> list[str]:
+    """What a terminal shows, tables as their cells, a line each."""
+    lines: list[str] = []
+    for part in printed(view(result).parts):
+        lines += [part] if isinstance(part, str) else [part.title, *("  ".join(row) for row in part.text_rows())]
+    return lines
 
 
-def test_a_terminal_shows_the_five_things_in_few_lines() -> None:
-    lines = discovery_lines(discovery("left", "right"))
+def test_a_terminal_shows_steps_effects_alternatives_what_is_invisible_and_the_verdict() -> None:
+    lines = terminal_lines(discovery("left", "right"))
     assert max(len(line) for line in lines) <= 80
-    left, right = "\n".join(lines).split("\nArm right\n")
-    assert len(left.splitlines()) <= MOST_LINES
-    assert len(right.splitlines()) <= MOST_LINES
+    left, right = (" ".join(part.split()) for part in "\n".join(lines).split("\nArm right: nothing missing\n"))
     for text in (
-        "0.4906  geometry alone",
-        "0.0299  a data-driven term added",
-        "0.0312  final model",
-        "0.0223  noise floor",
-        "joint 1: 9-37 (212 µrad rms), joint 2: 14 (80 µrad rms)",
-        "joint 5 depends on q2, about c |sin(q2)|",
-        "or instead   of joint_compliance: pedestal_compliance or link_bending",
-        "not visible  backlash: no approach signs\n",
-        "tracker_scale: geometry follows nearly all of it\n",
-        "law not quite as expected: what joint_compliance moves beside its law is 18",
-        "possible too link_bending (13 %)\n",
-        "remainder    what is left still depends on time (p below 0.001)",
-        "verdict      unknown effect: something that the library does not have",
+        "Arm left: unknown effect Something that the library does not have",
+        "0 geometry alone 0.4906",
+        "a data-driven term added 0.0299",
+        "final model 0.0312",
+        "noise floor 0.0223",
+        "1 9 to 37 11 212 2 14 14 80",
+        "depends on q2",
+        "pedestal_compliance or link_bending would explain these data as well as joint_compliance",
+        "Not visible in these data: backlash (no approach signs), tracker_scale (geometry follows nearly all of it).",
+        "Law not quite as expected: what joint_compliance moves beside its law is 18 %",
+        "Not accepted, but possible: link_bending (13 %).",
+        "What is left still depends on time (p below 0.001).",
+        "joint_compliance joints 2-4, 6 87 % 0.005 0.4512 0.0312",
+        "What it means: joint compliance, joints 2-4, 6",
+        "The gears of joints 2, 3, 4 and 6 twist. Usual size: 1 to 3 mm (computed).",
+        "Repeat 20 stops with a second payload.",
+        "More: 'cellapp docs joint_compliance'",
     ):
         assert text in left
-    (row,) = [line.split() for line in left.splitlines() if line.startswith("  joint_compliance")]
-    assert row == ["joint_compliance", "joints", "2-4,", "6", "87", "%", "0.005", "0.4512", "->", "0.0312"]
-    assert "accepted" not in right
-    assert "verdict      nothing missing: 23 µm rms" in right
+    assert "accepted effects" not in right
+    assert "23 um rms" in right or "23 µm rms" in right
+    assert "probability of each effect" not in left, "details are left out"
 
 
-def test_long_words_are_wrapped_and_long_reasons_are_cut() -> None:
+def test_long_words_are_wrapped() -> None:
     arm = unknown_effect("left")
-    step = arm.steps[1].model_copy(
-        update={"what": "dropped in review: " + ", ".join(["encoder eccentricity (one cycle per revolution)"] * 4)}
-    )
     backlash = arm.invisible[0].model_copy(update={"reason": "not testable: " + "no reason at all " * 9})
-    changed = {"steps": (arm.steps[0], step, arm.steps[2]), "invisible": (backlash, arm.invisible[1])}
-    lines = discovery_lines(DiscoverResult(arms={"left": arm.model_copy(update=changed)}))
+    changed = arm.model_copy(update={"invisible": (backlash, arm.invisible[1])})
+    lines = terminal_lines(DiscoverResult(arms={"left": changed}))
     assert max(len(line) for line in lines) <= 80
-    assert sum("eccentricity" in line for line in lines) > 1
-    assert sum("no reason at all" in line for line in lines) == 1
+    assert sum("no reason at all" in line for line in lines) > 1
+
+
+def test_the_explanations_of_all_arms_are_a_text() -> None:
+    text = explanation_text(discovery("left", "right"))
+    assert text.startswith("Arm left\n  Something behaves like backlash")
+    assert "Check or mend" in text
+    assert "held-out error after each step" not in text
 
 
 def test_the_same_steps_everywhere() -> None:
@@ -105,12 +115,11 @@ def test_the_same_steps_everywhere() -> None:
     steps = [("geometry alone", 0.4906), ("transmission error: a free curve a joint", 0.1112)]
     assert gap_steps(arm) == [*steps, ("a data-driven term added", 0.0299), ("final model", 0.0312)]
     first, accepted, *sizes, second = discovery_tables(discovery("left", "right"))
-    assert sizes == size_tables(discovery("left", "right"))
-    assert first.title == "Arm left: unknown effect"
-    assert [row[-1] for row in first.rows] == [row[-1] for row in numbered_steps_table("left", arm).rows]
+    assert sizes == size_tables("left", arm)
+    assert first == numbered_steps_table("left", arm)
     assert [row[0] for row in accepted.rows] == ["transmission_error", "joint_compliance", "unknown"]
     assert accepted.text_rows()[1][1:] == ("joints 2-4, 6", "87 %", "0.005", "0.4512", "0.0312")
-    assert second.title == "Arm right: nothing missing"
+    assert second.title == "Arm right: held-out error after each step"
     # the last step is the final model: no row of its own
     final = arm.model_copy(update={"heldout_mm": BeforeAfter(before=0.4906, after=0.0299)})
     assert gap_steps(final)[-1] == ("a data-driven term added", 0.0299)
@@ -122,8 +131,8 @@ def test_an_unknown_noise_floor_has_no_row(floor: float | None) -> None:
     left = result.arms["left"].model_copy(update={"noise_floor_mm": floor, "noise_mm": None})
     result = result.model_copy(update={"arms": {**result.arms, "left": left}})
     table = discovery_tables(result)[0]
-    assert "noise floor" not in [row[0] for row in table.rows]
-    assert sum("noise floor" in line for line in discovery_lines(result)) == 2  # the other arm's, and its verdict
+    assert "noise floor" not in [row[1] for row in table.rows]
+    assert sum("noise floor" in line for line in terminal_lines(result)) == 2  # the other arm's, and its verdict
 
 
 def test_an_estimated_noise_is_the_floor_and_is_said_to_be_estimated() -> None:
@@ -131,26 +140,7 @@ def test_an_estimated_noise_is_the_floor_and_is_said_to_be_estimated() -> None:
         update={"noise_floor_mm": None, "noise_mm": Noise(rms=0.031, source="estimated")}
     )
     result = DiscoverResult(arms={"left": arm})
-    assert discovery_tables(result)[0].text_rows()[-1] == ("noise floor, estimated", "0.0310")
-    assert "     0.0310  noise floor, estimated" in discovery_lines(result)
-
-
-def test_what_an_effect_means_stands_in_full() -> None:
-    lines = meaning_lines(discovery("left", "right"))
-    assert max(len(line) for line in lines) <= 80
-    assert lines[0] == "Arm left, joints 2-4, 6: joint compliance"
-    for text in (
-        "  cause    The gears of joints 2, 3, 4 and 6 twist.",
-        "  size     1 to 3 mm (computed)",
-        "  settle   - Repeat 20 stops with a second payload.",
-        "           - Log both encoders.",
-        "  more     cellapp docs joint_compliance",
-    ):
-        assert text in lines
-    arm = unknown_effect("left")
-    twice = arm.model_copy(update={"accepted": (*arm.accepted, arm.accepted[1])})
-    assert meaning_lines(DiscoverResult(arms={"left": twice}))[-2] == "  as joint_compliance above"
-    assert meaning_lines(DiscoverResult(arms={"right": nothing_missing("right")})) == []
+    assert discovery_tables(result)[0].text_rows()[-1] == ("", "noise floor, estimated", "0.0310")
 
 
 def test_probabilities_do_not_claim_certainty() -> None:
@@ -210,18 +200,16 @@ def test_rivals_that_remain_and_rivals_that_are_ruled_out() -> None:
 
 def test_parameters_have_intervals_in_people_s_units_and_curves_have_cycles() -> None:
     arm = unknown_effect("left")
-    parameters, cycles = parameter_table("left", arm), cycle_table("left", arm)
-    assert parameters is not None
+    sizes, cycles = size_tables("left", arm), cycle_table("left", arm)
     assert cycles is not None
     curve = "rms over a whole turn"
-    assert parameters.text_rows() == (
-        ("transmission_error", "joint 1", curve, "212.400", "", "µrad"),
-        ("transmission_error", "joint 2", curve, "80.000", "", "µrad"),
-        ("joint_compliance", "", "compliance2", "16.668", "16.633 to 16.703", "µrad/Nm"),
-        ("unknown", "joint 5", "rms at the SMR", "22.400", "", "µm"),
-    )
+    assert [table.text_rows() for table in sizes] == [
+        (("joint 1", curve, "212.400", "µrad"), ("joint 2", curve, "80.000", "µrad")),
+        (("compliance2", "16.668", "16.633 to 16.703", "µrad/Nm"),),
+        (("joint 5", "rms at the SMR", "22.400", "µm"),),
+    ]
     assert cycles.text_rows() == (("1", "9 to 37", "11", "212"), ("2", "14", "14", "80"))
-    assert parameter_table("right", nothing_missing("right")) is None
+    assert size_tables("right", nothing_missing("right")) == []
     assert cycle_table("right", nothing_missing("right")) is None
 
 
@@ -245,8 +233,7 @@ def test_sizes_have_value_unit_and_interval_of_each_joint_the_one_that_moves_the
         }
     )
     arm = unknown_effect("left").model_copy(update={"accepted": (curve, found)})
-    result = DiscoverResult(arms={"left": arm, "right": nothing_missing("right")})
-    first, second = size_tables(result)
+    first, second = size_tables("left", arm)
     assert first.title == "Arm left: size of joint_compliance, what moves the SMR most first"
     assert first.headings == ("where", "parameter", "value", "95 % interval", "unit", "moves the SMR [mm rms]")
     assert first.text_rows() == (

@@ -38,7 +38,7 @@ from cellapp.commands.discover.tables import (
     invisible_table,
     not_found_table,
     numbered_steps_table,
-    parameter_table,
+    size_tables,
 )
 from cellapp.commands.export.run import calibrated_arms
 from cellapp.commands.plan.section import plan_section
@@ -181,8 +181,9 @@ def test_holds_every_table(whole: RunFile, whole_page: Page) -> None:
     cells = set(whole_page.texts)
     tables = [*calibration_tables(calibrate), *parameter_tables(calibrate), *verification_tables(verify)]
     assert len(tables) == 6
-    makers = (numbered_steps_table, accepted_table, parameter_table, invisible_table, not_found_table)
+    makers = (numbered_steps_table, accepted_table, invisible_table, not_found_table)
     found = [make(name, arm) for name, arm in discover.arms.items() for make in makers]
+    found += [table for name, arm in discover.arms.items() for table in size_tables(name, arm)]
     assert found[0] is not None
     tables += [table for table in found if table is not None]
     for table in tables:

@@ -106,7 +106,9 @@ def test_reports_are_what_show_prints(
             lines = [
                 line for line in lines[: lines.index("Arm left: identified parameters")] if "tracker's" not in line
             ]
-        assert [line for line in lines if line not in printed] == []
+        # a row that the command alone has may widen a column
+        known = {" ".join(line.strip(" ─").split()) for line in printed}
+        assert [line for line in lines if " ".join(line.strip(" ─").split()) not in known] == []
 
 
 def test_reports_hold_the_figures(run: cellapp.Run) -> None:

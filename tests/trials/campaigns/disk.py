@@ -70,14 +70,14 @@ class CampaignRun(RunFile):
         disk.attached()
 
     @contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
+    def change(self) -> Iterator[sqlite3.Connection]:
         if self.disk is None:
-            with super()._transaction() as connection:
+            with super().change() as connection:
                 yield connection
             return
-        with self._reading() as connection:
+        with self.look() as connection:
             self.disk.begin(connection)
-        with super()._transaction() as connection:
+        with super().change() as connection:
             yield connection
             self.disk.reach("before its commit")
         self.disk.reach("after its commit")

@@ -1,4 +1,4 @@
-"""The verdict of a check with its evidence, in the records of ``results/check.py``."""
+"""The verdict of a check with its evidence, in the records of its result."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cellapp.estimation.monitoring.check.model import Conclusion, Power, Sequent
 from cellapp.estimation.monitoring.check.naming import NOT_EXPLAINED, Cause, Design, Explanation, explain, with_station
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckVerdict, FoundChange
 from cellapp.estimation.monitoring.check.statistics import MinPValueTest
-from cellapp.estimation.monitoring.check.stops import LEAST_INFORMATION
+from cellapp.estimation.monitoring.check.stops import power_of
 from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.transforms import Array, apply
 
@@ -38,16 +38,7 @@ def powers(design: Design, moments: Moments, critical: float) -> list[Power]:
     needed = {r: _needed(critical, r, design.miss) for r in {1, *rank.values()}}
     information = moments.information[-1].tolist()
     return [
-        Power(
-            arm=one.arm,
-            what=one.what,
-            kind=one.kind,
-            noncentrality=information[k],
-            moved_mm=float(design.moved_m[k]) * 1e3,
-            visible=bool(design.visible[k]),
-            unit=one.unit,
-            detected=one.step * math.sqrt(needed[rank.get(k, 1)] / max(information[k], LEAST_INFORMATION)),
-        )
+        power_of(one, information[k], float(design.moved_m[k]), bool(design.visible[k]), needed[rank.get(k, 1)])
         for k, one in enumerate(design.directions)
     ]
 

@@ -159,7 +159,7 @@ class SequentialState:
 
 @dataclass(frozen=True, eq=False)
 class Conclusion:
-    """The outcome of a check, in the words and records of ``results/check.py``.
+    """The outcome of a check, in the words and records of the result of ``check``.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ _SOFTNESS = 6.0
 """``s``: a direction with the needed information weighs 1/200 of one with none."""
 _KNOWN = 1e-6
 """Information on a step of the tracker's motion beside the stops: keeps it solvable while one stop leaves it open."""
-LEAST_INFORMATION = 1e-9
+_LEAST_INFORMATION = 1e-9
 """Guards divisions by the information on a direction that the stops do not show at all."""
 
 
@@ -68,19 +68,23 @@ def choose_stops(
         here = {name: q[chosen] for name, q in candidates.items()}
     final = np.diag(G) if not belief.station_free else _projected(G, tracker)
     power = tuple(
-        Power(
-            arm=one.arm,
-            what=one.what,
-            kind=one.kind,
-            noncentrality=float(final[k]),
-            moved_mm=float(moved[k]) * 1e3,
-            visible=bool(visible[k]),
-            unit=one.unit,
-            detected=one.step * math.sqrt(NEEDED / max(float(final[k]), LEAST_INFORMATION)),
-        )
-        for k, one in enumerate(directions)
+        power_of(one, float(final[k]), float(moved[k]), bool(visible[k]), NEEDED) for k, one in enumerate(directions)
     )
     return ChosenStops(np.array(order, dtype=np.intp), power, NEEDED)
+
+
+def power_of(one: Direction, noncentrality: float, moved_m: float, visible: bool, needed: float) -> Power:
+    """How well stops show a change; ``needed`` is the non-centrality at which it is found."""
+    return Power(
+        arm=one.arm,
+        what=one.what,
+        kind=one.kind,
+        noncentrality=noncentrality,
+        moved_mm=moved_m * 1e3,
+        visible=visible,
+        unit=one.unit,
+        detected=one.step * math.sqrt(needed / max(noncentrality, _LEAST_INFORMATION)),
+    )
 
 
 def _whitened(

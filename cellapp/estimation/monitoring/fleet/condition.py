@@ -29,7 +29,8 @@ FIGURE_WORDS: Mapping[Figure, str] = {
 
 def condition_of(arm: ArmHistory) -> tuple[ArmCondition, tuple[str, ...]]:
     """The worst condition that the history proves, and the reasons for this one and all better ones."""
-    beyond, changed, drifting = list(_beyond(arm)), list(_changed(arm)), list(_drifting(arm))
+    beyond, changed = list(_beyond(arm)), list(_changed(arm))
+    drifting = [drift_words(trend) for trend in arm.trends if leads_away(trend)]
     reasons = (*beyond, *changed, *drifting)
     if beyond:
         return "beyond tolerance", reasons
@@ -74,10 +75,6 @@ def _changed(arm: ArmHistory) -> Iterator[str]:
         yield f"the check of {day_of(newest.time)} says that the arm changed: {', '.join(newest.changes)}"
     elif newest.verdict == "not explained":
         yield f"the check of {day_of(newest.time)} found errors that no single change explains"
-
-
-def _drifting(arm: ArmHistory) -> Iterator[str]:
-    return (drift_words(trend) for trend in arm.trends if leads_away(trend))
 
 
 def leads_away(trend: Trend) -> bool:

@@ -1,0 +1,134 @@
+"""Recordings of motion in the run file: their columns, compressed, each with its name."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.recordings_csv import RecordedStreams, read_recordings
+from cellapp.cell.run.records import RecordingState
+from cellapp.cell.run.schema import schema_version
+from cellapp.cell.run.stream_codes import packed, unpacked
+from cellapp.cell.run.stream_columns import Kind, joint_stream, point_stream
+from cellapp.estimation.motion import Recording
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+
+_SINCE = 6
+"""Schema of the run file that introduced recordings."""
+
+
+def store_recording(run: RunFile, recorded: RecordedStreams) -> None:
+    """Add a recording; on return it is on disk. Raises ``InputError`` if the arm has one of this name."""
+    state, digest = recorded.state, hashlib.sha256()
+    rows = []
+    for kind, table in (("joints", recorded.joints), ("points", recorded.points)):
+        for place, (name, values) in enumerate(table.columns.items()):
+            words = json.dumps(table.words[name]) if name in table.words else None
+            data = packed(values)
+            digest.update(f"{kind} {name} {words}\n".encode())
+            digest.update(data)
+            rows.append((state.arm, state.name, kind, place, name, words, data))
+    with run.change() as connection:
+        there = "SELECT 1 FROM recording WHERE arm = ? AND name = ?"
+        if connection.execute(there, (state.arm, state.name)).fetchone():
+            raise InputError(f"{run.path}: recording '{state.name}' of arm {state.arm} is stored already")
+        connection.execute(
+            "INSERT INTO recording VALUES (?, ?, ?, ?)",
+            (state.arm, state.name, state.model_dump_json(), digest.hexdigest()),
+        )
+        connection.executemany("INSERT INTO stream VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+
+
+def recordings_from_csv(
+    profile: Profile, joints: Sequence[Path], points: Sequence[Path], arm: str | None = None
+) -> tuple[frozenset[str], Callable[[RunFile], None]]:
+    """Read and check files of recordings; returns the arms that have one, and what puts them into a new run.
+
+    Raises ``InputError`` as ``read_recordings``.
+    """
+    recorded, notes = read_recordings(profile, joints, points, arm)
+
+    def fill(run: RunFile) -> None:
+        for one in recorded:
+            store_recording(run, one)
+            state = one.state
+            run.log(
+                "info",
+                f"imported recording '{state.name}' of arm {state.arm}: {state.joints.n} samples of joints from"
+                f" {one.joints.path}, {state.points.n} points from {one.points.path}",
+            )
+        for note in notes:
+            run.log("note", note)
+
+    return frozenset(one.state.arm for one in recorded), fill
+
+
+def recording_states(run: RunFile) -> tuple[RecordingState, ...]:
+    """What is said of each recording of a run, arm by arm; none in a file of an older schema."""
+    return tuple(state for state, _ in _listed(run))
+
+
+def recordings_digest(run: RunFile, arm: str) -> tuple[int, str]:
+    """Number of points of an arm's recordings, and a SHA-256 of their values; 0 and "" if there are none."""
+    its = [(state.points.n, sha) for state, sha in _listed(run) if state.arm == arm]
+    digest = hashlib.sha256(" ".join(sha for _, sha in its).encode()).hexdigest() if its else ""
+    return sum(n for n, _ in its), digest
+
+
+def _listed(run: RunFile) -> list[tuple[RecordingState, str]]:
+    """The recordings in the order of arms, then of their import; with the hash of each."""
+    with run.look() as connection:
+        if schema_version(connection) < _SINCE:
+            return []
+        rows = connection.execute("SELECT about, sha256 FROM recording ORDER BY rowid").fetchall()
+    found = [(RecordingState.model_validate_json(about), str(sha)) for about, sha in rows]
+    order = [*run.profile.arms]
+    return sorted(found, key=lambda one: order.index(one[0].arm))
+
+
+def read_recordings_of(run: RunFile, arm: str) -> tuple[Recording, ...]:
+    """The recordings of one arm, as estimation takes them; those of a session as one, in the order of time."""
+    joints = len(run.profile.arms[arm].type.joints)
+    sessions: dict[str, list[RecordingState]] = {}
+    for state in recording_states(run):
+        if state.arm == arm:
+            sessions.setdefault(state.session or state.name, []).append(state)
+    found = []
+    for name, states in sessions.items():
+        samples = _in_order([read_stream(run, state, "joints")[0] for state in states])
+        streams = [read_stream(run, state, "points") for state in states]
+        points = point_stream(_in_order([its for its, _ in streams]), streams[0][1].get("split"))
+        found.append(Recording(name=name, arm=arm, joints=joint_stream(samples, joints), points=points))
+    return tuple(found)
+
+
+def _in_order(parts: Sequence[dict[str, NDArray[np.float64]]]) -> dict[str, NDArray[np.float64]]:
+    """Columns that all parts have, one part after the other by the time at which it begins."""
+    parts = sorted(parts, key=lambda part: float(part["time_s"][0]))
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if all(name in p for p in parts)}
+
+
+def read_stream(
+    run: RunFile, state: RecordingState, kind: Kind
+) -> tuple[dict[str, NDArray[np.float64]], dict[str, tuple[str, ...]]]:
+    """Columns of a stream in the order of its file, each (n,), and the texts of those that hold texts."""
+    n = state.joints.n if kind == "joints" else state.points.n
+    with run.look() as connection:
+        rows = connection.execute(
+            "SELECT name, words, data FROM stream WHERE arm = ? AND recording = ? AND kind = ? ORDER BY place",
+            (state.arm, state.name, kind),
+        ).fetchall()
+    try:
+        columns = {name: unpacked(data, n) for name, _, data in rows}
+    except ValueError:
+        raise InputError(
+            f"{run.path} is damaged (recording '{state.name}' of arm {state.arm}); restore it from a copy"
+        ) from None
+    return columns, {name: tuple(json.loads(words)) for name, words, _ in rows if words is not None}

@@ -1,0 +1,264 @@
+"""Recordings of motion from CSV: files of joints and of points, each with a clock of its own. Their one door.
+
+Columns are ``time_s, q1..qN`` with ``qd``, ``tau``, ``current`` and ``joint_temperature`` of each joint where they are
+known, and ``time_s, x_m, y_m, z_m`` with ``sigma_m``, ``quat_w..z`` and ``split``; both may have ``arm`` and
+``recording``. Rows keep their order: stamps that repeat or go back are counted, not sorted. Points without coordinates
+are left out and counted: the beam was lost. Unknown columns are kept.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from cellapp.cell.run.csv_import import joint_limits
+from cellapp.cell.run.csv_text import Problems, short
+from cellapp.cell.run.records import RecordingState
+from cellapp.cell.run.stream_columns import (
+    OPTIONAL_OF_JOINTS,
+    POINT,
+    TEXTS,
+    Implausible,
+    Kind,
+    joint_faults,
+    point_faults,
+    state_of,
+    stems,
+)
+from cellapp.cell.run.stream_csv import StreamTable, read_header, read_stream_table
+from cellapp.estimation.readings.columns import SPLITS
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+
+Key = tuple[str, str]
+"""Arm and name of a recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedStreams:
+    """The columns of one recording of an arm, and what is said of them."""
+
+    state: RecordingState
+    joints: StreamTable
+    points: StreamTable
+
+
+def read_recordings(
+    profile: Profile, joints: Sequence[Path], points: Sequence[Path], arm: str | None = None
+) -> tuple[list[RecordedStreams], list[str]]:
+    """Read and check pairs of files; the k-th file of joints belongs to the k-th of points.
+
+    ``arm`` is that of files without such a column; it may be left out where the profile has one arm. Returns notes too:
+    unknown columns, stamps that are not steady, clocks that share no time.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column of what is missing, no number or implausible; if files do not belong together.
+    """
+    if len(joints) != len(points) or not joints:
+        raise InputError(
+            f"import: {len(joints)} files of --joints, {len(points)} of --points; give one of each for each recording"
+        )
+    if arm is not None and arm not in profile.arms:
+        raise InputError(f"import: --arm: '{arm}' is not in the profile; arms are {', '.join(profile.arms)}")
+    found: dict[Key, RecordedStreams] = {}
+    for number, pair in enumerate(zip(map(Path, joints), map(Path, points), strict=True), start=1):
+        for one in _read_pair(profile, *pair, arm, number):
+            key = (one.state.arm, one.state.name)
+            if key in found:
+                raise InputError(
+                    f"{pair[0]}: recording '{key[1]}' of arm {key[0]} is there already (from {found[key].joints.path});"
+                    " give each a name of its own in a column 'recording'"
+                )
+            found[key] = one
+    return [*found.values()], [note for one in found.values() for note in _notes(one)]
+
+
+def _read_pair(profile: Profile, joints: Path, points: Path, arm: str | None, number: int) -> list[RecordedStreams]:
+    """The recordings in one pair of files."""
+    counts = [len(its.type.joints) for its in profile.arms.values()]
+    tables: dict[Kind, StreamTable] = {
+        "joints": _read_file(joints, "joints", counts),
+        "points": _read_file(points, "points", counts),
+    }
+    for table in tables.values():
+        _check_words(table, "arm", tuple(profile.arms), "is not in the profile; arms are")
+        _check_words(table, "split", ("", *SPLITS), "is no split; expected nothing or")
+        _check_words(table, "recording", (), "")
+    arms = _sole(tables, "arm", arm or (next(iter(profile.arms)) if len(profile.arms) == 1 else None))
+    if arms is None and any("arm" not in table.words for table in tables.values()):
+        raise InputError(
+            f"{joints}: the file does not say which arm it is of; give --arm or a column 'arm'; arms are"
+            f" {', '.join(profile.arms)}"
+        )
+    names = _sole(tables, "recording", _name_of_files(joints, points, number))
+    groups = {kind: _by_recording(table, arms or "", names or "") for kind, table in tables.items()}
+    both: tuple[tuple[Kind, Kind], ...] = (("joints", "points"), ("points", "joints"))
+    for kind, other in both:
+        for its_arm, name in groups[kind].keys() - groups[other].keys():
+            raise InputError(
+                f"{tables[kind].path}: recording '{name}' of arm {its_arm} has no {other} in {tables[other].path}"
+            )
+    return [checked_recording(profile, key, its, groups["points"][key]) for key, its in groups["joints"].items()]
+
+
+def _sole(tables: Mapping[Kind, StreamTable], column: str, otherwise: str | None) -> str | None:
+    """The arm or name of a file without such a column: the only one of the other file, else ``otherwise``."""
+    words = [table.words[column] for table in tables.values() if column in table.words]
+    return words[0][0] if len(words) == 1 and len(words[0]) == 1 else otherwise
+
+
+def _name_of_files(joints: Path, points: Path, number: int) -> str:
+    """What the names of both files begin with, else their number."""
+    pairs = itertools.takewhile(lambda two: two[0] == two[1], zip(joints.stem, points.stem, strict=False))
+    return "".join(first for first, _ in pairs).strip("_-. ") or str(number)
+
+
+def _read_file(path: Path, kind: Kind, joints: Sequence[int]) -> StreamTable:
+    what = "joint positions" if kind == "joints" else "points"
+    names, quantities = read_header(path, what), stems(kind, max(joints))
+    _check_columns(path, kind, names, quantities)
+    numbers = {name for its in quantities.values() for name in its}
+    required = {"time_s", *(name for name in quantities.get("q", ())[: min(joints)] if name in names)}
+    return read_stream_table(path, what, numbers=numbers, required=required, texts=TEXTS)
+
+
+def _check_columns(path: Path, kind: Kind, names: Sequence[str], quantities: Mapping[str, tuple[str, ...]]) -> None:
+    """Refuse a file that lacks what every row needs, and quantities of which only some columns are there."""
+    main = quantities["q" if kind == "joints" else "p_M"]
+    needed = ("time_s", *(main if kind == "points" else main[:1]))
+    if not set(main) & set(names) and set(names) & {"q1", *POINT}:
+        there = "joint positions" if "q1" in names else "points"
+        raise InputError(
+            f"{path}:1: {main[0]}: the column is missing; this file has {there}: are --joints and --points swapped?"
+        )
+    problems = Problems(lambda line: f"{path}:{line}")
+    for name in needed:
+        if name not in names:
+            close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+            hint = f"; is '{close[0]}' meant? Name and unit must be as written here" if close else ""
+            problems.add(1, name, f"the column is missing{hint}")
+    if kind == "points" and 0 < len(set(quantities["quaternion"]) & set(names)) < 4:
+        missing = next(name for name in quantities["quaternion"] if name not in names)
+        problems.add(1, missing, f"the column is missing; give all of {', '.join(quantities['quaternion'])} or none")
+    problems.check()
+
+
+def _check_words(table: StreamTable, column: str, allowed: Sequence[str], text: str) -> None:
+    """Refuse a text that is not ``allowed``; with none allowed, an empty one."""
+    for code, word in enumerate(table.words.get(column, ())):
+        if (word not in allowed) if allowed else not word:
+            row = int(np.flatnonzero(table.columns[column] == code)[0])
+            listed = ", ".join(one for one in allowed if one)
+            what = f"'{short(word)}' {text} {listed}" if word else "the value is missing"
+            raise InputError(f"{table.path}:{table.lines([row])[row]}: {column}: {what}")
+
+
+def _by_recording(table: StreamTable, arm: str, name: str) -> dict[Key, StreamTable]:
+    """The rows of each arm and name, in the order of the file; ``arm`` and ``name`` of a file without them."""
+    given = [column for column in ("arm", "recording") if column in table.words]
+    if not given:
+        return {(arm, name): table}
+    codes = np.column_stack([table.columns[column] for column in given])
+    places, first = np.unique(codes, axis=0, return_index=True)
+    found = {}
+    for place in places[np.argsort(first)]:
+        words = {column: table.words[column][int(code)] for column, code in zip(given, place, strict=True)}
+        rows = np.flatnonzero((codes == place).all(axis=1))
+        found[words.get("arm", arm), words.get("recording", name)] = table.take(rows)
+    return found
+
+
+def checked_recording(
+    profile: Profile, key: Key, joints: StreamTable, points: StreamTable, session: str = ""
+) -> RecordedStreams:
+    """One recording whose values are plausible, without the points at which the beam was lost.
+
+    Raises ``InputError`` with what is not.
+    """
+    limits = joint_limits(profile)[key[0]]
+    quantities = stems("joints", len(limits))
+    _check_joints(joints, key[0], quantities, len(limits))
+    _refuse(joints, joint_faults(joints.columns, limits))
+    blank = np.isnan(np.column_stack([points.columns[name] for name in POINT]))
+    lost = blank.all(axis=1)
+    if (part := np.flatnonzero(blank.any(axis=1) & ~lost)).size:
+        where = Implausible(
+            int(part[0]), POINT[int(np.argmax(blank[part[0]]))], "the value is missing; give all of the point"
+        )
+        _refuse(points, [where])
+    seen = points.take(np.flatnonzero(~lost)) if lost.any() else points
+    _refuse(seen, point_faults(seen.columns))
+    known = {"time_s", *TEXTS, *(name for its in quantities.values() for name in its)}
+    known |= {name for its in stems("points", 0).values() for name in its}
+    columns = dict.fromkeys([*joints.columns, *seen.columns])
+    state = RecordingState(
+        name=key[1],
+        arm=key[0],
+        session=session,
+        joints=state_of(joints.columns["time_s"]),
+        points=state_of(seen.columns["time_s"], int(lost.sum())),
+        optional=tuple(stem for stem in OPTIONAL_OF_JOINTS if quantities[stem][0] in joints.columns)
+        + tuple(name for name in ("sigma_m", "quat_w", "split") if name in seen.columns),
+        unknown=tuple(name for name in columns if name not in known),
+    )
+    return RecordedStreams(state, joints, seen)
+
+
+def _check_joints(table: StreamTable, arm: str, quantities: Mapping[str, tuple[str, ...]], joints: int) -> None:
+    """A quantity has a column for each joint of the arm, or none."""
+    problems = Problems(lambda line: f"{table.path}:{line}")
+    for stem, names in quantities.items():
+        if stem == "q" or any(name in table.columns for name in names):
+            for name in names:
+                if name not in table.columns:
+                    problems.add(1, name, f"the column is missing; arm {arm} has {joints} joints")
+    if (more := f"q{joints + 1}") in table.columns and np.isfinite(table.columns[more]).any():
+        problems.add(1, more, f"there are values, but arm {arm} has {joints} joints in the profile")
+    problems.check()
+
+
+def _refuse(table: StreamTable, faults: Iterable[Implausible]) -> None:
+    """Raise ``InputError`` with the lines of what is implausible, if anything is."""
+    found = [*faults]
+    lines = table.lines([fault.row for fault in found if fault.row is not None])
+    problems = Problems(lambda line: f"{table.path}:{line}" if line else f"{table.path}")
+    for fault in found:
+        problems.add(0 if fault.row is None else lines[fault.row], fault.column, fault.text)
+    problems.check()
+
+
+def _notes(recorded: RecordedStreams) -> list[str]:
+    """What a person should know of a recording that was taken."""
+    state = recorded.state
+    where = f"recording '{state.name}' of arm {state.arm}"
+    notes = [f"{where}: {sentence}" for kind in ("joints", "points") for sentence in stamp_words(state, kind)]
+    notes += [f"{where}: column '{name}' is unknown; it is kept and not used" for name in state.unknown]
+    first, second = recorded.joints.columns["time_s"], recorded.points.columns["time_s"]
+    if first.max() < second.min() or second.max() < first.min():
+        notes.append(
+            f"{where}: the stamps of joints and points share no time (joints {first.min():.6g} to {first.max():.6g} s,"
+            f" points {second.min():.6g} to {second.max():.6g} s); the clocks are aligned by the motion alone"
+        )
+    return notes
+
+
+def stamp_words(state: RecordingState, kind: Kind) -> list[str]:
+    """Where the stamps of a stream are not steady, as sentences."""
+    its = state.joints if kind == "joints" else state.points
+    sentences = []
+    if its.gaps:
+        sentences.append(f"{kind} have {its.gaps} gaps, the longest of {its.longest_gap_s:.3g} s")
+    if its.repeats:
+        sentences.append(f"{its.repeats} stamps of {kind} repeat the one before")
+    if its.backward:
+        sentences.append(f"{its.backward} stamps of {kind} are before the one before; rows keep their order")
+    if its.lost:
+        sentences.append(f"{its.lost} rows of {kind} have no coordinates (beam lost); they are left out")
+    return sentences

@@ -1,0 +1,57 @@
+"""Samples of recordings as readings: what later verbs know of arms that were recorded in motion."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+import numpy as np
+
+from cellapp.cell.run.file import RunFile
+from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.readings import joined
+
+_DOCUMENT = "motion_samples"
+_APART = 1_000_000_000
+"""Between the numbers of samples of successive arms: what two arms did at different times is no common stop."""
+
+
+def keep_samples(run: RunFile, samples: Mapping[str, Readings]) -> None:
+    """Store samples of recordings at the clocks that the calibration found, in place of earlier ones."""
+    content = {
+        arm: {
+            "time_s": its.time_s.tolist(),
+            "sigma_m": None if its.sigma_m is None else its.sigma_m.tolist(),
+            "q": its.q.tolist(),
+            "approach": its.approach.tolist(),
+            "p_M": its.p_M.tolist(),
+            "split": its.split,
+        }
+        for arm, its in samples.items()
+    }
+    run.write_result(_DOCUMENT, json.dumps(content))
+
+
+def known_readings(run: RunFile, arm: str) -> Readings:
+    """The readings of one arm at rest, and after them samples of its recordings as the calibration keeps them."""
+    measured, text = run.readings(arm), run.read_result(_DOCUMENT)
+    kept = None if text is None else json.loads(text).get(arm)
+    if kept is None:
+        return measured
+    first = (1 + [*run.profile.arms].index(arm)) * _APART
+    samples = Readings(
+        configuration=first + np.arange(len(kept["time_s"])),
+        time_s=np.full(len(kept["time_s"]), np.nan),
+        q=np.array(kept["q"]),
+        approach=np.array(kept["approach"], dtype=np.int8),
+        p_M=np.array(kept["p_M"]),
+        sigma_m=None if kept["sigma_m"] is None else np.array(kept["sigma_m"]),
+        split=tuple(kept["split"]),
+    )
+    return joined([measured, samples]) if len(measured) else samples
+
+
+def all_known_readings(run: RunFile) -> dict[str, Readings]:
+    """``known_readings`` of every arm that has some."""
+    found = {arm: known_readings(run, arm) for arm in run.profile.arms}
+    return {arm: its for arm, its in found.items() if len(its)}

@@ -1,0 +1,180 @@
+"""What the columns of recordings are, and what is plausible in them; the objects for estimation, made of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.run.records import StreamState
+from cellapp.estimation.motion import JointStream, PointStream
+from cellapp.estimation.readings.columns import COLUMNS, Fault, beyond_limits
+
+Kind = Literal["joints", "points"]
+Columns = Mapping[str, NDArray[np.float64]]
+"""Columns of a stream by their names in a CSV file, each (n,)."""
+
+TEXTS = ("recording", "arm", "split")
+POINT = ("x_m", "y_m", "z_m")
+QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
+OPTIONAL_OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
+
+_CHECKS = {name: column.check for column in COLUMNS for name in (column.csv[0],) if column.check is not None}
+_LEAST_ROWS = 20
+_SLOWEST_HZ, _FASTEST_HZ = 2.0, 20_000.0
+"""Rates of recordings [Hz]; what is outside was not written in seconds."""
+_FASTEST_RAD_S = 12.0
+"""No joint of an industrial arm is faster [rad/s]."""
+_REST_RAD, _REST_M = 1e-3, 2e-3
+"""An arm whose joints and point stay within these does not move."""
+_UNIT = 1e-3
+"""Deviation from one of the length of a quaternion."""
+_GAP = 2.5
+"""Multiple of the median step from which a step of the stamps is a gap."""
+
+
+@dataclass(frozen=True)
+class Implausible:
+    """What is wrong in a stream: row (None: the whole file), column, and what was expected."""
+
+    row: int | None
+    column: str
+    text: str
+
+
+def stems(kind: Kind, joints: int) -> dict[str, tuple[str, ...]]:
+    """Quantity -> its columns; the first two of a kind are required."""
+    if kind == "points":
+        return {"time_s": ("time_s",), "p_M": POINT, "sigma_m": ("sigma_m",), "quaternion": QUATERNION}
+    per_joint = {stem: tuple(f"{stem}{j}" for j in range(1, joints + 1)) for stem in ("q", *OPTIONAL_OF_JOINTS)}
+    return {"time_s": ("time_s",), **per_joint}
+
+
+def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
+    """The stamps of a stream, in the order in which they were recorded."""
+    step = np.diff(time_s)
+    forward = step[step > 0.0]
+    median = float(np.median(forward)) if len(forward) else math.inf
+    gaps = step[step > _GAP * median]
+    return StreamState(
+        n=len(time_s),
+        seconds=float(np.ptp(time_s)),
+        rate_hz=1.0 / median,
+        gaps=len(gaps),
+        longest_gap_s=float(gaps.max(initial=0.0)),
+        repeats=int(np.count_nonzero(step == 0.0)),
+        backward=int(np.count_nonzero(step < 0.0)),
+        lost=lost,
+    )
+
+
+def joint_faults(columns: Columns, limits: NDArray[np.float64]) -> Iterator[Implausible]:
+    """What is implausible in samples of an arm whose joints have these ``limits`` (N, 2) [rad]."""
+    names = stems("joints", len(limits))
+    q = _matrix(columns, names["q"])
+    wrong = [*_stamp_faults(columns["time_s"]), *_missing(columns, names["q"]), *_missing(columns, names["qd"])]
+    wrong += [Implausible(one.row, f"q{(one.place or 0) + 1}", one.text) for one in beyond_limits(q, limits)]
+    yield from wrong
+    if wrong:
+        return
+    step = np.diff(columns["time_s"])
+    moving = step > 0.5 * np.median(step[step > 0.0])
+    speed = np.abs(np.diff(q, axis=0)[moving] / step[moving, np.newaxis])
+    fast = np.quantile(speed, 0.95, axis=0)
+    joint = int(np.argmax(fast))
+    if fast[joint] > _FASTEST_RAD_S:
+        text = f"the joint turns at {fast[joint]:.3g} rad/s; expected radians and seconds; are these degrees?"
+        yield Implausible(None, f"q{joint + 1}", text)
+    if float(np.ptp(q, axis=0).max()) < _REST_RAD:
+        yield Implausible(None, "q1..", f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion")
+    if names["qd"][0] in columns:
+        yield from _speed_unit(columns, names["qd"], q)
+
+
+def point_faults(columns: Columns) -> Iterator[Implausible]:
+    """What is implausible in points."""
+    yield from _stamp_faults(columns["time_s"])
+    yield from _missing(columns, ("sigma_m", *QUATERNION))
+    p = _matrix(columns, POINT)
+    for stem, matrix in (("x_m", p), ("sigma_m", _matrix(columns, ("sigma_m",)))):
+        names: tuple[str, ...] = POINT if stem == "x_m" else ("sigma_m",)
+        check = _CHECKS[stem]
+        fault: Fault | None = check(matrix) if names[0] in columns else None
+        if fault is not None:
+            yield Implausible(fault.row, names[fault.place or 0], fault.text)
+    if QUATERNION[0] in columns:
+        length = np.linalg.norm(_matrix(columns, QUATERNION), axis=1)
+        wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT)
+        if len(wrong):
+            text = f"expected a quaternion of length 1, got {length[wrong[0]]:.4g}"
+            yield Implausible(int(wrong[0]), QUATERNION[0], text)
+    if len(p) and float(np.ptp(p, axis=0).max()) < _REST_M:
+        yield Implausible(None, "x_m", f"the SMR does not move by {_REST_M * 1e3:g} mm; expected points of a motion")
+
+
+def joint_stream(columns: Columns, joints: int) -> JointStream:
+    """The samples of an arm as estimation takes them."""
+    names = stems("joints", joints)
+    optional = {
+        stem: _matrix(columns, names[stem]) for stem in OPTIONAL_OF_JOINTS if names[stem][0] in columns
+    }  # each has all joints or none: the door sees to that
+    return JointStream(time_s=columns["time_s"], q=_matrix(columns, names["q"]), **optional)
+
+
+def point_stream(columns: Columns, splits: tuple[str, ...] | None) -> PointStream:
+    """The points as estimation takes them; ``splits`` are the texts that the column ``split`` has numbers of."""
+    held_out = None
+    if splits is not None and any(splits):
+        held_out = columns["split"] == (splits.index("validate") if "validate" in splits else math.inf)
+    return PointStream(
+        time_s=columns["time_s"],
+        p_M=_matrix(columns, POINT),
+        sigma_m=columns.get("sigma_m"),
+        quaternion=_matrix(columns, QUATERNION) if QUATERNION[0] in columns else None,
+        held_out=held_out,
+    )
+
+
+def _matrix(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64]:
+    return np.column_stack([columns[name] for name in names if name in columns] or [np.empty((0, 0))])
+
+
+def _missing(columns: Columns, names: tuple[str, ...]) -> Iterator[Implausible]:
+    """The first empty cell of each of these columns, which every row must have."""
+    for name in names:
+        rows = np.flatnonzero(np.isnan(columns[name])) if name in columns else np.empty(0, np.intp)
+        if len(rows):
+            yield Implausible(int(rows[0]), name, "the value is missing; give it in every row, or leave the column out")
+
+
+def _stamp_faults(time_s: NDArray[np.float64]) -> Iterator[Implausible]:
+    if len(time_s) < _LEAST_ROWS:
+        yield Implausible(None, "time_s", f"{len(time_s)} rows are no recording of a motion; expected {_LEAST_ROWS}")
+        return
+    step = np.diff(time_s)
+    forward = step[step > 0.0]
+    if len(forward) < len(step) // 2:
+        yield Implausible(None, "time_s", "most stamps do not increase; expected the times at which samples were taken")
+        return
+    rate = 1.0 / float(np.median(forward))
+    if not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
+        text = f"the median step is {1.0 / rate:.3g}; expected seconds, {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} samples each"
+        hint = "; are these milliseconds?" if _SLOWEST_HZ <= 1e3 * rate <= _FASTEST_HZ else ""
+        yield Implausible(None, "time_s", text + hint)
+
+
+def _speed_unit(columns: Columns, names: tuple[str, ...], q: NDArray[np.float64]) -> Iterator[Implausible]:
+    """Speeds must be those of the joint positions: in rad/s, not in degrees a second."""
+    qd = _matrix(columns, names)
+    step = np.diff(columns["time_s"])
+    steady = (step > 0.0) & (step < _GAP * np.median(step[step > 0.0]))
+    turned = np.diff(q, axis=0)[steady]
+    by_speed = 0.5 * (qd[1:] + qd[:-1])[steady] * step[steady, np.newaxis]
+    ratio = math.sqrt(float((by_speed**2).sum()) / max(float((turned**2).sum()), 1e-300))
+    if not 0.1 < ratio < 10.0 and ratio > 0.0:
+        hint = "; are these degrees a second?" if 40.0 < ratio < 80.0 else ""
+        yield Implausible(None, "qd1", f"the speeds are {ratio:.3g} times those of q1..; expected rad/s{hint}")

@@ -1,0 +1,105 @@
+"""What recordings of motion told, for people: clocks, what the points are worth, lost motion, what is not known."""
+
+from __future__ import annotations
+
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, ClockResult
+
+_CLOCKS = (
+    Column("arm"),
+    Column("recording"),
+    number_column("offset [s]", ".6f"),
+    number_column("standard error [ms]", ".4f"),
+    number_column("rate [ppm]", ".2f"),
+    number_column("standard error [ppm]", ".2f"),
+    number_column("clock steps", "d"),
+)
+_RECORDINGS = (
+    Column("arm"),
+    Column("recording"),
+    number_column("points", "d"),
+    number_column("learnt", "d"),
+    number_column("worth", ".0f"),
+    number_column("held out", "d"),
+    number_column("gross", "d"),
+    number_column("in gaps", "d"),
+    number_column("scatter [mm]", ".4f"),
+    number_column("held-out rms [mm]", ".4f"),
+)
+_PLAY = (
+    Column("arm"),
+    Column("joint"),
+    number_column("half play [urad]", ".1f"),
+    number_column("standard error [urad]", ".1f"),
+)
+_SURE = 2.0
+"""Standard errors from which lost motion is shown as found."""
+
+
+def motion_tables(result: CalibrateResult) -> list[Table]:
+    """Clocks, recordings and lost motion of all arms that were recorded; none without recordings."""
+    moved = {name: arm for name, arm in result.arms.items() if arm.motion is not None}
+    if not moved:
+        return []
+    clocks: list[tuple[Cell, ...]] = []
+    recordings: list[tuple[Cell, ...]] = []
+    for name, arm in moved.items():
+        clocks += [(name, recording, *_clock(clock)) for recording, clock in (arm.clocks or {}).items()]
+        for recording, one in arm.motion.recordings.items() if arm.motion else ():
+            counts = (one.points, one.learnt, one.effective_points, one.held_out, one.gross, one.in_gaps)
+            recordings.append((name, recording, *counts, one.scatter_mm, one.heldout_rms_mm))
+    return [
+        Table("Clocks: the tracker's against the controller's", _CLOCKS, tuple(clocks)),
+        Table("Recordings: what their points are worth as independent ones", _RECORDINGS, tuple(recordings)),
+        *_in_motion(moved),
+        *_play(moved),
+    ]
+
+
+def motion_sentences(result: CalibrateResult) -> list[str]:
+    """Steps of clocks, and what the data cannot determine."""
+    said = []
+    for name, arm in result.arms.items():
+        for recording, clock in (arm.clocks or {}).items():
+            for device, steps in (("controller", clock.steps_of_joints), ("tracker", clock.steps_of_points)):
+                said += [
+                    f"arm {name}: recording '{recording}': the {device}'s clock steps by {by:+.4g} s at {at:.4f} s"
+                    for at, by in steps
+                ]
+        if arm.motion is not None:
+            said += [f"arm {name}: not determined: {sentence}" for sentence in arm.motion.undetermined]
+    return said
+
+
+def _clock(clock: ClockResult) -> tuple[Cell, ...]:
+    steps = len(clock.steps_of_joints) + len(clock.steps_of_points)
+    errors = clock.offset_standard_error_s * 1e3, clock.rate_standard_error_ppm
+    return clock.offset_s, errors[0], clock.rate_ppm, errors[1], steps
+
+
+def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
+    """Errors of held-out blocks, of arms whose held-out errors are those of stops."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, arm in moved.items():
+        if arm.motion is not None and arm.validate_ != arm.motion.validate_:
+            for stage, errors in arm.motion.validate_.items():
+                its = errors.position_mm
+                rows.append((name, stage, its.mean, its.rms, its.std, its.max, its.n))
+    columns = (
+        Column("arm"),
+        Column("stage"),
+        *(number_column(title, ".4f") for title in ("mean", "rms", "std", "max")),
+        number_column("n", "d"),
+    )
+    return [Table("In motion: errors of held-out blocks of time [mm]", columns, tuple(rows))] if rows else []
+
+
+def _play(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
+    """Joints whose lost motion is larger than what chance makes of none."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, arm in moved.items():
+        for joint, found in arm.motion.half_play.items() if arm.motion else ():
+            error = found.standard_error or 0.0
+            if found.value > _SURE * error:
+                rows.append((name, joint, found.value * 1e6, error * 1e6))
+    return [Table("Lost motion", _PLAY, tuple(rows))] if rows else []

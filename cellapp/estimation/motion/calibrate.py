@@ -1,0 +1,256 @@
+"""A calibration of a cell of which arms were recorded in motion, with readings at rest or without."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration, calibrate_readings, rms_length_mm
+from cellapp.estimation.calibration.evaluation import evaluate, repeatability
+from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, MotionResult, RecordingResult
+from cellapp.estimation.motion.identify import identify_from_motion
+from cellapp.estimation.motion.observe import Stops
+from cellapp.estimation.motion.records import ClockFit, MotionFit, RecordingFit
+from cellapp.estimation.motion.streams import Recording
+from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.results import ErrorSummary, Estimate, Stage, StageErrors
+from cellapp.robot.kinematics.chain import Geometry, smr_positions
+from cellapp.robot.kinematics.transforms import Array, invert
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
+
+_SAMPLES = 1500
+"""Samples of an arm's recordings that stand for readings where none was taken at rest."""
+
+
+@dataclass(frozen=True)
+class MotionCalibration:
+    """A calibration, and samples (as readings) of the arms that were recorded."""
+
+    calibration: Calibration
+    samples: Mapping[str, Readings]
+
+
+def calibrate_with_motion(
+    profile: Profile,
+    readings: Mapping[str, Readings],
+    recordings: Mapping[str, Sequence[Recording]],
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+) -> MotionCalibration:
+    """Calibrate a cell: arms with ``recordings`` from these and their readings, others from readings whose splits are
+    drawn.
+
+    Raises
+    ------
+    InputError
+        If an arm has too few readings, or a recording is of no use, see ``identify_from_motion``.
+    Cancelled
+        If the token says so.
+    """
+    cancel = cancel or CancelToken()
+    known: dict[str, ArmCalibration] = {}
+    samples: dict[str, Readings] = {}
+    notes: list[str] = []
+    moved = {name: its for name, its in recordings.items() if its}
+    for number, (name, its) in enumerate(moved.items()):
+        listener(Progress("calibrate", number, len(moved) + 1, f"arm {name}: recordings of motion"))
+        cancel.check()
+        fit, known[name] = calibrate_arm_with_motion(profile, name, readings[name], its)
+        samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
+    found = calibrate_readings(profile, readings, listener, cancel, known=known)
+    if found.pair is None and len(known) == len(profile.arms) == 2:
+        T_M_first, T_M_second = (arm.model.geometry.T_M_B() for arm in found.arms.values())
+        first, second = profile.arms
+        model = replace(found.model, T_R_L=np.asarray(invert(T_M_second) @ T_M_first), pair=(first, second))
+        found = replace(found, model=model)
+        notes.append("pair: the transform between the bases is that of both arms in the tracker's frame")
+    return MotionCalibration(replace(found, notes=(*found.notes, *notes)), samples)
+
+
+def calibrate_arm_with_motion(
+    profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording]
+) -> tuple[MotionFit, ArmCalibration]:
+    """One arm from its recordings and, where there are any, from the readings of its identify split."""
+    arm, settings = profile.arms[name], profile.calibration
+    nominal = nominal_arm(arm)
+    stops, held_out_stops = stops_of(readings)
+    fit = identify_from_motion(
+        nominal,
+        recordings,
+        tool_unknown=arm.smr.offset == "unknown",
+        stops=stops,
+        held_out_stops=held_out_stops,
+        parameter_set=settings.parameter_set,
+        prior_sigma=prior_sigmas(nominal, settings.priors),
+        seed=profile.seed,
+    )
+    found, some = fit.identification, samples_of(fit, len(arm.type.joints))
+    start = start_from_nominal(nominal, some.q, some.p_M, tool_unknown=arm.smr.offset == "unknown")
+    held_out = readings.take(readings.in_split("validate"))
+    in_motion = _errors_in_motion(name, fit)
+    model = ArmModel(
+        geometry=found.geometry,
+        nominal=start,
+        bodies=bodies_of(arm),
+        up_M=up_in_tracker(profile),
+        smr_normal=np.array(arm.smr.normal, dtype=np.float64),
+        identified=found.estimated.names,
+        covariance=found.estimated_covariance,
+    )
+    points = {"identify": sum(one.learnt for one in fit.recordings.values()), "train": 0}
+    points["validate"] = sum(one.held_out for one in fit.recordings.values())
+    return fit, ArmCalibration(
+        model=model,
+        identification=found,
+        excess_m=0.0,
+        validate=_errors_at_rest(start, found.geometry, held_out) if len(held_out) else in_motion,
+        counts={word: len(readings.in_split(word)) for word in SPLITS} if len(readings) else points,
+        repeatability=repeatability(readings.q, readings.p_M) if len(readings) else None,
+        tracker_mm=_stated_mm(readings, recordings),
+        motion=_motion_result(fit, in_motion),
+        clocks={recording: _clock(clock) for recording, clock in fit.clocks.items()},
+    )
+
+
+def samples_of(fit: MotionFit, joints: int, lag_s: Array | None = None) -> Readings:
+    """Some points of all recordings with the joint positions at their times, as readings: of what was learnt from, and
+    of the held-out blocks. Joint positions are those without their lags ``lag_s`` (N,) [s]."""
+    parts = []
+    for one in fit.recordings.values():
+        share = _SAMPLES // len(fit.recordings) + 1
+        for word, chosen, most in (("identify", one.track.learnt, share), ("validate", one.track.held_out, share // 3)):
+            rows = np.flatnonzero(chosen)
+            rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(np.intp)] if len(rows) else rows
+            parts.append((word, one, rows))
+    n = sum(len(rows) for *_, rows in parts)
+    moved = [one.track.path.at(one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
+    sides = [
+        one.track.path.direction_at(one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts
+    ]
+    return Readings(
+        configuration=np.arange(n),
+        time_s=np.concatenate([one.track.time_s[rows] for _, one, rows in parts]),
+        q=np.concatenate([q if lag_s is None else q - lag_s * qd for q, qd in moved]).reshape(n, joints),
+        approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8).reshape(n, joints),
+        p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
+        sigma_m=_stated_of(parts),
+        split=tuple(word for word, _, rows in parts for _ in rows),
+    )
+
+
+def _stated_of(parts: Sequence[tuple[str, RecordingFit, NDArray[np.intp]]]) -> Array | None:
+    sigmas = [one.track.sigma_m[rows] for _, one, rows in parts if one.track.sigma_m is not None]
+    return np.concatenate(sigmas) if len(sigmas) == len(parts) else None
+
+
+def stops_of(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
+    """Readings at rest for a fit with recordings, and which of them it may not use; None where it may use none."""
+    learnt = np.zeros(len(readings), dtype=bool)
+    learnt[readings.in_split("identify")] = True
+    return (_stops(readings), ~learnt) if learnt.any() else (None, None)
+
+
+def _stops(readings: Readings) -> Stops:
+    stated = stated_uncertainty(readings)
+    if stated is not None and stated.ndim == 3:
+        stated = np.sqrt(np.trace(stated, axis1=1, axis2=2) / 3.0)
+    return Stops(readings.q, readings.p_M, stated, readings.approach.astype(np.float64))
+
+
+def _errors_at_rest(nominal: Geometry, found: Geometry, held_out: Readings) -> dict[Stage, StageErrors]:
+    computed = {"nominal": smr_positions(nominal, held_out.q), "geometry": smr_positions(found, held_out.q)}
+    return {stage: evaluate(held_out.p_M, p_M) for stage, p_M in computed.items()}  # type: ignore[misc]
+
+
+def _errors_in_motion(name: str, fit: MotionFit) -> dict[Stage, StageErrors]:
+    """Errors at the points of the held-out blocks of all recordings."""
+    ones = fit.recordings.values()
+    nominal, found = (np.concatenate(parts) for parts in zip(*((o.heldout_nominal_mm, o.heldout_mm) for o in ones)))
+    if not len(found):
+        raise InputError(
+            f"arm '{name}': no point of its recordings is held out to judge the fit; give blocks the split 'validate',"
+            " or leave the column out"
+        )
+    return {"nominal": StageErrors(position_mm=_summary(nominal)), "geometry": StageErrors(position_mm=_summary(found))}
+
+
+def _summary(mm: Array) -> ErrorSummary:
+    """Statistics of errors [mm] of which neighbours are alike: without an interval of their mean."""
+    p50, p95 = np.quantile(mm, [0.5, 0.95]).tolist()
+    std = float(mm.std(ddof=1)) if len(mm) > 1 else 0.0
+    rms, mean, most = float(np.sqrt(np.mean(mm**2))), float(mm.mean()), float(mm.max())
+    return ErrorSummary(mean=mean, rms=rms, std=std, max=most, p50=p50, p95=p95, n=len(mm))
+
+
+def _stated_mm(readings: Readings, recordings: Sequence[Recording]) -> float | None:
+    """Rms length of the stated noise [mm], of the readings, else of the recordings' points."""
+    stated = stated_uncertainty(readings) if len(readings) else None
+    if stated is None:
+        sigmas = [one.points.sigma_m for one in recordings]
+        stated = None if any(one is None for one in sigmas) else np.concatenate([s for s in sigmas if s is not None])
+    return None if stated is None else rms_length_mm(stated)
+
+
+# -- the result -------------------------------------------------------------------------------------------------------
+
+
+def _motion_result(fit: MotionFit, errors: Mapping[Stage, StageErrors]) -> MotionResult:
+    play = zip(fit.half_play.tolist(), fit.half_play_standard_error.tolist(), strict=True)
+    return MotionResult(
+        recordings={name: _recording(one) for name, one in fit.recordings.items()},
+        effective_points=fit.effective,
+        half_play={
+            f"joint {joint}": Estimate(value=value, standard_error=error, unit="rad")
+            for joint, (value, error) in enumerate(play, start=1)
+        },
+        stops_scatter_mm=None if fit.stops_scatter_m is None else fit.stops_scatter_m * 1e3,
+        validate_=errors,
+        undetermined=fit.undetermined,
+    )
+
+
+def _recording(one: RecordingFit) -> RecordingResult:
+    return RecordingResult(
+        points=one.points,
+        learnt=one.learnt,
+        held_out=one.held_out,
+        gross=one.gross,
+        in_gaps=one.in_gaps,
+        effective_points=one.effective,
+        scatter_mm=one.scatter_m * 1e3,
+        heldout_rms_mm=one.heldout_rms_mm if len(one.heldout_mm) else None,
+    )
+
+
+def _clock(clock: ClockFit) -> ClockResult:
+    return ClockResult(
+        offset_s=clock.offset_s,
+        offset_standard_error_s=clock.offset_standard_error_s,
+        offset_interval_s=clock.offset_interval_s,
+        rate_ppm=clock.rate_ppm,
+        rate_standard_error_ppm=clock.rate_standard_error_ppm,
+        rate_interval_ppm=clock.rate_interval_ppm,
+        at_s=clock.middle_s,
+        steps_of_joints=tuple((step.at_s, step.step_s) for step in clock.steps_of_joints),
+        steps_of_points=tuple((step.at_s, step.step_s) for step in clock.steps_of_points),
+        segments=tuple(
+            ClockSegmentResult(
+                offset_s=one.offset_s,
+                offset_standard_error_s=one.offset_standard_error_s,
+                first_s=one.first_s,
+                last_s=one.last_s,
+            )
+            for one in clock.segments
+        )
+        if len(clock.segments) > 1
+        else (),
+        correlation=clock.correlation,
+    )

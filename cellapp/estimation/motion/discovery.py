@@ -1,0 +1,169 @@
+"""Discovery for arms that were recorded in motion: effects of joints from all points, beside the search of readings.
+
+The search of readings (stops, or samples of the recordings) knows all effects of the library. Recordings show those of
+the joints far better: every reversal, dense lines, and what only motion has. Where the arm with the effects that
+recordings show predicts held-out readings better, it is the model from then on.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
+from cellapp.estimation.discovery.accepted import accepted_effect
+from cellapp.estimation.discovery.held_out import HeldOut
+from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
+from cellapp.estimation.discovery.records import (
+    BeforeAfter,
+    Evidence,
+    MotionDiscoveryResult,
+    MotionEffectResult,
+    Place,
+)
+from cellapp.estimation.motion.calibrate import samples_of, stops_of
+from cellapp.estimation.motion.effects import MotionDiscovery, MotionEffect, effects_in_motion
+from cellapp.estimation.motion.streams import Recording
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken
+from cellapp.ground.results import Estimate
+from cellapp.robot.effects import EFFECTS
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
+
+LAG_TITLE = "delay of a joint behind the others"
+
+
+def with_motion(
+    profile: Profile,
+    found: CellDiscovery,
+    calibrated: Mapping[str, ArmModel],
+    readings: Mapping[str, Readings],
+    stops: Mapping[str, Readings],
+    recordings: Mapping[str, Sequence[Recording]],
+    cancel: CancelToken | None = None,
+) -> CellDiscovery:
+    """The discovery of a cell with what recordings of its arms show.
+
+    ``readings`` are those that were searched: ``stops``, and samples of the recordings. ``calibrated`` are the arms
+    before discovery.
+
+    Raises
+    ------
+    Cancelled
+        On request.
+    """
+    conditions = conditions_of_arms(calibrated, readings)
+    arms = dict(found.arms)
+    for name, its in recordings.items():
+        if not its:
+            continue
+        started = time.perf_counter()
+        motion = _search(profile, name, stops[name], its, cancel)
+        held_out = HeldOut.of(readings[name], conditions[name])
+        if not len(stops[name].in_split("validate")):  # samples stand for poses at rest: without what only motion has
+            joints = readings[name].joints
+            samples = samples_of(motion.fit, joints, motion.lags_s(joints))
+            held_out = HeldOut.of(samples, measurement_conditions(samples))
+        seconds = time.perf_counter() - started
+        arms[name] = _with_effects(name, found.arms[name], calibrated[name], motion, held_out, seconds)
+    model = replace(found.model, arms={name: one.model for name, one in arms.items()})
+    return replace(found, arms=arms, model=model)
+
+
+def _search(
+    profile: Profile, name: str, at_rest: Readings, recordings: Sequence[Recording], cancel: CancelToken | None
+) -> MotionDiscovery:
+    arm, settings = profile.arms[name], profile.calibration
+    nominal = nominal_arm(arm)
+    stops, held_out_stops = stops_of(at_rest)
+    return effects_in_motion(
+        nominal,
+        recordings,
+        tool_unknown=arm.smr.offset == "unknown",
+        bodies=bodies_of(arm),
+        up_M=up_in_tracker(profile),
+        stops=stops,
+        held_out_stops=held_out_stops,
+        parameter_set=settings.parameter_set,
+        prior_sigma=prior_sigmas(nominal, settings.priors),
+        seed=profile.seed,
+        cancel=cancel,
+    )
+
+
+def _with_effects(
+    name: str, found: Discovery, calibrated: ArmModel, motion: MotionDiscovery, held_out: HeldOut, seconds: float
+) -> Discovery:
+    """The discovery of one arm with what motion shows, and with its model where that predicts better."""
+    model = _model(calibrated, motion)
+    used = bool(motion.terms) and len(held_out) > 0 and held_out.rms_mm(model) < found.result.heldout_mm.after
+    shown = MotionDiscoveryResult(
+        effects=tuple(_result(effect) for effect in motion.effects),
+        heldout_mm=BeforeAfter(before=motion.heldout_before_mm, after=motion.heldout_after_mm),
+        used=used,
+        seconds=seconds,
+    )
+    if not used:
+        return replace(found, result=found.result.model_copy(update={"motion": shown}))
+    at_rest = [effect for effect in motion.effects if effect.at_rest]
+    accepted = tuple(
+        accepted_effect(
+            effect.term(),
+            Place(joints=effect.joints, acts_on=tuple(f"joint {joint}" for joint in effect.joints)),
+            Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
+            math.nan,
+        )
+        for effect in at_rest
+    )
+    names = " and ".join(EFFECTS[effect.slug].title for effect in at_rest)
+    after = held_out.rms_mm(model)
+    changed = replace(found, terms=motion.terms)
+    changed = replace(changed, result=found.result.model_copy(update={"accepted": accepted, "motion": shown}))
+    return changed.with_model(
+        model,
+        held_out,
+        verdict="explained",
+        sentence=f"arm {name}: {names}, by its recordings of motion; {after * 1e3:.0f} µm rms held out",
+        contradictions=(),
+        pictures=(),
+        network_mm=None,
+    )
+
+
+def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
+    """The arm with the geometry and the effects that motion shows and that act at rest."""
+    identification = motion.fit.identification
+    return replace(
+        calibrated,
+        geometry=identification.geometry,
+        effects=motion.terms,
+        network=None,
+        identified=(*identification.estimated.names, *(name for term in motion.terms for name in term.names)),
+        covariance=motion.covariance,
+        posterior=None,
+    )
+
+
+def _before_after(effect: MotionEffect) -> BeforeAfter:
+    return BeforeAfter(before=effect.heldout_before_mm, after=effect.heldout_after_mm)
+
+
+def _result(effect: MotionEffect) -> MotionEffectResult:
+    return MotionEffectResult(
+        effect=effect.slug,
+        title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else LAG_TITLE,
+        joints=effect.joints,
+        parameters={
+            name: Estimate(value=value, standard_error=error, unit=unit)
+            for name, value, error, unit in zip(
+                effect.names, effect.values.tolist(), effect.standard_errors.tolist(), effect.units, strict=True
+            )
+        },
+        evidence=Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
+        only_motion=effect.only_motion or None,
+        at_rest=effect.at_rest,
+    )

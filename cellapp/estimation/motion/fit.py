@@ -1,0 +1,372 @@
+"""Identification from recordings of motion: geometry, lost motion and clocks of all recordings in one fit.
+
+    minimise  sum_s w_s sum_i c_i |p_i - P(q(u_i) - h d_i; g)|^2 + priors
+
+over the recordings (and the stops) s. The weight w_s of a source is what one of its points tells of the parameters: the
+inverse of the residuals' variance at the frequencies at which the parameters move the points (``noise``), so that
+100 000 points that are worth a thousand weigh as a thousand beside stops and priors. c_i is one, or zero for gross
+errors. A first fit of a subset, with robust weights, leads to where one or two steps with all points suffice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.linear import inverse_diagonal, solve_psd
+from cellapp.estimation.calibration.parameters import (
+    PriorSpread,
+    SetName,
+    estimated_parameters,
+    prior_sds,
+    prior_spreads,
+)
+from cellapp.estimation.calibration.weights import MEDIAN_NORM, robust_weights
+from cellapp.estimation.motion.noise import NoiseModel, noise_model
+from cellapp.estimation.motion.observe import (
+    Layout,
+    Model,
+    Stops,
+    Sums,
+    posture_basis,
+    residuals,
+    stop_residuals,
+    stop_sums,
+    track_averages,
+    track_sums,
+    without_posture,
+)
+from cellapp.estimation.motion.terms import JointTerm, Law, Masses
+from cellapp.estimation.motion.tracks import Track
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.transforms import Array
+
+_FIRST_POINTS = 5000
+"""Points of the first fit."""
+_FIRST_STEPS = 40
+_STEPS = 4
+"""Most steps with all points."""
+_SETTLED_M = 1e-6
+"""A step that moves points by less [rms, m] is the last of the first fit."""
+_LAST_M = 5e-5
+"""The same with all points: what is left after it is about its square over the arm's length."""
+GROSS = 6.0
+"""Norm, in standard deviations of a coordinate, beyond which a point is a gross error: never by chance."""
+_RATE_SD = 3e-4
+"""Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; one that is off by more shows in any recording."""
+_TRACKER_M = 1e-5
+"""Smallest standard deviation of a coordinate [m]: keeps weights finite where there is no noise."""
+_REWEIGHTED = 0.02
+"""Relative change of a weight at which weights count as settled."""
+_WEAK = 0.01
+"""Precision of a prior that only keeps what is not determined, in that of the solution."""
+_ROUNDS = 4
+"""Rounds of step and weights: weights settle to a percent in two or three."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is fitted: tracks, stops, and priors about the start."""
+
+    start: Geometry
+    layout: Layout
+    tracks: tuple[Track, ...]
+    stops: Stops | None
+    mean: Array = field(repr=False)
+    precision: Array = field(repr=False)
+    spreads: tuple[PriorSpread, ...]
+    masses: Masses | None = None
+    whitening: tuple[Array, ...] | None = None
+
+    def with_terms(self, added: tuple[JointTerm, ...]) -> Problem:
+        """The same problem with further terms."""
+        layout, at = replace(self.layout, terms=self.layout.terms + added), self.layout.arm
+        precisions = [1.0 / term.prior_sd**2 for term in added]
+        return replace(
+            self,
+            layout=layout,
+            mean=np.insert(self.mean, at, np.zeros(len(added))),
+            precision=np.insert(self.precision, at, precisions),
+        )
+
+    def without_terms(self) -> Problem:
+        """The same problem with geometry and clocks alone."""
+        kept = np.delete(np.arange(self.layout.size), np.arange(self.layout.geometric, self.layout.arm))
+        return replace(
+            self, layout=replace(self.layout, terms=()), mean=self.mean[kept], precision=self.precision[kept]
+        )
+
+    @property
+    def translation(self) -> int:
+        """Place of a parameter that moves all points alike."""
+        return self.layout.parameters.names.index("x0")
+
+    def model(self, values: Array) -> Model:
+        """The arm and its clocks at ``values``."""
+        return Model(self.start, self.layout, values, self.masses)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The minimum: values, noise model, weights by source, the points used by source, and how it was reached."""
+
+    values: Array
+    noise: NoiseModel
+    information: Array = field(repr=False)
+    precision: Array = field(repr=False)
+    sources: tuple[Source, ...]
+    steps: tuple[float, ...]
+    converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Rows of one recording, or of the stops, that are used; root of the variance of a coordinate [m]; what one of its
+    points weighs, in ``1 / sigma^2``; and its relative uncertainties (n,), or None."""
+
+    rows: NDArray[np.intp] = field(repr=False)
+    sigma_m: float
+    worth: float = 1.0
+    relative: Array | None = field(default=None, repr=False)
+
+    def root(self, robust: Array | None = None) -> Array:
+        """Roots of the weights (n,) [1/m]."""
+        root = np.full(len(self.rows), np.sqrt(self.worth) / self.sigma_m)
+        if self.relative is not None:
+            root = root / self.relative
+        return root if robust is None else root * np.sqrt(robust)
+
+
+def problem_of(
+    nominal: Geometry,
+    tracks: Sequence[Track],
+    stops: Stops | None,
+    *,
+    tool_unknown: bool,
+    parameter_set: SetName,
+    prior_sigma: Mapping[str, float],
+    masses: Masses | None = None,
+) -> Problem:
+    """The problem with its start: the nominal chain at the base that all points together suggest."""
+    q, p = _subset(tracks, stops)
+    start = start_from_nominal(nominal, q, p, tool_unknown=tool_unknown)
+    parameters, priors = estimated_parameters(parameter_set, start, prior_sigma)
+    terms = tuple(JointTerm(Law.PLAY, joint) for joint in range(nominal.joints))
+    layout = Layout(parameters, terms, tuple(len(track.offsets_s) for track in tracks))
+    mean, precision = np.zeros(layout.size), np.zeros(layout.size)
+    mean[: layout.geometric] = start.vector()[list(parameters.columns)]
+    precision[: layout.geometric] = 1.0 / prior_sds(parameters, priors) ** 2
+    precision[layout.geometric : layout.arm] = [1.0 / term.prior_sd**2 for term in terms]
+    for number, track in enumerate(tracks):
+        mean[layout.offsets(number)] = track.offsets_s
+        precision[layout.rate(number)] = 1.0 / _RATE_SD**2
+    spreads = prior_spreads(parameters, set(priors) - set(prior_sigma))
+    masses = None if masses is None else replace(masses, geometry=start)
+    return Problem(start, layout, tuple(tracks), stops, mean, precision, spreads, masses)
+
+
+def _subset(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]:
+    """Some joint positions (n, N) and points (n, 3) of all sources, at the starts of the clocks."""
+    parts = [] if stops is None else [(stops.q, stops.p_M)]
+    for track in tracks:
+        rows = _thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
+        parts.append((track.path.at(track.controller_times(rows, track.offsets_s, 0.0))[0], track.p_M[rows]))
+    return np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts])
+
+
+def _thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    if len(rows) <= count:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
+
+
+def solve(problem: Problem, stop_rows: NDArray[np.intp], start: Array | None = None) -> Solution:
+    """Fit a subset with robust weights, then all points but gross errors; from ``start`` without the subset."""
+    values, steps = _first_fit(problem, stop_rows) if start is None else (start, [])
+    precision, converged = problem.precision, False
+    for _ in range(_STEPS):
+        model = problem.model(values)
+        sources = _all_points(problem, model, stop_rows)
+        sums = _sums(problem, model, sources, None)
+        step, noise, worths, information, precision = _weighed_step(problem, values, sums)
+        values = values + step
+        steps.append(_size(step, information, problem.translation))
+        converged = steps[-1] < _LAST_M
+        if converged:
+            break
+    sources = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
+    return Solution(values, noise, information, precision, sources, tuple(steps), converged)
+
+
+def free_clocks(problem: Problem, solution: Solution) -> Solution:
+    """The solution with clocks that are free of what the model lacks, and the arm that belongs to them.
+
+    What a model of an arm lacks at rest is a function of posture; it can look like a delay where a path comes by a
+    posture in one direction more often than in the other. Functions of posture are therefore taken out of residuals and
+    columns, as far as they are more than noise, before clocks and terms are estimated.
+    """
+    model, sources = problem.model(solution.values), solution.sources[: len(problem.tracks)]
+    averages = [
+        track_averages(model, track, number, source.rows, source.root())
+        for number, (track, source) in enumerate(zip(problem.tracks, sources))
+    ]
+    here = replace(problem, mean=solution.values, precision=_held_arm(problem, solution), spreads=())
+    bases = [posture_basis(one.q) for one in averages]
+    bare = [without_posture(one, basis, 0.0) for one, basis in zip(averages, bases)]
+    _, _, worths, _, _ = _weighed_step(here, solution.values, bare)
+    shares = [
+        min(1.0, float(np.sqrt(3 * basis.shape[1] / worth / max(np.sum((basis.T @ one.r) ** 2), 1e-300))))
+        for one, basis, worth in zip(averages, bases, worths)
+    ]
+    freed = [without_posture(one, basis, share) for one, basis, share in zip(averages, bases, shares)]
+    step, noise, _, _, _ = _weighed_step(here, solution.values, freed)
+    clocks = np.concatenate([problem.layout.clock(number) for number in range(len(problem.tracks))])
+    arm = np.arange(problem.layout.arm)
+    values, change = solution.values.copy(), step[clocks]
+    values[clocks] += change
+    normal = solution.information + np.diag(solution.precision)
+    values[arm] -= solve_psd(normal[np.ix_(arm, arm)], normal[np.ix_(arm, clocks)] @ change)
+    return replace(solution, values=values, noise=_with_clocks(solution.noise, noise, clocks))
+
+
+def _held_arm(problem: Problem, solution: Solution) -> Array:
+    """Precision of priors about the present values: that of the solution, and weak ones for base and tool."""
+    variances = np.maximum(np.diag(solution.noise.covariance), 1e-300)
+    return np.asarray(np.where(problem.precision > 0.0, solution.precision, _WEAK / variances))
+
+
+def _with_clocks(noise: NoiseModel, of_clocks: NoiseModel, places: NDArray[np.intp]) -> NoiseModel:
+    """The noise model with the variances of the clocks from another one."""
+    covariance, freedom = noise.covariance.copy(), noise.freedom.copy()
+    covariance[places] = covariance[:, places] = 0.0
+    covariance[np.ix_(places, places)] = of_clocks.covariance[np.ix_(places, places)]
+    freedom[places] = of_clocks.freedom[places]
+    return replace(noise, covariance=covariance, freedom=freedom)
+
+
+def _first_fit(problem: Problem, stop_rows: NDArray[np.intp]) -> tuple[Array, list[float]]:
+    """Robust fit of a subset: values, and the sizes of the steps."""
+    share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
+    rows = [_thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
+    values, steps = problem.mean.copy(), []
+    for _ in range(_FIRST_STEPS):
+        model = problem.model(values)
+        sources, robust = _with_robust_weights(problem, model, rows, stop_rows)
+        step, _, _, information, _ = _weighed_step(problem, values, _sums(problem, model, sources, robust))
+        values = values + step
+        steps.append(_size(step, information, problem.translation))
+        if steps[-1] < _SETTLED_M:
+            break
+    return values, steps
+
+
+def _weighed_step(
+    problem: Problem, values: Array, sums: Sequence[Sums]
+) -> tuple[Array, NoiseModel, list[float], Array, Array]:
+    """Gauss-Newton step with sources weighed by what they are worth and priors by what they leave: step, noise model,
+    worths, information and precision of the priors."""
+    worths, precision = [1.0] * len(sums), problem.precision
+    for _ in range(_ROUNDS):
+        A, b = _normal(problem, sums, worths)
+        precision = _with_spreads(problem, values, A, precision)
+        unit = 1.0 / np.sqrt(np.diag(A) + precision + 1e-300)
+        H = A * unit * unit[:, None] + np.diag(precision * unit**2)
+        step = unit * solve_psd(H, unit * (b + precision * (problem.mean - values)))
+        noise = noise_model([one.bands for one in sums], worths, step, precision, A)
+        levels = noise.level
+        if max(abs(level - 1.0) for level in levels) < _REWEIGHTED:
+            break
+        worths = [worth / level for worth, level in zip(worths, levels, strict=True)]
+    return step, noise, worths, A, precision
+
+
+def _normal(problem: Problem, sums: Sequence[Sums], worths: Sequence[float]) -> tuple[Array, Array]:
+    """Normal equations of all sources by all parameters."""
+    A, b = np.zeros((problem.layout.size,) * 2), np.zeros(problem.layout.size)
+    for one, worth in zip(sums, worths, strict=True):
+        places = one.bands.columns
+        A[places[:, None], places] += worth * one.A
+        b[places] += worth * one.b
+    return A, b
+
+
+def _with_spreads(problem: Problem, values: Array, A: Array, precision: Array) -> Array:
+    """Precision of the priors, with standard deviations that nobody stated estimated from the present values."""
+    if not problem.spreads:
+        return precision
+    unit = 1.0 / np.sqrt(np.diag(A) + precision + 1e-300)
+    H = A * unit * unit[:, None] + np.diag(precision * unit**2)
+    by_priors = precision * unit**2 * inverse_diagonal(H)
+    precision = precision.copy()
+    for spread in problem.spreads:
+        deviations = values[spread.places] - problem.mean[spread.places]
+        if deviations.any():
+            precision[spread.places] = 1.0 / spread.square(deviations, float(by_priors[spread.places].sum()))
+    return precision
+
+
+def _size(step: Array, information: Array, translation: int) -> float:
+    """Rms displacement of the points by a step [m]; ``translation`` is the place of one that moves all points alike."""
+    return float(np.sqrt(max(step @ information @ step, 0.0) / max(information[translation, translation], 1e-300)))
+
+
+def _sums(problem: Problem, model: Model, sources: Sequence[Source], robust: Sequence[Array] | None) -> list[Sums]:
+    """Normal equations of every source with worth one."""
+    found = []
+    for number, source in enumerate(sources):
+        root = source.root(None if robust is None else robust[number])
+        if number < len(problem.tracks):
+            whitening = None if problem.whitening is None or robust is not None else problem.whitening[number]
+            found.append(track_sums(model, problem.tracks[number], number, source.rows, root, whitening))
+        elif problem.stops is not None:
+            found.append(stop_sums(model, problem.stops, source.rows, root))
+    return found
+
+
+def _misses(
+    problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]], stop_rows: NDArray[np.intp]
+) -> list[Array]:
+    """Residuals (n, 3) [m] of the rows of every source."""
+    found = [residuals(model, track, n, its) for n, (track, its) in enumerate(zip(problem.tracks, rows, strict=True))]
+    return found if problem.stops is None else [*found, stop_residuals(model, problem.stops)[stop_rows]]
+
+
+def _source(problem: Problem, number: int, rows: NDArray[np.intp], norm: Array) -> Source:
+    """The rows of a source with the variance of a coordinate by the median of the residuals' norms (n,) [m]."""
+    holder = problem.tracks[number] if number < len(problem.tracks) else problem.stops
+    assert holder is not None
+    stated = holder.sigma_m
+    sigma = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
+    relative = None
+    if stated is not None and np.isfinite(stated[rows]).all() and (stated[rows] > 0.0).all():
+        squares = stated[rows] ** 2
+        excess = max(sigma**2 - float(np.median(squares)), 0.0)
+        relative = np.sqrt((squares + excess) / np.mean(squares + excess))
+    return Source(rows, sigma, relative=relative)
+
+
+def _with_robust_weights(
+    problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]], stop_rows: NDArray[np.intp]
+) -> tuple[list[Source], list[Array]]:
+    sources, weights = [], []
+    every = [*rows, stop_rows]
+    for number, left in enumerate(_misses(problem, model, rows, stop_rows)):
+        norm = np.linalg.norm(left, axis=1)
+        sources.append(_source(problem, number, every[number], norm))
+        weights.append(robust_weights(np.maximum(norm, _TRACKER_M), "tukey"))
+    return sources, weights
+
+
+def _all_points(problem: Problem, model: Model, stop_rows: NDArray[np.intp]) -> tuple[Source, ...]:
+    """All points of every source without gross errors."""
+    rows = [np.flatnonzero(track.learnt) for track in problem.tracks]
+    every, found = [*rows, stop_rows], []
+    for number, left in enumerate(_misses(problem, model, rows, stop_rows)):
+        norm = np.linalg.norm(left, axis=1)
+        good = norm < GROSS * max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
+        found.append(_source(problem, number, every[number][good], norm[good]))
+    return tuple(found)

@@ -1,0 +1,338 @@
+"""One arm from recordings of its motion: the public function, and its result from the solution of the fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.identification import Identification
+from cellapp.estimation.calibration.parameters import SetName, determined_set
+from cellapp.estimation.calibration.weights import MEDIAN_NORM
+from cellapp.estimation.motion.fit import GROSS, Problem, Solution, free_clocks, problem_of, solve
+from cellapp.estimation.motion.observe import Model, Stops, residuals, stop_residuals
+from cellapp.estimation.motion.records import ClockFit, ClockSegment, MotionFit, RecordingFit
+from cellapp.estimation.motion.streams import Recording
+from cellapp.estimation.motion.terms import Law, Masses
+from cellapp.estimation.motion.tracks import Track, track_of
+from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.statics import Bodies
+from cellapp.robot.kinematics.transforms import Array
+
+_LEAST_POINTS = 50
+_STILL_RAD = 0.02
+"""Range of a joint below which a motion tells next to nothing of it."""
+_RATE_UNKNOWN_PPM = 20.0
+"""Standard error of a rate above which it is as uncertain as clocks themselves."""
+
+
+def identify_from_motion(
+    nominal: Geometry,
+    recordings: Sequence[Recording],
+    *,
+    tool_unknown: bool,
+    stops: Stops | None = None,
+    held_out_stops: NDArray[np.bool_] | None = None,
+    parameter_set: SetName = "auto",
+    prior_sigma: Mapping[str, float] | None = None,
+    seed: int = 0,
+) -> MotionFit:
+    """Identify geometry, lost motion and clocks of one arm from recordings of its motion.
+
+    Parameters
+    ----------
+    nominal : Geometry
+        The published chain with the nominal tool; its base is not used.
+    recordings : sequence of Recording
+        Of this arm. Points that no recording marks as held out are split into blocks of time by ``seed``.
+    tool_unknown : bool
+        Whether the tool is estimated from zero at the start.
+    stops : Stops, optional
+        Readings at rest, fitted jointly; those of ``held_out_stops`` (n,) are not used.
+    parameter_set, prior_sigma
+        As of ``calibration.identification.identify``.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        If a recording is at rest, its clocks do not overlap, its points are not of this arm, or too few are left.
+    """
+    problem, stop_rows = motion_problem(
+        nominal,
+        recordings,
+        tool_unknown=tool_unknown,
+        stops=stops,
+        held_out_stops=held_out_stops,
+        parameter_set=parameter_set,
+        prior_sigma=prior_sigma,
+        seed=seed,
+    )
+    return motion_fit(problem, free_clocks(problem, solve(problem, stop_rows)))
+
+
+def motion_problem(
+    nominal: Geometry,
+    recordings: Sequence[Recording],
+    *,
+    tool_unknown: bool,
+    stops: Stops | None,
+    held_out_stops: NDArray[np.bool_] | None,
+    parameter_set: SetName,
+    prior_sigma: Mapping[str, float] | None,
+    seed: int,
+    loads: tuple[Bodies, Array] | None = None,
+) -> tuple[Problem, NDArray[np.intp]]:
+    """The problem of ``identify_from_motion``, and the rows of the stops that it may use; ``loads`` are masses and the
+    direction against gravity in the tracker frame.
+
+    Raises
+    ------
+    InputError
+        As ``identify_from_motion``.
+    """
+    if not recordings:
+        raise InputError("no recordings of motion")
+    tracks = [_track(recording, nominal, tool_unknown, seed + number) for number, recording in enumerate(recordings)]
+    stop_rows = np.arange(0 if stops is None else len(stops.q))
+    if held_out_stops is not None:
+        stop_rows = np.flatnonzero(~held_out_stops)
+    problem = problem_of(
+        nominal,
+        tracks,
+        stops,
+        tool_unknown=tool_unknown,
+        parameter_set=parameter_set,
+        prior_sigma=prior_sigma or {},
+        masses=None if loads is None else Masses(nominal, *loads),
+    )
+    return problem, stop_rows
+
+
+def _track(recording: Recording, nominal: Geometry, tool_unknown: bool, seed: int) -> Track:
+    if recording.joints.joints != nominal.joints:
+        raise InputError(
+            f"recording '{recording.name}' of arm '{recording.arm}': {recording.joints.joints} joints, but the arm has"
+            f" {nominal.joints}"
+        )
+    track = track_of(recording, nominal, tool_unknown=tool_unknown, seed=seed)
+    if track.learnt.sum() < _LEAST_POINTS:
+        raise InputError(
+            f"recording '{recording.name}' of arm '{recording.arm}': {int(track.learnt.sum())} points lie at times at"
+            f" which the joints are known and are not held out; at least {_LEAST_POINTS} are needed"
+        )
+    return track
+
+
+def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
+    """The result of a solution."""
+    model, noise, layout = problem.model(solution.values), solution.noise, problem.layout
+    found = {
+        track.name: _recording_fit(problem, solution, model, number) for number, track in enumerate(problem.tracks)
+    }
+    play, play_error = np.zeros(layout.parameters.joints), np.full(layout.parameters.joints, np.nan)
+    for number, term in enumerate(layout.terms, start=layout.geometric):
+        if term.law is Law.PLAY:
+            play[term.joint] = solution.values[number]
+            play_error[term.joint] = math.sqrt(noise.covariance[number, number])
+    identification, half_widths = _identification(problem, solution, model)
+    has_stops = problem.stops is not None and len(solution.sources[-1].rows)
+    return MotionFit(
+        identification=identification,
+        half_play=play,
+        half_play_standard_error=play_error,
+        recordings=found,
+        half_widths=half_widths,
+        effective=sum(one.effective for one in found.values()),
+        stops_scatter_m=solution.sources[-1].sigma_m if has_stops else None,
+        undetermined=_undetermined(problem, identification, found),
+    )
+
+
+def held_out_rms_mm(problem: Problem, solution: Solution) -> float:
+    """Rms distance of all held-out points without gross errors from the model [mm]."""
+    model, squares, count = problem.model(solution.values), 0.0, 0
+    for number, track in enumerate(problem.tracks):
+        misses, good = _held_out(model, track, number, solution.sources[number].sigma_m)
+        squares += float(np.sum(misses[good] ** 2))
+        count += int(np.count_nonzero(good))
+    return 1e3 * math.sqrt(squares / count) if count else math.nan
+
+
+def _held_out(model: Model, track: Track, number: int, sigma_m: float) -> tuple[Array, NDArray[np.bool_]]:
+    """Distances of held-out points from the model [m], and which are no gross errors."""
+    misses = np.linalg.norm(residuals(model, track, number, np.flatnonzero(track.held_out)), axis=1)
+    usual = float(np.median(misses)) / MEDIAN_NORM if len(misses) else 0.0
+    return misses, misses < GROSS * max(sigma_m, usual)
+
+
+def _recording_fit(problem: Problem, solution: Solution, model: Model, number: int) -> RecordingFit:
+    track, source = problem.tracks[number], solution.sources[number]
+    offsets, rate = model.clock(number)
+    rows = np.flatnonzero(track.held_out)
+    vector = problem.start.vector()
+    bare = problem.model(_with_arm(problem, solution.values, vector))
+    misses, good = _held_out(model, track, number, source.sigma_m)
+    nominal = np.linalg.norm(residuals(bare, track, number, rows), axis=1)
+    return RecordingFit(
+        clock=_clock_fit(problem, solution, number),
+        points=len(track.time_s),
+        learnt=len(source.rows),
+        held_out=int(np.count_nonzero(good)),
+        gross=int(track.learnt.sum()) - len(source.rows) + int(np.count_nonzero(~good)),
+        in_gaps=int(
+            np.count_nonzero(~track.path.known(track.controller_times(np.arange(len(track.time_s)), offsets, rate)))
+        ),
+        effective=min(1.0, source.worth) * len(source.rows),
+        scatter_m=source.sigma_m,
+        heldout_mm=misses[good] * 1e3,
+        heldout_nominal_mm=nominal[good] * 1e3,
+        track=track,
+        offsets_s=offsets + _mean_lag(problem, solution),
+        rate=rate,
+    )
+
+
+def _with_arm(problem: Problem, values: Array, vector: Array) -> Array:
+    """The same clocks with the geometry of ``vector`` and no lost motion."""
+    values = values.copy()
+    values[: problem.layout.geometric] = vector[list(problem.layout.parameters.columns)]
+    values[problem.layout.geometric : problem.layout.arm] = 0.0
+    return values
+
+
+def _mean_lag(problem: Problem, solution: Solution) -> float:
+    """Mean lag of the joints [s], which nothing tells from an offset of the clocks."""
+    of_terms = problem.model(solution.values).of_terms
+    lags = [value for term, value in zip(problem.layout.terms, of_terms.tolist(), strict=True) if term.law is Law.LAG]
+    return float(np.mean(lags)) if lags else 0.0
+
+
+def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
+    """The clocks of one recording; the mean lag of the joints, which nothing tells from an offset, is part of that."""
+    track, layout = problem.tracks[number], problem.layout
+    width, rate = solution.noise.half_width(), layout.rate(number)
+    lags = [place for place, term in enumerate(layout.terms, start=layout.geometric) if term.law is Law.LAG]
+
+    def stated(place: int, unit: float) -> tuple[float, float, tuple[float, float]]:
+        """Value, standard error and interval."""
+        share = np.zeros(layout.size)
+        share[place] = unit
+        if place != rate:
+            share[lags] = unit / max(len(lags), 1)
+        value, error = float(share @ solution.values), math.sqrt(float(share @ solution.noise.covariance @ share))
+        half = float(width[place]) * error
+        return value, error, (value - half, value + half)
+
+    segments = []
+    for segment in range(layout.segments[number]):
+        times = track.time_s[track.segment == segment]
+        segments.append(
+            ClockSegment(*stated(layout.offsets(number).start + segment, 1.0), float(times[0]), float(times[-1]))
+        )
+    rate_ppm, rate_error, rate_interval = stated(rate, 1e6)
+    first = segments[0]
+    return ClockFit(
+        offset_s=first.offset_s,
+        offset_standard_error_s=first.offset_standard_error_s,
+        offset_interval_s=first.offset_interval_s,
+        rate_ppm=rate_ppm,
+        rate_standard_error_ppm=rate_error,
+        rate_interval_ppm=rate_interval,
+        middle_s=track.middle_s,
+        segments=tuple(segments),
+        steps_of_joints=track.path.stamps.steps,
+        steps_of_points=track.stamps.steps,
+        regular_joints=track.path.stamps.regular,
+        regular_points=track.stamps.regular,
+        correlation=track.start.correlation,
+    )
+
+
+def _identification(problem: Problem, solution: Solution, model: Model) -> tuple[Identification, Array]:
+    """The arm's part of the solution in the form that all that follows takes, and half widths of its intervals."""
+    layout, noise, stops = problem.layout, solution.noise, problem.stops
+    estimated, size, arm = layout.parameters, layout.geometric, layout.arm
+    covariance = noise.covariance[:size, :size]
+    information = _of_arm(solution.information, size)
+    chosen = estimated
+    if estimated.name == "auto":
+        with np.errstate(divide="ignore"):
+            chosen = determined_set(estimated, information, 1.0 / np.sqrt(problem.precision[:size]))
+    to_table, kept = chosen.from_estimated(estimated)
+    in_table = covariance if chosen is estimated else to_table @ covariance @ to_table.T
+    left = np.zeros((0, 3)) if stops is None else stop_residuals(model, stops)
+    gram = information[kept[:, None], kept]
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    of_geometry = solution.precision[:size]
+    values: dict[str, Any] = {
+        "geometry": model.geometry,
+        "estimated": estimated,
+        "estimated_covariance": covariance,
+        "prior_sigma": {
+            name: float(p**-0.5) for name, p in zip(estimated.names, of_geometry.tolist(), strict=True) if p > 0.0
+        },
+        "parameter_set": chosen,
+        "names": chosen.names,
+        "units": chosen.units,
+        "values": problem.mean[:size][kept] + to_table @ (solution.values[:size] - problem.mean[:size]),
+        "standard_errors": np.sqrt(np.maximum(np.diag(in_table), 0.0)),
+        "covariance": in_table,
+        "effect_values": np.zeros(0),
+        "iterations": len(solution.steps),
+        "converged": solution.converged,
+        "message": "converged" if solution.converged else f"not converged after {len(solution.steps)} iterations",
+        "scale": float(np.median([source.sigma_m for source in solution.sources])),
+        "degrees_of_freedom": max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - arm)),
+        "residuals": left,
+        "weights": np.ones(len(left)),
+        "steps": solution.steps,
+        "gram": gram / (scale * scale[:, None]),
+        "configurations": sum(len(source.rows) for source in solution.sources),
+    }
+    width = noise.half_width()[:size][kept]
+    return Identification(**values), width
+
+
+def _of_arm(information: Array, size: int) -> Array:
+    """Information about the geometry while clocks and lost motion are free."""
+    rest = information[size:, size:]
+    with_rest = information[:size, size:]
+    return np.asarray(information[:size, :size] - with_rest @ np.linalg.pinv(rest, hermitian=True) @ with_rest.T)
+
+
+def _undetermined(
+    problem: Problem, identification: Identification, found: Mapping[str, RecordingFit]
+) -> tuple[str, ...]:
+    """What the data cannot determine, in sentences."""
+    said = []
+    positions = np.concatenate([track.path.at(track.path.stamps.time_s)[0] for track in problem.tracks])
+    if problem.stops is not None:
+        positions = np.concatenate([positions, problem.stops.q])
+    for joint, swing in enumerate(np.ptp(positions, axis=0).tolist()):
+        if swing < _STILL_RAD:
+            said.append(
+                f"joint {joint + 1} moved by {math.degrees(swing):.2f} deg only: neither its axis nor its errors show"
+            )
+    merged = identification.parameter_set.merged
+    for name, into in merged.items():
+        partners = ", ".join(sorted(into, key=lambda one: -abs(into[one]))[:4])
+        said.append(f"{name}: {'acts like ' + partners if partners else 'has no effect'} on these data")
+    for name, one in found.items():
+        others = one.track.start.others_s
+        if others:
+            said.append(
+                f"recording '{name}': the motion repeats, and delays of"
+                f" {', '.join(f'{other:.2f}' for other in others)} s would fit as well; the one with the longest"
+                " overlap was taken: begin recordings with a motion that does not come again"
+            )
+        if one.clock.rate_standard_error_ppm > _RATE_UNKNOWN_PPM:
+            said.append(
+                f"recording '{name}': the rate between the clocks is known to"
+                f" {one.clock.rate_standard_error_ppm:.0f} ppm only; record longer"
+            )
+    return tuple(said)

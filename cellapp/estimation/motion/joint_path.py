@@ -1,0 +1,147 @@
+"""Joint positions, speeds and accelerations of a recording at any time, by cubic Hermite interpolation.
+
+Recorded speeds are the slopes where they agree with the positions; else slopes are those of a cubic spline through the
+positions. Joints are interpolated to the tracker's times, not the reverse: joints are smooth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
+
+from cellapp.estimation.motion.stamps import Stamps, read_stamps
+from cellapp.estimation.motion.streams import JointStream
+from cellapp.robot.kinematics.transforms import Array
+
+_WINDOW_S = 0.2
+"""Time over which recorded speeds are integrated to compare them with positions."""
+_AGREES = 0.03
+"""Share of the motion by which integrated speeds may differ from positions: filtered or late speeds differ by more."""
+_PLAY = 5e-5
+"""Half gap of the play operator that gives the direction of motion [rad]: above the noise of an encoder, and passed
+within a few samples of any sweep."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointPath:
+    """The path of N joints between its first and its last sample.
+
+    Attributes
+    ----------
+    stamps : Stamps
+    recorded_speeds : bool
+        Whether the slopes are the recorded speeds.
+    direction : array, shape (m, N)
+        Output of a play operator of small gap, -1 to 1, at the samples: against it a joint with lost motion lags.
+    """
+
+    stamps: Stamps
+    recorded_speeds: bool
+    direction: Array = field(repr=False)
+    _position: PPoly = field(repr=False)
+    _speed: PPoly = field(repr=False)
+    _acceleration: PPoly = field(repr=False)
+
+    def known(self, time_s: Array) -> NDArray[np.bool_]:
+        """Whether times (n,) [s] lie between samples, and not in a gap or beside a step of the clock."""
+        t = self.stamps.time_s
+        place = np.searchsorted(t, time_s, side="right")
+        inside = (place > 0) & (place < len(t))
+        after = np.clip(place, 1, len(t) - 1)
+        short = t[after] - t[after - 1] <= self.stamps.longest_s
+        return np.asarray(inside & short & (self.stamps.segment[after] == self.stamps.segment[after - 1]))
+
+    def segment_at(self, time_s: Array) -> NDArray[np.intp]:
+        """Segment of the controller's clock at times (n,) [s]."""
+        place = np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
+        return self.stamps.segment[place]
+
+    def at(self, time_s: Array) -> tuple[Array, Array]:
+        """Positions [rad] and speeds [rad/s] at times (n,) [s], each (n, N)."""
+        return np.asarray(self._position(time_s)), np.asarray(self._speed(time_s))
+
+    def acceleration_at(self, time_s: Array) -> Array:
+        """Accelerations at times (n,) [s], (n, N) [rad/s^2]."""
+        return np.asarray(self._acceleration(time_s))
+
+    def direction_at(self, time_s: Array) -> Array:
+        """Side on which a joint with lost motion lies at times (n,) [s], (n, N), -1 to 1; 0 before it first moved."""
+        t = self.stamps.time_s
+        place = np.clip(np.searchsorted(t, time_s), 1, len(t) - 1)
+        share = np.clip((time_s - t[place - 1]) / (t[place] - t[place - 1]), 0.0, 1.0)[:, None]
+        return np.asarray(self.direction[place - 1] * (1.0 - share) + self.direction[place] * share)
+
+
+def joint_path(joints: JointStream) -> JointPath:
+    """The path through the samples of a recording.
+
+    Raises
+    ------
+    ValueError
+        If fewer than four different samples are left.
+    """
+    stamps = read_stamps(joints.time_s, joints.q)
+    if len(stamps.rows) < 4:
+        raise ValueError("fewer than four joint samples with different stamps")
+    t, q = stamps.time_s, joints.q[stamps.rows]
+    qd = None if joints.qd is None else joints.qd[stamps.rows]
+    recorded = qd is not None and _agree(t, q, qd, stamps)
+    slopes = qd if recorded else _slopes(t, q, stamps)
+    position = CubicHermiteSpline(t, q, slopes)
+    speed = position.derivative()
+    sides = play(q, np.full(q.shape[1], _PLAY))
+    return JointPath(stamps, recorded, (q - sides) / _PLAY, position, speed, speed.derivative())
+
+
+def play(q: Array, half_gap: Array) -> Array:
+    """Output (n, N) of a play operator along a path ``q`` (n, N) [rad] with ``half_gap`` (N,) [rad].
+
+    The output stays until the input has crossed the gap: ``w_i = min(max(w_(i-1), q_i - h), q_i + h)``, ``w_0 = q_0``.
+    Each step is a clamp, and clamps compose to clamps: a scan of log2(n) array operations, not a loop over samples.
+    Source: Visintin, Differential Models of Hysteresis (1994), chapter III.
+    """
+    low, high = q - half_gap, q + half_gap
+    low[0] = high[0] = q[0]
+    reach = 1
+    while reach < len(q):
+        first_low, first_high = low[:-reach], high[:-reach]
+        new_low = np.clip(first_low, low[reach:], high[reach:])
+        new_high = np.clip(first_high, low[reach:], high[reach:])
+        low = np.concatenate([low[:reach], new_low])
+        high = np.concatenate([high[:reach], new_high])
+        reach *= 2
+    return low
+
+
+def _runs(stamps: Stamps) -> list[tuple[int, int]]:
+    """First and one past the last sample between gaps and steps of the clock."""
+    cut = (np.diff(stamps.time_s) > stamps.longest_s) | (np.diff(stamps.segment) != 0)
+    cuts = (np.flatnonzero(cut) + 1).tolist()
+    return list(zip([0, *cuts], [*cuts, len(stamps.time_s)], strict=True))
+
+
+def _slopes(t: Array, q: Array, stamps: Stamps) -> Array:
+    """Slopes (n, N) [rad/s] of cubic splines through the positions between gaps."""
+    slopes = np.zeros_like(q)
+    for first, last in _runs(stamps):
+        if last - first >= 4:
+            slopes[first:last] = CubicSpline(t[first:last], q[first:last]).derivative()(t[first:last])
+        elif last - first >= 2:
+            slopes[first:last] = np.gradient(q[first:last], t[first:last], axis=0)
+    return slopes
+
+
+def _agree(t: Array, q: Array, qd: Array, stamps: Stamps) -> bool:
+    """Whether integrated speeds are the motion of the positions."""
+    if not np.isfinite(qd).all():
+        return False
+    width = max(2, round(_WINDOW_S / stamps.period_s))
+    if len(t) <= 2 * width:
+        return False
+    moved = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum((qd[1:] + qd[:-1]) / 2 * np.diff(t)[:, None], axis=0)])
+    whole = t[width:] - t[:-width] < 1.5 * width * stamps.period_s  # no gap and no pause between
+    by_speed, by_position = (moved[width:] - moved[:-width])[whole], (q[width:] - q[:-width])[whole]
+    return bool(np.sum((by_speed - by_position) ** 2) <= _AGREES**2 * np.sum(by_position**2))

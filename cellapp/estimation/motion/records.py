@@ -1,0 +1,159 @@
+"""What the fit of recordings found: clocks, geometry, lost motion, errors of held-out blocks, and what is not known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellapp.estimation.calibration.identification import Identification
+from cellapp.estimation.motion.stamps import ClockStep
+from cellapp.estimation.motion.tracks import Track
+from cellapp.robot.kinematics.transforms import Array
+
+
+@dataclass(frozen=True)
+class ClockSegment:
+    """The tracker's clock against the controller's between two steps of either.
+
+    ``offset_s`` is the tracker's stamp less the controller's of the same instant, at the stamp ``middle_s`` of the
+    recording (steps taken out); ``first_s`` and ``last_s`` are the first and the last of its points.
+    """
+
+    offset_s: float
+    offset_standard_error_s: float
+    offset_interval_s: tuple[float, float]
+    first_s: float
+    last_s: float
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """Clocks of one recording: a point stamped t was measured at controller time
+    ``t - offset_s - 1e-6 rate_ppm (t - middle_s)``.
+
+    Attributes
+    ----------
+    offset_s, offset_standard_error_s, offset_interval_s
+        Of the first segment; the interval holds with 95 %.
+    rate_ppm, rate_standard_error_ppm, rate_interval_ppm
+        Rate of the tracker's clock less that of the controller's, over the latter.
+    middle_s : float
+        Stamp at which offsets are stated: in the middle of the recording, where offset and rate are independent.
+    segments : tuple of ClockSegment
+    steps_of_joints, steps_of_points : tuple of ClockStep
+        Steps of the controller's and of the tracker's clock.
+    regular_joints, regular_points : bool
+        Whether stamps jittered about a regular clock that took their place.
+    correlation : float
+        Of the speeds, at the start of the fit.
+    """
+
+    offset_s: float
+    offset_standard_error_s: float
+    offset_interval_s: tuple[float, float]
+    rate_ppm: float
+    rate_standard_error_ppm: float
+    rate_interval_ppm: tuple[float, float]
+    middle_s: float
+    segments: tuple[ClockSegment, ...]
+    steps_of_joints: tuple[ClockStep, ...]
+    steps_of_points: tuple[ClockStep, ...]
+    regular_joints: bool
+    regular_points: bool
+    correlation: float
+
+    def offset_at(self, stamp_s: float) -> float:
+        """Tracker's stamp less the controller's [s] at a stamp of the tracker in the first segment."""
+        return self.offset_s + 1e-6 * self.rate_ppm * (stamp_s - self.middle_s)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingFit:
+    """One recording after the fit.
+
+    Attributes
+    ----------
+    clock : ClockFit
+    points, learnt, held_out, gross : int
+        All points; those learnt from; those of held-out blocks; those left out of either as gross errors.
+    in_gaps : int
+        Points at times at which the joints are not known.
+    effective : float
+        Number of independent points that would tell as much of the parameters.
+    scatter_m : float
+        Standard deviation of a coordinate of the residuals [m].
+    heldout_mm, heldout_nominal_mm : array, shape (h,)
+        Distances of held-out points from the model and from the nominal arm at its base with the same clock [mm].
+    track : Track
+        For what comes after: the path and the points at the fitted clock.
+    offsets_s : array, shape (S,)
+        Of the segments, with the mean lag of the joints.
+    rate : float
+    """
+
+    clock: ClockFit
+    points: int
+    learnt: int
+    held_out: int
+    gross: int
+    in_gaps: int
+    effective: float
+    scatter_m: float
+    heldout_mm: Array = field(repr=False)
+    heldout_nominal_mm: Array = field(repr=False)
+    track: Track = field(repr=False)
+    offsets_s: Array = field(repr=False)
+    rate: float
+
+    @property
+    def heldout_rms_mm(self) -> float:
+        """Rms distance of held-out points from the model [mm]; NaN without any."""
+        return rms(self.heldout_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFit:
+    """One arm identified from recordings of its motion, and from stops where there are any.
+
+    Attributes
+    ----------
+    identification : Identification
+        Geometry, with standard errors from the noise model. Its residuals and weights are those of the stops.
+    half_play : array, shape (N,)
+        Lost motion in motion, by joint [rad]: a joint lies this far behind its motor, against its last motion.
+    half_play_standard_error : array, shape (N,)
+    recordings : mapping-like dict of RecordingFit
+    half_widths : array
+        Of the 95 % intervals in standard errors, for the names of ``identification``.
+    effective : float
+        Independent points of all recordings together.
+    stops_scatter_m : float or None
+        Standard deviation of a coordinate of the stops' residuals.
+    undetermined : tuple of str
+        Sentences on what these data cannot determine.
+    """
+
+    identification: Identification
+    half_play: Array
+    half_play_standard_error: Array
+    recordings: dict[str, RecordingFit]
+    half_widths: Array = field(repr=False)
+    effective: float
+    stops_scatter_m: float | None
+    undetermined: tuple[str, ...]
+
+    @property
+    def clocks(self) -> dict[str, ClockFit]:
+        """Clocks by recording."""
+        return {name: one.clock for name, one in self.recordings.items()}
+
+    @property
+    def heldout_rms_mm(self) -> float:
+        """Rms distance of all held-out points from the model [mm]."""
+        return rms(np.concatenate([one.heldout_mm for one in self.recordings.values()]))
+
+
+def rms(values: Array) -> float:
+    """Root mean square; NaN of no values."""
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

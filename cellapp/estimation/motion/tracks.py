@@ -1,0 +1,177 @@
+"""A recording made ready for the fit: joint path, points in order, segments of the clocks, held-out blocks, start."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from cellapp.estimation.motion.clock_start import ClockStart, clock_start
+from cellapp.estimation.motion.joint_path import JointPath, joint_path
+from cellapp.estimation.motion.stamps import Stamps, read_stamps
+from cellapp.estimation.motion.streams import Recording
+from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.chain import Geometry, smr_positions
+from cellapp.robot.kinematics.transforms import Array
+
+_HELD_OUT_SHARE = 0.2
+_BLOCKS = 25
+"""Blocks of time into which a recording is cut; a share of them is held out."""
+_SHORTEST_BLOCK_S = 2.0
+_GUARD_S = 0.3
+"""Neither learnt from nor held out on either side of a drawn block: neighbours there are alike."""
+_BESIDE_STEP_S = 0.1
+"""Points this near to a step of the controller's clock are left out: which side they belong to is not known."""
+_SEGMENT_S = 5.0
+"""Segments that last longer get a start of their own where that of the recording does not fit."""
+_BAD_START = 5.0
+"""Ratio of median distances from the nominal arm from which a segment does not fit."""
+_MOST_SEGMENTS = 40
+_SPIKE_M = 0.01
+"""Distance of a point from the median of its neighbours from which the start does not use it."""
+_ABSURD_M = 0.05
+"""Median distance of the points from the nominal arm from which files must be mistaken."""
+_SEED = 0xB10C
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One recording, ready.
+
+    Attributes
+    ----------
+    name : str
+    path : JointPath
+    stamps : Stamps
+        Of the points.
+    time_s : array, shape (m,)
+        The points' times by the tracker's clock, without its steps [s].
+    p_M : array, shape (m, 3)
+    sigma_m : array, shape (m,), or None
+    segment : array of int, shape (m,)
+        Part between steps of either clock.
+    offsets_s : array, shape (S,)
+        Start: tracker's stamps less those of the controller, by segment.
+    middle_s : float
+        Stamp at which offsets are stated.
+    learnt, held_out : array of bool, shape (m,)
+        Points that the fit may use, and those that judge it; points in gaps are neither.
+    start : ClockStart
+    """
+
+    name: str
+    path: JointPath = field(repr=False)
+    stamps: Stamps = field(repr=False)
+    time_s: Array = field(repr=False)
+    p_M: Array = field(repr=False)
+    sigma_m: Array | None = field(repr=False)
+    segment: NDArray[np.intp] = field(repr=False)
+    offsets_s: Array
+    middle_s: float
+    learnt: NDArray[np.bool_] = field(repr=False)
+    held_out: NDArray[np.bool_] = field(repr=False)
+    start: ClockStart = field(repr=False)
+
+    def controller_times(self, rows: NDArray[np.intp], offsets_s: Array, rate: float) -> Array:
+        """Times of some points by the controller's clock [s]."""
+        t = self.time_s[rows]
+        return np.asarray(t - offsets_s[self.segment[rows]] - rate * (t - self.middle_s))
+
+
+def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, seed: int) -> Track:
+    """Make a recording ready; ``nominal`` is the chain with its tool, its base is not used.
+
+    Raises
+    ------
+    InputError
+        If it is at rest, the clocks do not overlap, or the points do not belong to these joints.
+    """
+    where = f"recording '{recording.name}' of arm '{recording.arm}'"
+    try:
+        path, stamps = joint_path(recording.joints), read_stamps(recording.points.time_s, recording.points.p_M)
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+    points, time = recording.points, stamps.time_s
+    p_M = points.p_M[stamps.rows]
+    usual = np.linalg.norm(p_M - median_filter(p_M, (7, 1)), axis=1) < _SPIKE_M
+    start = clock_start(nominal, path, time[usual], p_M[usual], tool_unknown=tool_unknown, where=where)
+    if start.rms_m > _ABSURD_M:
+        raise InputError(
+            f"{where}: the points lie {start.rms_m * 1e3:.0f} mm from the arm wherever its base is and whatever the"
+            " delay; look for joints in degrees, points in millimetres, files of another arm or of another time"
+        )
+    segment, beside = _segments(path, stamps, time - start.offset_s, where)
+    known = path.known(time - start.offset_s) & ~beside
+    held_out = points.held_out
+    track = Track(
+        recording.name,
+        path,
+        stamps,
+        time,
+        p_M,
+        None if points.sigma_m is None else points.sigma_m[stamps.rows],
+        segment,
+        np.full(int(segment.max()) + 1, start.offset_s),
+        float((time[0] + time[-1]) / 2.0),
+        known,
+        known,
+        start,
+    )
+    track = _with_segment_starts(track, usual & known, nominal, tool_unknown, where)
+    validate, guard = _drawn(time, seed) if held_out is None else (held_out[stamps.rows], np.zeros(len(time), bool))
+    return replace(track, learnt=known & ~validate & ~guard, held_out=known & validate)
+
+
+def _segments(
+    path: JointPath, stamps: Stamps, controller_s: Array, where: str
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Segment of each point between steps of either clock, and which points lie beside a step of the controller's."""
+    of_joints = path.segment_at(controller_s)
+    _, segment = np.unique(stamps.segment * (int(of_joints.max()) + 1) + of_joints, return_inverse=True)
+    segment = segment.astype(np.intp)
+    if segment.max() >= _MOST_SEGMENTS:
+        raise InputError(
+            f"{where}: its clocks jump {int(segment.max())} times; look for stamps in another unit or lines in another"
+            " order"
+        )
+    beside = np.zeros(len(segment), dtype=bool)
+    for step in path.stamps.steps:
+        beside |= np.abs(controller_s - step.at_s) < _BESIDE_STEP_S
+    return segment, beside
+
+
+def _with_segment_starts(
+    track: Track, usual: NDArray[np.bool_], nominal: Geometry, tool_unknown: bool, where: str
+) -> Track:
+    """Segments that do not fit at the recording's delay get their own: samples were lost when the clock jumped."""
+    offsets = track.offsets_s.copy()
+    if len(offsets) == 1:
+        return track
+    for number in range(len(offsets)):
+        rows = np.flatnonzero((track.segment == number) & usual)
+        if len(rows) < 20 or np.ptp(track.time_s[rows]) < _SEGMENT_S:
+            continue
+        q, _ = track.path.at(track.time_s[rows] - offsets[number])
+        misses = np.linalg.norm(smr_positions(track.start.nominal, q) - track.p_M[rows], axis=1)
+        if np.median(misses) > _BAD_START * track.start.rms_m:
+            own = clock_start(
+                nominal, track.path, track.time_s[rows], track.p_M[rows], tool_unknown=tool_unknown, where=where
+            )
+            offsets[number] = own.offset_s
+    return replace(track, offsets_s=offsets)
+
+
+def _drawn(time: Array, seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Points in the blocks of time that the seed holds out, and those beside such a block."""
+    length = max(_SHORTEST_BLOCK_S, (time[-1] - time[0]) / _BLOCKS)
+    count = max(1, math.ceil((time[-1] - time[0]) / length))
+    block = np.minimum(((time - time[0]) / length).astype(np.intp), count - 1)
+    chosen = np.zeros(count, dtype=bool)
+    chosen[np.random.default_rng([seed, _SEED]).permutation(count)[: round(_HELD_OUT_SHARE * count)]] = True
+    validate = chosen[block]
+    early = chosen[np.clip(((time - _GUARD_S - time[0]) / length).astype(np.intp), 0, count - 1)]
+    late = chosen[np.clip(((time + _GUARD_S - time[0]) / length).astype(np.intp), 0, count - 1)]
+    return validate, (early | late) & ~validate

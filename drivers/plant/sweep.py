@@ -1,0 +1,234 @@
+"""A sweep of one arm on record: joints that lag behind their commands, gears with memory, two clocks.
+
+The controller's joints follow the commands as in ``servo``: each a critically damped second-order system. Its encoders
+sit before the gears. Behind the gears every effect of the plant acts along the path: one with hysteresis sees a motion
+from each reversal of a joint to the next. Controller and tracker stamp their samples with clocks of their own; the
+controller loses samples when its client is slow, the tracker loses the beam now and then.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.plant.climate import joint_rise
+from drivers.plant.config import Array
+from drivers.plant.effect import Situation
+from drivers.plant.mechanism import NO_DEFLECTION
+from drivers.plant.plant import Plant
+from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
+from drivers.plant.true_arm import TrueArm
+
+_STEP_S = 1e-3
+"""Step of the joints' motion [s]."""
+_REST_S = 0.5
+"""Rest on record before and after the motion [s]."""
+_AT_ONCE = 4096
+"""Points whose equilibrium is found together."""
+DYNAMIC_M = 5e-6
+"""Standard deviation that following a moving SMR adds to the distance [m]."""
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """How the devices record.
+
+    Attributes
+    ----------
+    joint_hz, point_hz : float
+        Rates of the controller and of the tracker [1/s].
+    lost_samples : float
+        Share of the controller's samples that its client does not get.
+    jitter_s : float
+        Standard deviation of the instant at which joints are sampled, about its stamp [s].
+    lost_beams_per_min : float
+        Breaks of the beam; each lasts up to ``longest_loss_s`` [s].
+    offset_s, rate_ppm : float
+        The tracker's clock against the controller's.
+    seed : int
+    """
+
+    joint_hz: float = 125.0
+    point_hz: float = 250.0
+    lost_samples: float = 1e-3
+    jitter_s: float = 20e-6
+    lost_beams_per_min: float = 0.5
+    longest_loss_s: float = 1.0
+    offset_s: float = 0.0
+    rate_ppm: float = 0.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class SweepRecord:
+    """What both devices recorded.
+
+    Attributes
+    ----------
+    joint_time_s, q, qd : arrays, shapes (n,), (n, N), (n, N)
+        Stamps of the controller, joint positions [rad] and speeds [rad/s] before the gears.
+    point_time_s, p_M, sigma_m : arrays, shapes (m,), (m, 3), (m,)
+        Stamps of the tracker, points [m], their standard uncertainty by the specification [m]; points are NaN where the
+        beam was lost.
+    """
+
+    joint_time_s: Array
+    q: Array
+    qd: Array
+    point_time_s: Array
+    p_M: Array
+    sigma_m: Array
+
+
+def record_sweep(plant: Plant, recorder: Recorder, name: str, commanded: Array, cycle_s: float) -> SweepRecord:
+    """Let an arm at rest follow ``commanded`` (n, N) [rad], a position each ``cycle_s`` [s], and record it.
+
+    The plant's time passes; the other arms rest. Raises ``ValueError`` if an arm moves, or the arm is not where the
+    commands begin.
+    """
+    arm = plant._arm(name)
+    if any(plant.moving(other) for other in plant.names):
+        raise ValueError("a sweep is recorded while no other motion is under way")
+    if np.abs(arm.q - commanded[0]).max() > 1e-3:
+        raise ValueError(f"arm {name} is not where its sweep begins")
+    rng = np.random.default_rng([recorder.seed, round(1e3 * plant.clock_s)])
+    arm.resting = None
+    arm.stop_error = plant.config.repeatability * arm.repeatability.standard_normal(arm.config.joints)
+    time_s, q = _joint_motion(arm.q, commanded, cycle_s)
+    seen = np.arange(0.0, time_s[-1], 1.0 / recorder.point_hz) + rng.uniform(0.0, 1.0 / recorder.point_hz)
+    seen = seen[seen < time_s[-1]]
+    began_s = plant.clock_s
+    p_M = _points(plant, arm, time_s, q, seen, began_s)
+    p_M, covariance = plant.measure_positions(p_M, rng)
+    if plant.config.noise:
+        distance = np.linalg.norm(p_M, axis=1, keepdims=True)
+        p_M = p_M * (1.0 + DYNAMIC_M * rng.standard_normal(distance.shape) / distance)
+    joint_time_s, joints, speeds = _samples(time_s, q, recorder, rng)
+    _end(plant, arm, time_s, q)
+    lost = _lost(seen, recorder, rng)
+    return SweepRecord(
+        joint_time_s=began_s + joint_time_s,
+        q=joints,
+        qd=speeds,
+        point_time_s=recorder.offset_s + (1.0 + 1e-6 * recorder.rate_ppm) * (began_s + seen),
+        p_M=np.where(lost[:, None], np.nan, p_M),
+        sigma_m=np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0),
+    )
+
+
+def _joint_motion(start: Array, commanded: Array, cycle_s: float) -> tuple[Array, Array]:
+    """Times (n,) and positions before the gears (n, N) of joints that follow commands, with a rest at both ends."""
+    time_s = np.arange(0.0, len(commanded) * cycle_s + 2.0 * _REST_S, _STEP_S)
+    at = np.arange(len(commanded)) * cycle_s + _REST_S
+    goal = np.column_stack([np.interp(time_s, at, column) for column in commanded.T])
+    keep = float(np.exp(-servo_rate(LOOKAHEAD_S, GAIN) * _STEP_S))
+    q = goal - start  # at rest before it begins: two equal lags one after the other are critically damped
+    for _ in range(2):
+        for row in range(1, len(q)):
+            q[row] = keep * q[row - 1] + (1.0 - keep) * q[row]
+    return time_s, np.asarray(q + start)
+
+
+def _samples(time_s: Array, q: Array, recorder: Recorder, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Stamps, positions and speeds that the controller's client got."""
+    stamps = np.arange(0.0, time_s[-1], 1.0 / recorder.joint_hz)
+    stamps = stamps[rng.random(len(stamps)) >= recorder.lost_samples]
+    instants = np.clip(stamps + recorder.jitter_s * rng.standard_normal(len(stamps)), 0.0, time_s[-1])
+    speed = np.gradient(q, _STEP_S, axis=0)
+    at = (np.column_stack([np.interp(instants, time_s, column) for column in table.T]) for table in (q, speed))
+    positions, speeds = at
+    return stamps, positions, speeds
+
+
+def _lost(seen: Array, recorder: Recorder, rng: np.random.Generator) -> np.ndarray:
+    """Points (m,) at which the beam was lost."""
+    lost = np.zeros(len(seen), dtype=bool)
+    for _ in range(rng.poisson(recorder.lost_beams_per_min * float(np.ptp(seen)) / 60.0)):
+        begin = rng.uniform(seen[0], seen[-1])
+        lost |= (seen >= begin) & (seen <= begin + rng.uniform(0.0, recorder.longest_loss_s))
+    return lost
+
+
+def _turns(q: Array) -> np.ndarray:
+    """Rows at which some joint turns round: the arm moves without any reversal between two of them."""
+    way = np.sign(np.diff(q, axis=0))
+    for row in range(1, len(way)):  # a joint at rest has turned round only when it moves the other way
+        still = way[row] == 0.0
+        if still.any():
+            way[row, still] = way[row - 1, still]
+    return np.flatnonzero((way[1:] * way[:-1] < 0.0).any(axis=1)) + 1
+
+
+def _points(plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, began_s: float) -> Array:
+    """True apparent points (m, 3) at times ``seen`` (m,), segment by segment between reversals of joints."""
+    q_seen = np.column_stack([np.interp(seen, time_s, column) for column in q.T])
+    turns = [0, *_turns(q).tolist(), len(q) - 1]
+    points = np.empty((len(seen), 3))
+    segment = np.searchsorted(time_s[turns[1:-1]], seen, side="right")
+    for number, first in enumerate(turns[:-1]):
+        rows = np.flatnonzero(segment == number)
+        for at in range(0, len(rows), _AT_ONCE):
+            some = rows[at : at + _AT_ONCE]
+            points[some] = _points_without_reversal(plant, arm, q_seen[some], began_s + seen[some])
+        _note_turn(arm, q[first], q[turns[number + 1]], q[min(turns[number + 1] + 1, len(q) - 1)])
+    return points
+
+
+def _points_without_reversal(plant: Plant, arm: TrueArm, q: Array, time_s: Array) -> Array:
+    """Points (n, 3) of an arm that moves from where its joints turned last to each ``q`` (n, N)."""
+    n = len(q)
+    step = q - arm.q
+    air_c = np.full(n, plant.air_temperature_c)
+    situation = Situation(
+        q=q,
+        approach=np.where(step == 0.0, arm.approach, np.sign(step)),
+        last_step=step,
+        since_rest_s=np.zeros(n),
+        time_s=time_s,
+        air_c=air_c,
+        joints_c=air_c[:, None] + arm.rise,
+        others=plant._other_postures(arm, {}, n),
+        T_B_others=plant._T_B_others(arm),
+        mechanism=arm.mechanism,
+    )
+    memories = [effect.memory_after_motion(memory, q) for effect, memory in zip(arm.effects, arm.memories, strict=True)]
+    posture, _ = plant._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None])
+    return plant._apparent_smr(arm, situation, posture)[0]
+
+
+def _note_turn(arm: TrueArm, begun: Array, turned: Array, after: Array) -> None:
+    """Update memories of the joints that turned round at ``turned`` (N,); the others go on with their motion."""
+    step = turned - arm.q
+    reverses = (after - turned) * step < 0.0
+    at = np.where(reverses, turned, arm.q)
+    arm.memories = [
+        effect.memory_after_motion(memory, at[None]) for effect, memory in zip(arm.effects, arm.memories, strict=True)
+    ]
+    arm.approach = np.where(reverses, np.sign(step), arm.approach)
+    arm.last_step = np.where(reverses, step, arm.last_step)
+    arm.q = at
+
+
+def _end(plant: Plant, arm: TrueArm, time_s: Array, q: Array) -> None:
+    """Leave the arm at rest at the end of its sweep, and let the time of it pass."""
+    step = q[-1] - arm.q
+    arm.memories = [
+        effect.memory_after_motion(memory, q[-1][None])
+        for effect, memory in zip(arm.effects, arm.memories, strict=True)
+    ]
+    arm.approach = np.where(step == 0.0, arm.approach, np.sign(step))
+    arm.last_step, arm.q = step, q[-1].copy()
+    speed = np.abs(np.diff(q, axis=0)).mean(axis=0) / _STEP_S
+    warmer = joint_rise(arm.rise, speed, float(time_s[-1]), plant.config.holding_k)
+    plant.advance(float(time_s[-1]))
+    arm.rise = warmer
+    arm.rest_since_s = plant.clock_s - _REST_S
+
+
+def recorder_of(plant: Plant) -> Recorder:
+    """The devices of a simulated cell: clocks that differ by its seed."""
+    rng = np.random.default_rng([plant.config.seed, 4])
+    return Recorder(
+        offset_s=float(rng.uniform(-500.0, 500.0)), rate_ppm=float(rng.normal(0.0, 20.0)), seed=plant.config.seed
+    )

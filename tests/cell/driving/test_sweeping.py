@@ -1,0 +1,139 @@
+"""Sweeps from their plan to a calibration, on the simulated cell: seen, clear, recorded once, left out if refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving import sweeping
+from cellapp.cell.driving.cell import open_cell
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.planning.planned_stops import PlannedStops, straight_stops
+from cellapp.cell.planning.stored_stops import read_planned_stops
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweep, plan_sweeps, read_sweeps, refuse_sweep
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.recordings import read_recordings_of, recording_states
+from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.cell.safety.gate import visible
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.plan.request import VERB as PLAN
+from cellapp.commands.plan.run import new_planned_run, plan_result
+from cellapp.ground.control import JobControl, Stopped
+from cellapp.ground.errors import InputError
+from tests.twin import small_twin
+
+STOPS = 4
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("sweeps") / "run"
+    new_planned_run(small_twin(plan={"method": "random"}), folder, sweeps=STOPS).close()
+    return folder
+
+
+def copied(planned: Path, folder: Path) -> RunFile:
+    (folder / "run").mkdir()
+    (folder / "run" / "run.sqlite").write_bytes((planned / "run.sqlite").read_bytes())
+    return RunFile.open(folder / "run", write=True)
+
+
+def targets(stops: PlannedStops, sweep: PlannedSweep) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
+    at = stops.targets(sweep.stop)
+    return at[sweep.arm], {name: q for name, q in at.items() if name != sweep.arm}
+
+
+def test_every_sample_of_a_planned_sweep_is_seen_clear_and_slow(planned: Path) -> None:
+    with RunFile.open(planned) as run:
+        sweeps, stops, profile = read_sweeps(run), read_planned_stops(run), run.profile
+        result = plan_result(run)
+    cell = cell_bodies(profile)
+    assert len(stops) == STOPS
+    assert result.sweeps is not None
+    assert sum(its.n for its in result.sweeps.values()) == len(sweeps) > STOPS
+    assert "sweeps about its stops" in str(PLAN.view(result).parts)
+    for sweep in sweeps:
+        center, others = targets(stops, sweep)
+        motion = sweep.motion(center)
+        assert refuse_sweep(cell, sweep.arm, motion, others) == ""
+        time_s = motion.times(0.02)
+        q = motion.at(time_s)
+        beside = {name: np.broadcast_to(at, (len(q), len(at))) for name, at in others.items()}
+        assert visible(cell, sweep.arm, q, beside).mean() > 0.99
+        arm = profile.arms[sweep.arm]
+        for order, limits in (
+            (1, [joint.speed for joint in arm.type.joints]),
+            (2, [joint.acceleration for joint in arm.type.joints]),
+        ):
+            assert (np.abs(motion.at(time_s, order)) <= np.array(limits) * arm.speed_scale).all()
+        assert (np.ptp(q, axis=0) > 0.0).all()
+
+
+def test_a_cell_without_room_for_a_sweep_is_refused() -> None:
+    profile = small_twin(2, plan={"method": "random"})
+    narrow = {
+        name: arm.model_copy(update={"smr": arm.smr.model_copy(update={"acceptance": 0.0})})
+        for name, arm in profile.arms.items()
+    }
+    home = {name: np.array(arm.home)[None] for name, arm in profile.arms.items()}
+    with pytest.raises(InputError, match="no sweep keeps clear"):
+        plan_sweeps(profile.model_copy(update={"arms": narrow}), straight_stops(home))
+
+
+def test_collecting_records_each_sweep_once_and_calibrates(planned: Path, tmp_path: Path) -> None:
+    with copied(planned, tmp_path) as run:
+        collect_run(run)
+        sweeps = read_sweeps(run)
+        states = recording_states(run)
+        assert {(one.arm, one.name) for one in states} == {(one.arm, one.name) for one in sweeps}
+        for name in run.profile.arms:
+            (recording,) = read_recordings_of(run, name)
+            assert (np.diff(recording.joints.time_s) > 0.0).all()
+        result = calibrate_run(run)
+        assert collect_run(run, resume=True).outcome == "complete"
+        assert recording_states(run) == states
+    rates = [clock.rate_ppm for arm in result.arms.values() for clock in (arm.clocks or {}).values()]
+    errors = [c.rate_standard_error_ppm for arm in result.arms.values() for c in (arm.clocks or {}).values()]
+    assert len(rates) == 2
+    assert abs(rates[0] - rates[1]) < 6.0 * float(np.hypot(errors[0], errors[1])), "both arms have the same two clocks"
+
+
+def test_a_sweep_that_the_gate_refuses_is_left_out_with_a_note(
+    planned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sweeping, "refuse_sweep", lambda *_: "too near")
+    with copied(planned, tmp_path) as run:
+        collect_run(run)
+        assert recording_states(run) == ()
+        assert any("is left out: too near" in event.text for event in run.events())
+
+
+def test_a_person_stops_before_a_sweep(planned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    control = JobControl()
+    with copied(planned, tmp_path) as run:
+        before = sweeping.Sweeps.at_stop
+
+        def stopped(self, *rest):
+            control.stop()
+            return before(self, *rest)
+
+        monkeypatch.setattr(sweeping.Sweeps, "at_stop", stopped)
+        with pytest.raises(Stopped):
+            collect_run(run, control=control)
+        assert recording_states(run) == ()
+        assert len(run.stops_done()) == 1
+
+
+def test_a_cell_that_cannot_record_says_so(planned: Path, tmp_path: Path) -> None:
+    notes: list[str] = []
+    with copied(planned, tmp_path) as run, open_cell(run.profile) as cell:
+        sweeps = sweeping.Sweeps(run, replace(cell, record_sweep=None), cell_bodies(run.profile), 1, notes.append)
+        assert sweeps.at_stop(0, {}, lambda: None) == []
+        assert "simulated cells only" in notes[0]
+        run.write_result(SWEEPS_RESULT, "{")
+        with pytest.raises(InputError, match="is damaged"):
+            read_sweeps(run)

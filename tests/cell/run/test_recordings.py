@@ -1,0 +1,295 @@
+"""Recordings of motion: what goes in comes out bit for bit; what cannot be one is refused with file, line, column."""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis.extra import numpy as hnp
+
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.recordings import read_recordings_of, recording_states, recordings_digest, recordings_from_csv
+from cellapp.cell.run.recordings_csv import read_recordings
+from cellapp.cell.run.recordings_export import write_recordings_csv
+from cellapp.cell.run.stream_codes import packed, unpacked
+from cellapp.ground.errors import InputError
+from tests.cell.run.recorded_motion import Columns, joint_columns, point_columns, write_columns
+from tests.cell.run.two_arm_cell import two_arms
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+
+
+@given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=1, max_dims=1, min_side=0, max_side=50)))
+@pytest.mark.fast
+def test_every_bit_of_a_column_comes_back(values: np.ndarray) -> None:
+    assert unpacked(packed(values), len(values)).tobytes() == values.tobytes()
+
+
+@pytest.mark.fast
+def test_damaged_columns_are_noticed() -> None:
+    data = packed(np.arange(10.0))
+    for spoiled in (data[:-4], b"", b"nothing"):
+        with pytest.raises(ValueError, match=r"."):
+            unpacked(spoiled, 10)
+    with pytest.raises(ValueError, match=r"."):
+        unpacked(data, 11)
+
+
+def test_a_million_points_are_small_and_soon_read() -> None:
+    time_s = np.arange(1_000_000) / 1000.0
+    noise = np.random.default_rng(0).normal(0.0, 1e-5, (3, len(time_s)))
+    columns = [time_s, *(np.sin(0.3 * time_s + np.arange(3)[:, None]) + noise)]
+    stored = [packed(one) for one in columns]
+    assert sum(map(len, stored)) < 25e6
+    began = time.perf_counter()
+    back = [unpacked(one, len(time_s)) for one in stored]
+    unpacking = time.perf_counter() - began
+    began = time.perf_counter()
+    raw = [np.array(one.tolist()) for one in columns]
+    assert unpacking < 2.0 * (time.perf_counter() - began), "reading must not be slower than numbers as objects"
+    assert all(np.array_equal(*pair) for pair in zip(back, columns, strict=True))
+    assert len(raw) == len(back)
+
+
+def imported(tmp_path: Path, joints: Columns, points: Columns, arm: str | None = "left") -> RunFile:
+    """A run of one recording."""
+    files = ([write_columns(tmp_path / "a_j.csv", joints)], [write_columns(tmp_path / "a_p.csv", points)])
+    _, fill = recordings_from_csv(two_arms(), *files, arm)
+    return RunFile.create(tmp_path / "run", two_arms(), fill)
+
+
+@pytest.mark.fast
+def test_a_recording_is_stored_and_exported_bit_for_bit(tmp_path: Path) -> None:
+    joints, points = joint_columns(), point_columns()
+    joints["voltage"] = 48.0 + joints["q1"]
+    points["sigma_m"] = np.full(len(points["x_m"]), 2e-5)
+    points["mood"] = ['"so, so"'] * len(points["x_m"])  # type: ignore[assignment]
+    with imported(tmp_path, joints, points) as run:
+        (state,) = recording_states(run)
+        assert (state.arm, state.name, state.optional, state.unknown) == (
+            "left",
+            "a",
+            ("qd", "sigma_m"),
+            ("voltage", "mood"),
+        )
+        (found,) = read_recordings_of(run, "left")
+        assert found.joints.qd is not None
+        assert np.array_equal(found.joints.time_s, joints["time_s"])
+        assert np.array_equal(found.joints.qd[:, 1], joints["qd2"])
+        assert np.array_equal(found.points.p_M[:, 2], points["z_m"])
+        assert read_recordings_of(run, "right") == ()
+        assert (found.points.held_out, found.joints.tau) == (None, None)
+        digest = recordings_digest(run, "left")
+        for kind in ("joints", "points"):
+            write_recordings_csv(run, kind, tmp_path / f"{kind}.csv")
+    _, fill = recordings_from_csv(two_arms(), [tmp_path / "joints.csv"], [tmp_path / "points.csv"])
+    with RunFile.create(tmp_path / "again", two_arms(), fill) as again:
+        (copied,) = read_recordings_of(again, "left")
+        assert copied.points.p_M.tobytes() == found.points.p_M.tobytes()
+        assert copied.joints.q.tobytes() == found.joints.q.tobytes()
+        (there,) = recording_states(again)
+        assert (there.name, there.unknown) == ("a", ("voltage", "mood"))
+        assert recordings_digest(again, "left")[0] == digest[0] == 2500
+
+
+@pytest.mark.fast
+def test_stamps_that_are_not_steady_are_kept_and_counted(tmp_path: Path) -> None:
+    joints, points = joint_columns(), point_columns()
+    joints["time_s"][501:] += 3.0  # the clock steps, which looks like a gap
+    joints["time_s"][700] = joints["time_s"][699]
+    points["time_s"][1000:] -= 1.0
+    for name in ("x_m", "y_m", "z_m"):
+        points[name][200:230] = np.nan
+    with imported(tmp_path, joints, points) as run:
+        (state,) = recording_states(run)
+        notes = " / ".join(event.text for event in run.events() if event.level == "note")
+        (found,) = read_recordings_of(run, "left")
+    assert (state.joints.gaps, state.joints.repeats) == (1, 1)
+    assert state.joints.longest_gap_s == pytest.approx(3.008)
+    assert (state.points.backward, state.points.lost, state.points.n) == (1, 30, 2470)
+    assert state.points.rate_hz == pytest.approx(250.0)
+    assert np.array_equal(found.joints.time_s, joints["time_s"])
+    for said in ("1 gaps", "1 stamps of joints repeat", "30 rows of points have no coordinates", "share no time"):
+        assert said in notes
+
+
+@pytest.mark.fast
+def test_files_of_both_arms_and_several_names(tmp_path: Path) -> None:
+    parts = [("left", "one"), ("left", "two"), ("right", "one")]
+
+    def joined(made: Callable[[], Columns]) -> Columns:
+        its = [made() for _ in parts]
+        columns = {name: np.concatenate([one[name] for one in its]) for name in its[0]}
+        n = len(its[0]["time_s"])
+        for place, name in enumerate(("arm", "recording")):
+            columns[name] = [part[place] for part in parts for _ in range(n)]  # type: ignore[assignment]
+        return columns
+
+    points = joined(point_columns)
+    points["split"] = ["validate" if t < 5.0 else "identify" for t in points["time_s"]]  # type: ignore[assignment]
+    joints = joined(lambda: joint_columns(joints=3))
+    left = [arm == "left" for arm in joints["arm"]]
+    for name in ("q3", "qd3"):
+        joints[name] = np.where(left, np.nan, joints[name])
+    with imported(tmp_path, joints, points, None) as run:
+        assert [(one.arm, one.name) for one in recording_states(run)] == parts
+        (right,) = read_recordings_of(run, "right")
+        assert right.joints.q.shape == (1250, 3)
+        assert right.points.held_out is not None
+        assert np.array_equal(right.points.held_out, right.points.time_s < 5.0)
+
+
+def refused(tmp_path: Path, joints: Columns, points: Columns, arm: str | None = "left") -> str:
+    """What is said of files that are no recording."""
+    files = ([write_columns(tmp_path / "j.csv", joints)], [write_columns(tmp_path / "p.csv", points)])
+    with pytest.raises(InputError) as caught:
+        read_recordings(two_arms(), *files, arm)
+    return str(caught.value)
+
+
+def _with(columns: Columns, name: str, row: int, value: object) -> Columns:
+    cells = list(columns[name])
+    cells[row] = value
+    return {**columns, name: cells}  # type: ignore[dict-item]
+
+
+BAD: dict[str, tuple[Callable[[Columns, Columns], tuple[Columns, Columns]], str]] = {
+    "swapped": (lambda j, p: (p, j), r"j\.csv:1: q1: the column is missing; this file has points: .*swapped"),
+    "degrees": (
+        lambda j, p: ({**j, "q1": np.degrees(j["q1"]), "q2": np.degrees(j["q2"])}, p),
+        r"j\.csv:\d+: q1: expected .* rad",
+    ),
+    "degrees, small": (
+        lambda j, p: ({"time_s": j["time_s"], **{f"q{k}": 9.0 * np.sin(3.0 * j["time_s"]) for k in (1, 2)}}, p),
+        r"j\.csv: q1: the joint turns at .*degrees",
+    ),
+    "degrees a second": (
+        lambda j, p: ({**j, "qd1": np.degrees(j["qd1"]), "qd2": np.degrees(j["qd2"])}, p),
+        r"j\.csv: qd1: .*degrees a second",
+    ),
+    "millimetres": (
+        lambda j, p: (j, {"time_s": p["time_s"], **{n: 1e3 * p[n] for n in ("x_m", "y_m", "z_m")}}),
+        r"p\.csv:2: x_m: expected metres",
+    ),
+    "milliseconds": (
+        lambda j, p: (j, {**p, "time_s": 1e3 * p["time_s"]}),
+        r"p\.csv: time_s: the median step is 4; expected seconds.*milliseconds",
+    ),
+    "arm at rest": (
+        lambda j, p: ({**j, "q1": 0.0 * j["q1"], "q2": 0.0 * j["q2"]}, p),
+        r"j\.csv: q1\.\.: no joint moves",
+    ),
+    "SMR at rest": (
+        lambda j, p: (j, {**p, **{name: 0.0 * p[name] + 1.0 for name in ("x_m", "y_m", "z_m")}}),
+        r"p\.csv: x_m: the SMR does not move",
+    ),
+    "no number": (lambda j, p: (_with(j, "q2", 7, "fast"), p), r"j\.csv:9: q2: expected a finite number .* 'fast'"),
+    "nan": (lambda j, p: (j, _with(p, "y_m", 3, "nan")), r"p\.csv:5: y_m: expected a finite number .* 'nan'"),
+    "infinite": (lambda j, p: (_with(j, "time_s", 3, "inf"), p), r"j\.csv:5: time_s: expected a finite number"),
+    "empty": (lambda j, p: (_with(j, "q1", 4, ""), p), r"j\.csv:6: q1: the value is missing"),
+    "half a point": (lambda j, p: (j, _with(p, "z_m", 4, "")), r"p\.csv:6: z_m: the value is missing; give all"),
+    "sigma": (
+        lambda j, p: (j, {**p, "sigma_m": np.where(np.arange(len(p["x_m"])) == 2, -1e-5, 1e-5)}),
+        r"p\.csv:4: sigma_m: expected an uncertainty above 0",
+    ),
+    "quaternion": (
+        lambda j, p: (j, {**p, **{f"quat_{a}": np.full(len(p["x_m"]), 0.6) for a in "wxyz"}}),
+        r"p\.csv:2: quat_w: expected a quaternion of length 1, got 1\.2",
+    ),
+    "part of a quaternion": (
+        lambda j, p: (j, {**p, "quat_w": np.ones(len(p["x_m"]))}),
+        r"p\.csv:1: quat_x: the column is missing; give all",
+    ),
+    "too few joints": (
+        lambda j, p: ({name: j[name] for name in ("time_s", "q1")}, p),
+        r"j\.csv:1: q2: the column is missing; arm left has 2 joints",
+    ),
+    "too many joints": (lambda j, p: ({**j, "q3": j["q1"]}, p), r"j\.csv:1: q3: there are values, but arm left has 2"),
+    "other name": (
+        lambda j, p: (j, {"time": p["time_s"], **{n: p[n] for n in ("x_m", "y_m", "z_m")}}),
+        r"p\.csv:1: time_s: the column is missing; is 'time' meant",
+    ),
+    "no rows": (lambda j, p: (j, {name: np.empty(0) for name in p}), r"p\.csv:1: there is a header row but no sample"),
+    "few rows": (
+        lambda j, p: (j, {name: its[:5] for name, its in p.items()}),
+        r"p\.csv: time_s: 5 rows are no",
+    ),
+    "constant clock": (lambda j, p: (j, {**p, "time_s": 0.0 * p["time_s"]}), r"p\.csv: time_s: most stamps"),
+    "split": (lambda j, p: (j, {**p, "split": ["test"] * len(p["x_m"])}), r"p\.csv:2: split: 'test' is no split"),  # type: ignore[dict-item]
+    "arm": (lambda j, p: ({**j, "arm": ["top"] * len(j["q1"])}, p), r"j\.csv:2: arm: 'top' is not in the profile"),  # type: ignore[dict-item]
+    "other recording": (
+        lambda j, p: (
+            {**j, "recording": ["a"] * len(j["q1"])},  # type: ignore[dict-item]
+            {**p, "recording": ["b"] * len(p["x_m"])},  # type: ignore[dict-item]
+        ),
+        r"j\.csv: recording 'a' of arm left has no points",
+    ),
+}
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_no_recording_is_refused_where_it_is_wrong(case: str, tmp_path: Path) -> None:
+    spoil, said = BAD[case]
+    message = refused(tmp_path, *spoil(joint_columns(), point_columns()))
+    assert re.search(said, message), message
+
+
+@pytest.mark.fast
+def test_which_arm_must_be_clear(tmp_path: Path) -> None:
+    assert "which arm it is of; give --arm" in refused(tmp_path, joint_columns(), point_columns(), arm=None)
+    assert "'top' is not in the profile" in refused(tmp_path, joint_columns(), point_columns(), arm="top")
+    with pytest.raises(InputError, match=r"1 files of --joints, 0 of --points"):
+        read_recordings(two_arms(), [tmp_path / "j.csv"], [], "left")
+    pair = write_columns(tmp_path / "a_j.csv", joint_columns()), write_columns(tmp_path / "a_p.csv", point_columns())
+    with pytest.raises(InputError, match=r"recording 'a' of arm left is there already .*a name of its own"):
+        read_recordings(two_arms(), [pair[0]] * 2, [pair[1]] * 2, "left")
+
+
+@pytest.mark.fast
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    good = write_columns(tmp_path / "p.csv", point_columns())
+    binary = tmp_path / "j.csv"
+    for content, said in (
+        (b"\xff\xfe\x00time", "not UTF-8"),
+        (b"", "is empty"),
+        (b"time_s;q1\n1;2\n", "separate columns by commas"),
+        (b"time_s,q1,q2\n1,2\n", "the row has 2 cells"),
+    ):
+        binary.write_bytes(content)
+        with pytest.raises(InputError, match=said):
+            read_recordings(two_arms(), [binary], [good], "left")
+    with pytest.raises(InputError, match="file not found"):
+        read_recordings(two_arms(), [tmp_path / "none.csv"], [good], "left")
+
+
+@pytest.mark.fast
+def test_a_run_of_an_older_schema_has_no_recordings_and_takes_some(tmp_path: Path) -> None:
+    with imported(tmp_path, joint_columns(), point_columns()) as run:
+        path = run.path
+    with sqlite3.connect(path) as connection:
+        for statement in ("DROP TABLE recording", "DROP TABLE stream", "PRAGMA user_version=5"):
+            connection.execute(statement)
+    connection.close()
+    with RunFile.open(path.parent, write=True) as older:
+        assert recording_states(older) == ()
+        _, fill = recordings_from_csv(two_arms(), [tmp_path / "a_j.csv"], [tmp_path / "a_p.csv"], "left")
+        fill(older)
+        assert len(recording_states(older)) == 1
+        with pytest.raises(InputError, match="stored already"):
+            fill(older)
+
+
+@pytest.mark.fast
+def test_a_damaged_recording_is_named(tmp_path: Path) -> None:
+    with imported(tmp_path, joint_columns(), point_columns()) as run:
+        with run.change() as connection:
+            connection.execute("UPDATE stream SET data = x'00' WHERE name = 'x_m'")
+        with pytest.raises(InputError, match=r"damaged \(recording 'a' of arm left\)"):
+            read_recordings_of(run, "left")

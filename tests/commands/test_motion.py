@@ -1,0 +1,172 @@
+"""Recordings of motion from their files to commands: imported, shown, calibrated, used; what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.samples import known_readings
+from cellapp.commands.calibrate.request import VERB as CALIBRATE
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.export.run import export_as_run, export_run
+from cellapp.commands.import_.request import VERB as IMPORT
+from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.next_step import arm_states, next_step
+from cellapp.commands.show.overview import run_overview
+from cellapp.commands.stages import read_stages
+from cellapp.commands.view.recordings import recording_tables
+from cellapp.commands.view.table import Table
+from cellapp.estimation.readings import Readings
+from cellapp.ground.errors import InputError
+from cellapp.interfaces.page import write_page
+from cellapp.robot.kinematics.chain import smr_positions
+from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording
+from tests.interfaces.page.runs import without_devices
+
+
+def files_of(folder: Path, profile, *names: str, **options: float) -> tuple[list[Path], list[Path]]:
+    pairs = [write_recording(folder, name, true_arm(profile, name), **options) for name in names]
+    return [joints for joints, _ in pairs], [points for _, points in pairs]
+
+
+def test_one_arm_is_calibrated_from_a_recording_alone(tmp_path: Path) -> None:
+    profile = without_devices("left")
+    imported = import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left"))
+    assert (imported.readings, imported.recordings[0].points.n) == ({}, 3800)
+    assert isinstance(IMPORT.view(imported).parts[0], Table)
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        assert next_step(run, read_stages(run), arm_states(run))[0] == "calibrate"
+        result = calibrate_run(run)
+        samples = known_readings(run, "left")
+        assert len(run.readings("left")) == 0
+        overview = run_overview(run)
+        exported = export_as_run(run, "dh", tmp_path / "arm.csv")
+    arm = json.loads(result.to_json())["arms"]["left"]
+    clock = arm["clocks"]["left"]
+    at_s = clock["at_s"] - OFFSET_S
+    expected = OFFSET_S + 1e-6 * RATE_PPM * (at_s - 20.0)
+    assert abs(clock["offset_s"] - expected) < 5.0 * clock["offset_standard_error_s"] < 1e-4
+    assert abs(clock["rate_ppm"] - RATE_PPM) < 5.0 * clock["rate_standard_error_ppm"] < 5.0
+    nominal, geometry = (arm["validate"][stage]["position_mm"]["rms"] for stage in ("nominal", "geometry"))
+    assert geometry < 2e3 * SIGMA_M * np.sqrt(3.0) < 0.25 * nominal
+    assert arm["splits"]["validate"] == arm["validate"]["geometry"]["position_mm"]["n"]
+    assert {"identify", "validate"} == set(samples.split or ())
+    left = smr_positions(true_arm(profile, "left"), samples.q) - samples.p_M
+    assert np.sqrt(np.mean(left**2)) < 2.0 * SIGMA_M, "the samples stand at the fitted clock"
+    assert overview.stages[0].out_of_date is None
+    assert exported.arms is not None
+    titles = [part.title for part in CALIBRATE.view(result).parts if isinstance(part, Table)]
+    assert any(title.startswith("Clocks") for title in titles)
+
+
+def test_recordings_and_stops_of_two_arms(tmp_path: Path) -> None:
+    profile = without_devices("left", "right")
+    files = files_of(tmp_path, profile, "left", "right")
+    joints = [add_arm(path, name) for path, name in zip(files[0], profile.arms, strict=True)]
+    points = [add_arm(path, name) for path, name in zip(files[1], profile.arms, strict=True)]
+    import_new_run(profile, None, tmp_path / "run", recordings=(joints, points))
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        alone = calibrate_run(run)
+        rng = np.random.default_rng(1)
+        q = rng.uniform(-2.0, 2.0, (30, 6))
+        p_M = smr_positions(true_arm(profile, "left"), q) + rng.normal(0.0, SIGMA_M, (30, 3))
+        approach = np.zeros((30, 6), np.int8)
+        run.add_readings(
+            "left", Readings(configuration=np.arange(30), time_s=np.full(30, np.nan), q=q, approach=approach, p_M=p_M)
+        )
+        assert "readings" in read_stages(run).out_of_date["calibrate"]
+        both = calibrate_run(run)
+        known = known_readings(run, "left")
+        assert (known.configuration < 30).sum() == 30 < len(known)
+        assert not np.intersect1d(known.configuration, known_readings(run, "right").configuration).size
+        assert len(known_readings(run, "right")) > 100
+    assert [note for note in alone.notes if "tracker's frame" in note]
+    assert set(both.arms["left"].validate_) == {"nominal", "geometry"}
+    assert both.arms["left"].validate_["geometry"].position_mm.n == both.arms["left"].splits["validate"] < 30
+    in_motion = both.arms["left"].motion
+    assert in_motion is not None
+    assert in_motion.stops_scatter_mm == pytest.approx(SIGMA_M * 1e3, rel=0.5)
+    assert in_motion.validate_["geometry"].position_mm.rms < 0.1
+    titles = [part.title for part in CALIBRATE.view(both).parts if isinstance(part, Table)]
+    assert any(title.startswith("In motion") for title in titles)
+
+
+def test_a_step_of_a_clock_is_named(tmp_path: Path) -> None:
+    profile = without_devices("left")
+    import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left", step_s=0.25))
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        result = calibrate_run(run)
+    (clock,) = (result.arms["left"].clocks or {}).values()
+    ((_, by_s),) = clock.steps_of_points
+    assert by_s == pytest.approx(0.25, abs=0.02)
+    assert len(clock.segments) == 2
+    assert any("the tracker's clock steps by" in str(part) for part in CALIBRATE.view(result).parts)
+
+
+def test_recordings_that_changed_make_the_calibration_out_of_date(tmp_path: Path) -> None:
+    profile = without_devices("left")
+    import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left"))
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        calibrate_run(run)
+        with run.change() as connection:
+            connection.execute("UPDATE recording SET sha256 = 'other'")
+        assert read_stages(run).out_of_date["calibrate"] == "the recordings of motion were changed since"
+
+
+def test_what_cannot_be_calibrated_is_said(tmp_path: Path) -> None:
+    profile = without_devices("left", "right")
+    files = files_of(tmp_path, profile, "left", "right")
+    with pytest.raises(InputError, match="no recording of arm right"):
+        import_new_run(profile, None, tmp_path / "one", recordings=([files[0][0]], [files[1][0]]), arm="left")
+    assert not (tmp_path / "one").exists()
+    mixed = ([files[0][0], files[0][1]], [files[1][1], files[1][0]])
+    joints = [add_arm(path, name) for path, name in zip(mixed[0], profile.arms, strict=True)]
+    points = [add_arm(path, name) for path, name in zip(mixed[1], profile.arms, strict=True)]
+    import_new_run(profile, None, tmp_path / "run", recordings=(joints, points))
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        with pytest.raises(InputError, match="recording"):
+            calibrate_run(run)
+        assert not read_stages(run).current
+    with pytest.raises(InputError, match="holds no recording of motion"):
+        _empty_export(tmp_path)
+
+
+def _empty_export(folder: Path) -> None:
+    with RunFile.create(folder / "empty", without_devices("left")) as run:
+        export_run(run, None, None, recordings={"joints": folder / "out.csv"})
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({}, "the CSV of readings, or --joints and --points"),
+        ({"joints": ("a.csv",)}, "a file of --joints and one of --points"),
+        ({"csv": "a.csv", "arm": "left"}, "--arm belongs to --joints"),
+        ({"joints": ("a",), "points": ("b",), "in_order": True}, "--in-order belongs to a CSV"),
+    ],
+)
+def test_a_request_that_makes_no_sense_is_refused(given: dict[str, object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        IMPORT.asked({"profile": "p.yaml", "folder": "run", **given})
+
+
+@pytest.mark.fast
+def test_nothing_is_shown_of_no_recordings() -> None:
+    assert recording_tables(()) == []
+
+
+def test_the_page_of_a_run_shows_clocks_and_what_is_not_determined(tmp_path: Path) -> None:
+    profile = without_devices("left")
+    import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left"))
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        result = calibrate_run(run)
+        page = write_page(run).read_text("utf-8")
+    assert result.arms["left"].motion is not None
+    assert result.arms["left"].motion.undetermined
+    for said in ("the tracker&#39;s against the controller&#39;s", "what their points are worth", "not determined"):
+        assert said in page or said.replace("&#39;", "'") in page, said

@@ -1,0 +1,113 @@
+"""Effects in motion: named by what simulated arms have, with their sizes; none where there are none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellapp.estimation.motion import effects_in_motion
+from cellapp.estimation.motion.joint_path import joint_path, play
+from cellapp.estimation.motion.terms import Masses, torques_in_motion
+from cellapp.robot.kinematics.chain import nominal_geometry
+from cellapp.robot.kinematics.statics import Bodies
+from tests.estimation.motion.simulated import UR10, lost_motion, record, sweep, true_arm
+
+NOMINAL = nominal_geometry(UR10, np.zeros(3))
+BODIES = Bodies(
+    masses=np.array([7.8, 12.9, 3.9, 2.0, 2.0, 0.2]),
+    centers=np.array([[0, -0.03, 0], [0.3, 0, 0.16], [0.28, 0, 0.05], [0, 0, 0.02], [0, 0, 0.02], [0, 0, -0.03]]),
+    payload_mass=1.0,
+    payload_center=np.array([0.0, 0.0, 0.05]),
+)
+
+
+def found_in(*recordings, **options):
+    discovery = effects_in_motion(NOMINAL, recordings, tool_unknown=True, **options)
+    return discovery, {effect.slug: effect for effect in discovery.effects}
+
+
+def test_dense_lines_play_and_lag_are_named_with_their_sizes():
+    rng = np.random.default_rng(1)
+    amplitude, phase = np.array([30e-6, 25e-6, 35e-6, 0, 0, 0, 0]), rng.uniform(0.0, 6.0, 7)
+    arm = replace(
+        true_arm(rng, half_play=[20e-6] * 6),
+        cycles=40.0,
+        amplitude=amplitude,
+        phase=phase,
+        lag_s=np.array([0.0, 0.0, 0.0, 0.0, 0.002, 0.0, 0.0]),
+    )
+    discovery, found = found_in(record(rng, arm, sweep(rng, 6), seconds=300.0, white=15e-6, slow=20e-6))
+    assert set(found) == {"backlash", "transmission_error", "tracking_lag"}
+    of_lines = found["transmission_error"]
+    lines = dict(zip(of_lines.names, of_lines.values, strict=True))
+    errors = dict(zip(of_lines.names, of_lines.standard_errors, strict=True))
+    assert set(lines) == {f"{wave}40q{joint}" for wave in ("cos", "sin") for joint in (1, 2, 3)}
+    for joint in range(3):
+        measured = complex(lines[f"sin40q{joint + 1}"], lines[f"cos40q{joint + 1}"])
+        true = amplitude[joint] * np.exp(1j * phase[joint])
+        error = np.hypot(errors[f"sin40q{joint + 1}"], errors[f"cos40q{joint + 1}"])
+        assert error < 0.08 * abs(true)
+        assert abs(measured - true) < 3.5 * error
+    assert {1, 2, 3} <= set(found["backlash"].joints)
+    assert found["backlash"].values[:3] == pytest.approx(20e-6, abs=5e-6)
+    assert 5 in found["tracking_lag"].joints
+    assert found["tracking_lag"].values[4] == pytest.approx(0.002 * 5 / 6, rel=0.2)
+    assert "at rest" in found["tracking_lag"].only_motion
+    assert "aliased" in found["transmission_error"].only_motion
+    assert not found["tracking_lag"].at_rest
+    assert {term.slug for term in discovery.terms} == {"backlash", "transmission_error"}
+    clock = discovery.fit.clocks["sweep"]
+    assert clock.offset_standard_error_s < 1e-4
+    assert clock.offset_s == pytest.approx(0.0178 + 0.002 / 6, abs=4 * clock.offset_standard_error_s)
+    assert discovery.heldout_after_mm < discovery.heldout_before_mm
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_nothing_is_found_where_nothing_is(seed):
+    rng = np.random.default_rng(seed)
+    discovery, _ = found_in(record(rng, true_arm(rng), sweep(rng, 6)), bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
+    assert discovery.effects == ()
+
+
+def test_play_has_history():
+    rng = np.random.default_rng(4)
+    q = np.cumsum(rng.normal(0.0, 1e-4, (4000, 3)), axis=0)
+    gap = np.array([1e-4, 5e-4, 0.0])
+    np.testing.assert_allclose(play(q, gap), lost_motion(q, gap), rtol=0.0, atol=1e-15)
+
+
+def test_torques_in_motion_are_those_of_virtual_work():
+    rng = np.random.default_rng(5)
+    motion = sweep(rng, 6, base_hz=0.2, harmonics=3, speed=1.5)
+    arm = true_arm(rng)
+    path = joint_path(record(rng, arm, motion, seconds=10.0, joint_hz=500.0).joints)
+    geometry, up_M = NOMINAL.with_T_M_B(arm.base), np.array([0.3, -0.2, np.sqrt(1 - 0.13)])
+    t = np.linspace(1.0, 9.0, 15)
+    computed = torques_in_motion(path, t, Masses(geometry, BODIES, up_M))
+
+    def centers(q):
+        T = np.broadcast_to(arm.base, (len(q), 4, 4))
+        found = []
+        for joint, (theta, d, a, alpha) in enumerate(UR10):
+            own = replace(arm, rows=np.array([[theta, d, a, alpha, 0.0]]), base=np.eye(4), tool=np.zeros(3))
+            T = T @ pose(own, q[:, joint : joint + 1])
+            found.append(T[:, :3, :3] @ BODIES.centers[joint] + T[:, :3, 3])
+        return np.stack([*found, T[:, :3, :3] @ BODIES.payload_center + T[:, :3, 3]])
+
+    def pose(own, q):
+        origin = own.points(q)
+        axes = [replace(own, tool=axis).points(q) - origin for axis in np.eye(3)]
+        T = np.zeros((len(q), 4, 4))
+        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = np.stack(axes, axis=2), origin, 1.0
+        return T
+
+    masses, h = np.array([*BODIES.masses, BODIES.payload_mass]), 1e-3
+    acceleration = (centers(motion.at(t + h)) - 2 * centers(motion.at(t)) + centers(motion.at(t - h))) / h**2
+    force = masses[:, None, None] * (-9.80665 * up_M - acceleration)
+    for joint in range(6):
+        by = np.zeros(6)
+        by[joint] = 1e-5
+        moved = (centers(motion.at(t) + by) - centers(motion.at(t) - by)) / 2e-5
+        np.testing.assert_allclose(computed[:, joint], np.sum(force * moved, axis=(0, 2)), atol=0.1)

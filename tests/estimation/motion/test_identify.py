@@ -1,0 +1,230 @@
+"""Geometry, lost motion and clocks from simulated recordings: known truth, faults of stamps, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellapp.estimation.motion import JointStream, PointStream, Recording, Stops, identify_from_motion
+from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
+from tests.estimation.motion.simulated import SEVEN, UR10, record, sweep, true_arm
+
+PLAY = np.array([30e-6, 20e-6, 25e-6, 40e-6, 40e-6, 0.0])
+
+
+@pytest.fixture(scope="module")
+def case():
+    """An arm, its motion and a recording of two minutes."""
+    rng = np.random.default_rng(11)
+    arm = true_arm(rng, half_play=PLAY)
+    motion = sweep(rng, 6)
+    return arm, motion, record(rng, arm, motion)
+
+
+def fit_of(*recordings, nominal=UR10, tool_unknown=True, **options):
+    return identify_from_motion(
+        nominal_geometry(nominal, np.zeros(3)), recordings, tool_unknown=tool_unknown, **options
+    )
+
+
+def clock_holds(clock, offset_s, rate_ppm, errors=4.0):
+    return (
+        abs(clock.offset_s - offset_s) < errors * clock.offset_standard_error_s
+        and abs(clock.rate_ppm - rate_ppm) < errors * clock.rate_standard_error_ppm
+    )
+
+
+def test_clocks_geometry_and_play_are_those_of_the_simulated_arm(case):
+    arm, motion, recording = case
+    fit = fit_of(recording)
+    clock = fit.clocks["sweep"]
+    assert fit.identification.converged
+    assert clock_holds(clock, 0.0178, -18.0)
+    assert clock.offset_standard_error_s < 1e-4
+    assert clock.rate_standard_error_ppm < 3.0
+    q = motion.at(np.linspace(0.0, 50.0, 40))
+    misses = np.linalg.norm(smr_positions(fit.identification.geometry, q) - arm.points(q), axis=1)
+    assert misses.max() < 0.1e-3
+    assert np.all(np.abs(fit.half_play - PLAY) < 4.0 * fit.half_play_standard_error)
+    assert fit.half_play[1] > 4.0 * fit.half_play_standard_error[1]
+
+
+def test_held_out_blocks_see_the_noise_alone(case):
+    fit = fit_of(case[2])
+    one = fit.recordings["sweep"]
+    assert one.held_out + one.learnt < one.points
+    assert one.heldout_rms_mm == pytest.approx(1e3 * np.sqrt(3.0) * np.hypot(40e-6, 15e-6), rel=0.15)
+    assert np.sqrt(np.mean(one.heldout_nominal_mm**2)) > 3.0 * one.heldout_rms_mm
+
+
+def test_correlated_points_count_as_few(case):
+    arm, motion, _ = case
+    rng = np.random.default_rng(5)
+    slow = fit_of(record(rng, arm, motion, white=5e-6, slow=40e-6, slow_s=0.5))
+    white = fit_of(record(rng, arm, motion, white=40e-6, slow=0.0))
+    learnt = white.recordings["sweep"].learnt
+    assert white.effective > 0.6 * learnt
+    assert slow.effective < 0.05 * learnt
+    ratio = slow.clocks["sweep"].offset_standard_error_s / white.clocks["sweep"].offset_standard_error_s
+    assert ratio > 3.0
+
+
+def test_joints_without_speeds_with_jitter_repeats_and_gaps(case):
+    arm, motion, _ = case
+    rng = np.random.default_rng(6)
+    recording = record(rng, arm, motion, with_speeds=False, point_hz=60.0, joint_hz=120.0)
+    keep = rng.random(len(recording.joints)) > 0.05
+    keep[2000:2200] = False
+    rows = np.sort(np.concatenate([np.flatnonzero(keep), rng.choice(np.flatnonzero(keep), 200)]))
+    joints = JointStream(time_s=recording.joints.time_s[rows], q=recording.joints.q[rows])
+    fit = fit_of(replace(recording, joints=joints))
+    one = fit.recordings["sweep"]
+    assert one.in_gaps >= 90
+    assert clock_holds(one.clock, 0.0178, -18.0)
+
+
+def test_stamps_that_jitter_about_a_regular_clock_are_replaced_by_it(case):
+    arm, motion, _ = case
+    rng = np.random.default_rng(8)
+    recording = record(rng, arm, motion, with_speeds=False)
+    time = np.maximum.accumulate(recording.joints.time_s + rng.uniform(0.0, 6e-3, len(recording.joints)))
+    fit = fit_of(replace(recording, joints=JointStream(time_s=time, q=recording.joints.q)))
+    clock = fit.clocks["sweep"]
+    assert clock.regular_joints
+    assert clock.offset_s == pytest.approx(0.0178 - 3e-3, abs=3e-4)  # stamps are 3 ms late in the mean
+    assert fit.heldout_rms_mm < 0.1
+
+
+@pytest.mark.parametrize("offset", [-1.7e9, -40.0, 0.0, 25.0])
+def test_any_offset_between_the_clocks(case, offset):
+    arm, motion, _ = case
+    rng = np.random.default_rng(9)
+    # beginnings apart: the points begin 20 s into the joints
+    recording = record(rng, arm, motion, seconds=60.0, offset=offset, start_s=3.0)
+    late = recording.points.time_s > recording.points.time_s[0] + 20.0
+    points = PointStream(time_s=recording.points.time_s[late], p_M=recording.points.p_M[late])
+    fit = fit_of(replace(recording, points=points))
+    middle = (recording.points.time_s[0] + recording.points.time_s[-1]) / 2.0
+    assert fit.clocks["sweep"].offset_at(middle) == pytest.approx(offset, abs=2e-4)
+
+
+def test_steps_and_resets_of_either_clock_are_found_and_named(case):
+    arm, motion, _ = case
+    rng = np.random.default_rng(10)
+    recording = record(rng, arm, motion)
+    joint_time, point_time = recording.joints.time_s.copy(), recording.points.time_s.copy()
+    joint_time[5000:] += 7.5
+    point_time[9000:] -= 70.0
+    fit = fit_of(
+        replace(
+            recording,
+            joints=replace(recording.joints, time_s=joint_time),
+            points=replace(recording.points, time_s=point_time),
+        )
+    )
+    clock = fit.clocks["sweep"]
+    (of_joints,), (of_points,) = clock.steps_of_joints, clock.steps_of_points
+    assert of_joints.step_s == pytest.approx(7.5, abs=0.01)
+    assert of_points.step_s == pytest.approx(-70.0, abs=0.01)
+    assert len(clock.segments) == 3
+    for segment in clock.segments:
+        assert segment.offset_s == pytest.approx(0.0178, abs=5e-4)
+    assert fit.heldout_rms_mm < 0.1
+
+
+def test_gross_points_do_not_count(case):
+    recording = case[2]
+    rng = np.random.default_rng(12)
+    p_M = recording.points.p_M.copy()
+    wrong = rng.choice(len(p_M), 300, replace=False)
+    p_M[wrong] += rng.normal(0.0, 0.5, (300, 3))
+    p_M[4000:4010] = 0.0
+    fit = fit_of(replace(recording, points=replace(recording.points, p_M=p_M)))
+    one = fit.recordings["sweep"]
+    assert one.gross > 250
+    assert clock_holds(one.clock, 0.0178, -18.0)
+    assert one.heldout_rms_mm < 0.09
+
+
+def test_stops_and_recordings_in_one_fit(case):
+    arm, _, recording = case
+    rng = np.random.default_rng(13)
+    q = rng.uniform(-1.5, 1.5, (60, 6))
+    stops = Stops(q=q, p_M=arm.points(q) + rng.normal(0.0, 20e-6, q[:, :3].shape))
+    alone, both = fit_of(recording), fit_of(recording, stops=stops)
+    assert both.stops_scatter_m == pytest.approx(20e-6, rel=0.5)
+    trial = rng.uniform(-1.5, 1.5, (200, 6))
+    errors = [
+        np.sqrt(np.mean(np.sum((smr_positions(f.identification.geometry, trial) - arm.points(trial)) ** 2, axis=1)))
+        for f in (alone, both)
+    ]
+    assert errors[1] < errors[0]
+
+
+def test_seven_joints_and_several_recordings_share_the_geometry():
+    rng = np.random.default_rng(14)
+    arm = true_arm(rng, SEVEN, half_play=np.full(7, 20e-6))
+    first = record(rng, arm, sweep(rng, 7), seconds=60.0, point_hz=60.0, name="first")
+    second = record(rng, arm, sweep(rng, 7), seconds=60.0, point_hz=250.0, offset=3.2, rate_ppm=25.0, name="second")
+    fit = fit_of(first, second, nominal=SEVEN)
+    assert clock_holds(fit.clocks["first"], 0.0178, -18.0)
+    assert clock_holds(fit.clocks["second"], 3.2, 25.0)
+    assert fit.heldout_rms_mm < 0.1
+
+
+def test_blocks_that_the_file_holds_out_are_kept_apart(case):
+    recording = case[2]
+    held_out = np.zeros(len(recording.points), dtype=bool)
+    held_out[3000:5000] = True
+    spoilt = recording.points.p_M.copy()
+    spoilt[3000:5000] += 2e-3
+    fit = fit_of(replace(recording, points=replace(recording.points, p_M=spoilt, held_out=held_out)))
+    one = fit.recordings["sweep"]
+    assert one.held_out == 2000
+    assert one.heldout_rms_mm == pytest.approx(2.0 * np.sqrt(3.0), rel=0.05)  # nothing of them was learnt
+    assert one.scatter_m < 60e-6
+
+
+def test_what_little_excitation_leaves_open_is_said(case):
+    arm, motion, _ = case
+    rng = np.random.default_rng(15)
+    still = replace(motion, sine=motion.sine * [1, 1, 1, 0, 0, 0], cosine=motion.cosine * [1, 1, 1, 0, 0, 0])
+    fit = fit_of(record(rng, arm, still, seconds=60.0))
+    said = " ".join(fit.undetermined)
+    for joint in (4, 5, 6):
+        assert f"joint {joint} moved by 0.00 deg only" in said
+    assert "joint 1 moved" not in said
+    assert fit.heldout_rms_mm < 0.1
+
+
+def test_recordings_that_tell_nothing_are_refused(case):
+    recording = case[2]
+    points, joints = recording.points, recording.joints
+    cases = {
+        "joints are at rest": replace(
+            recording, joints=replace(joints, q=np.tile(joints.q[0], (len(joints), 1)), qd=None)
+        ),
+        "points are at rest": replace(recording, points=replace(points, p_M=np.tile(points.p_M[0], (len(points), 1)))),
+        "wherever its base is": replace(recording, points=replace(points, p_M=points.p_M * 1e3)),
+    }
+    for words, bad in cases.items():
+        with pytest.raises(InputError, match=words):
+            fit_of(bad)
+    with pytest.raises(InputError, match="6 joints, but the arm has 7"):
+        fit_of(recording, nominal=SEVEN)
+    short = Recording(
+        name="short",
+        arm="left",
+        joints=replace(joints, time_s=joints.time_s[:200], q=joints.q[:200], qd=None),
+        points=replace(points, time_s=points.time_s[-200:], p_M=points.p_M[-200:]),
+    )
+    with pytest.raises(InputError, match="no 5 s in common"):
+        fit_of(short)
+    arm, _, _ = case
+    rng = np.random.default_rng(16)
+    other = record(rng, arm, sweep(rng, 6))
+    with pytest.raises(InputError, match="of another time"):
+        fit_of(replace(recording, points=other.points))

@@ -1,0 +1,13 @@
+"""The trial of stated intervals of recordings, with few runs: far from holding is seen at once."""
+
+from __future__ import annotations
+
+from tests.trials.motion import coverage
+
+
+def test_intervals_of_recordings_hold():
+    held = coverage(12, "slow", 60.0)
+    assert held["points"] > 0.85  # 180 coordinates, those of a run alike
+    assert held["play"] > 0.85
+    assert held["offset"] + held["rate"] > 2 * 0.75
+    assert held["largest offset error [ms]"] < 0.2
