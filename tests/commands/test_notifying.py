@@ -72,16 +72,18 @@ def test_only_the_events_that_the_section_names(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "says"),
+    ("command", "timeout", "says"),
     [
-        (("no-such-program-of-cellapp",), "cannot be run"),
-        ((sys.executable, "-c", "raise SystemExit(3)"), "exit code 3"),
-        ((sys.executable, "-c", "import time; time.sleep(60)"), "longer than 0.2 s"),
+        (("no-such-program-of-cellapp",), 30.0, "cannot be run"),
+        ((sys.executable, "-c", "raise SystemExit(3)"), 300.0, "exit code 3"),
+        ((sys.executable, "-c", "import time; time.sleep(300)"), 0.2, "longer than 0.2 s"),
     ],
 )
-def test_what_goes_wrong_with_it_is_a_notice(command: tuple[str, ...], says: str, tmp_path: Path) -> None:
+def test_what_goes_wrong_with_it_is_a_notice(
+    command: tuple[str, ...], timeout: float, says: str, tmp_path: Path
+) -> None:
     events: list[Progress] = []
-    runner = Commands(Notify(command=command, timeout=0.2), "collect", "", events.append)
+    runner = Commands(Notify(command=command, timeout=timeout), "collect", "", events.append)
     heard(runner, "stopped")
     told(tmp_path / "none")
     (notice,) = [event.detail.text for event in events if isinstance(event.detail, Notice)]
