@@ -48,8 +48,13 @@ def starters_folder() -> Path:
 
 def starter_profiles() -> tuple[Starter, ...]:
     """Return all starter profiles, the twin first."""
-    paths = sorted(starters_folder().glob("*.yaml"), key=lambda path: (path.stem != TWIN, path.stem))
-    return tuple(_starter(path) for path in paths)
+    return tuple(_starter(path) for path in offered_profiles(starters_folder()))
+
+
+def offered_profiles(folder: Path) -> list[Path]:
+    """The profiles of a folder as they are offered: a person's own ones by name, then the starters, the twin first."""
+    starters = {path.stem for path in starters_folder().glob("*.yaml")}
+    return sorted(folder.glob("*.yaml"), key=lambda path: (path.stem in starters, path.stem != TWIN, path.stem))
 
 
 def arm_type_files() -> tuple[Path, ...]:

@@ -16,6 +16,7 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
 
+from cellapp.cell.profile.starters import offered_profiles
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.errors import CellappError
@@ -151,7 +152,7 @@ class CellScreen(DayScreen):
 
     def on_mount(self) -> None:
         """List the profiles; the first one is opened."""
-        self._found = sorted(self.cell_app.profiles.glob("*.yaml"), key=lambda path: path.stem)
+        self._found = offered_profiles(self.cell_app.profiles)
         profiles = self.query_one("#profiles", OptionList)
         profiles.add_options([path.stem for path in self._found])
         self.query_one("#cell-words", DataTable).add_columns("what", "in the profile")
