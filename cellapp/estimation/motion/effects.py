@@ -216,6 +216,7 @@ class _Search:
             state = _whitened(state)
             steps.append(step)
         state, steps = self._with_exact_counts(state, steps)
+        state, steps = self._without_chance(state, steps)
         final = self._unwhitened(state)
         # with lags an offset is known by its sum with their mean only, and is left as it is
         freed = final.solution if _has(steps, Law.LAG) else free_clocks(final.problem, final.solution)
@@ -252,6 +253,17 @@ class _Search:
             steps = [_recounted(step, better) for step in steps]
             steps = [step for step in steps if step.terms]
             state = self._refitted(state, steps)
+        return state, steps
+
+    def _without_chance(self, state: _State, steps: list[_Step]) -> tuple[_State, list[_Step]]:
+        """Without laws that entered early and that chance explains beside all others."""
+        for step in list(steps):
+            if step.law is Law.LINE:
+                continue
+            p_value = min(1.0, float(chi2.sf(_statistic(state, step.terms), len(step.terms))) * len(Law))
+            if p_value > _CHANCE or not _shown(state, step.law, steps):
+                steps = [one for one in steps if one is not step]
+                state = self._refitted(state, steps)
         return state, steps
 
     def _refitted(self, state: _State, steps: Sequence[_Step]) -> _State:

@@ -53,6 +53,9 @@ class Bands:
         ``X^T r``.
     square : array, shape (B,)
         ``r^T r``.
+    uneven : array, shape (k,)
+        Mean square of the products of columns and residuals, over what residuals of one size would give: above 1 where
+        points scatter most where, and the way, a parameter moves them, as by stamps that jitter.
     """
 
     columns: NDArray[np.intp] = field(repr=False)
@@ -60,6 +63,7 @@ class Bands:
     gram: Array = field(repr=False)
     product: Array = field(repr=False)
     square: Array = field(repr=False)
+    uneven: Array = field(repr=False)
 
     def energy(self, step: Array) -> Array:
         """Sum of squares of the residuals of each band (B,) after a step (K,) of all parameters."""
@@ -74,6 +78,9 @@ def bands_of(X: Array, columns: NDArray[np.intp], r: Array, *, in_time: bool) ->
     """
     m = len(r)
     edges = [0, m]
+    uneven = np.sum(np.einsum("mak,ma->mk", X, r) ** 2, axis=0) / np.maximum(
+        np.mean(r**2) * np.sum(X**2, axis=(0, 1)), 1e-300
+    )
     if in_time:
         X, r = dct(X, axis=0, norm="ortho"), dct(r, axis=0, norm="ortho")
         octaves = np.arange(0.0, np.log2(max(m, 2)), 1.0 / _PER_OCTAVE)
@@ -86,6 +93,7 @@ def bands_of(X: Array, columns: NDArray[np.intp], r: Array, *, in_time: bool) ->
         np.stack([its_X.T @ its_X for its_X, _ in flat]),
         np.stack([its_X.T @ its_r for its_X, its_r in flat]),
         np.array([float(its_r @ its_r) for _, its_r in flat]),
+        np.maximum(uneven, 1.0),
     )
 
 
@@ -154,8 +162,11 @@ def noise_model(
     averaged_out = (root @ information) @ root.T - sum(band.gram for band in bands)
     fastest = max(s[number] for number, band in enumerate(bands) if _is_last(number, bands))
     inner = inner + fastest * averaged_out
-    covariance = root.T @ (inner + by_prior) @ root
-    shares = np.stack([np.sum(root * (band.gram @ root), axis=0) for band in bands]) * s[:, None]
+    uneven = np.ones(len(H))
+    for source in sources:
+        uneven[source.columns] = np.maximum(uneven[source.columns], source.uneven)
+    covariance = (root.T @ inner @ root) * np.sqrt(np.outer(uneven, uneven)) + root.T @ by_prior @ root
+    shares = np.stack([np.sum(root * (band.gram @ root), axis=0) for band in bands]) * s[:, None] * uneven
     own = np.sum(shares**2 / freedom[:, None], axis=0)
     variance = np.diag(covariance)
     return NoiseModel(

@@ -51,7 +51,9 @@ class Stamps:
     Attributes
     ----------
     rows : array of int, shape (m,)
-        Samples that are kept, of those recorded.
+        Samples that are kept, of those recorded: the first of each stamp.
+    fresh : array of int
+        Samples without those that were polled twice: all of each stamp.
     time_s : array, shape (m,)
         Their times [s], strictly increasing; those of the first segment as recorded.
     segment : array of int, shape (m,)
@@ -66,6 +68,7 @@ class Stamps:
     """
 
     rows: NDArray[np.intp] = field(repr=False)
+    fresh: NDArray[np.intp] = field(repr=False)
     time_s: Array = field(repr=False)
     segment: NDArray[np.intp] = field(repr=False)
     period_s: float
@@ -73,6 +76,12 @@ class Stamps:
     gaps: int
     steps: tuple[ClockStep, ...]
     regular: bool
+
+    def averaged(self, values: Array) -> Array:
+        """Recorded ``values`` (n, d), averaged over the samples of each stamp, (m, d)."""
+        starts = np.searchsorted(self.fresh, self.rows)
+        counts = np.diff(np.append(starts, len(self.fresh)))
+        return np.asarray(np.add.reduceat(values[self.fresh], starts, axis=0) / counts[:, None])
 
     @property
     def longest_s(self) -> float:
@@ -106,7 +115,7 @@ def read_stamps(time_s: Array, values: Array) -> Stamps:
     time, _, kept = _distinct(time, values)
     longest = max(_GAP_PERIODS * period, _GAP_S)
     gaps = int(np.count_nonzero(np.diff(time) > longest))
-    return Stamps(rows[kept], time, segment[kept], period, repeated, gaps, steps, bool(smoother))
+    return Stamps(rows[kept], rows, time, segment[kept], period, repeated, gaps, steps, bool(smoother))
 
 
 def _fresh(values: Array) -> NDArray[np.intp]:
