@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import astuple, fields
 
 import numpy as np
 
@@ -87,6 +87,8 @@ def readings_digest(readings: Readings) -> str:
             digest.update(f"{entry.name} {values.shape}\n".encode())
             digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
     digest.update(json.dumps(readings.split).encode())
+    if readings.point is not None:
+        digest.update(json.dumps([readings.point, [astuple(one) for one in readings.distances]]).encode())
     return digest.hexdigest()
 
 

@@ -13,7 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from cellapp.commands.record import Request, Work
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
 from cellapp.ground.errors import CellappError
 from cellapp.ground.profile.notify import Notify, NotifyEvent
 from cellapp.ground.progress import Cancelled, JobState, Listener, Notice, Progress, StateChange
@@ -33,18 +34,22 @@ _STARTS_S = 2.0
 
 def run_notified(
     name: str,
-    request: Request,
-    work: Work,
-    do: Callable[[Work], Result],
+    profile: object,
+    folder: object,
+    listener: Listener,
+    do: Callable[[Listener], Result],
     failed: Callable[[Result], Sequence[str]],
 ) -> Result:
-    """Do the work of a verb, and run the command of its profile's section on its events, where there is one."""
-    settings = _settings(request)
+    """Do the work of a verb, and run the command of its profile's section on its events, where there is one.
+
+    ``profile`` and ``folder`` are what the request says of them; what is no path, or cannot be read, has no section.
+    """
+    settings = _settings(profile, folder)
     if settings is None:
-        return do(work)
-    runner = Commands(settings, name, str(getattr(request, "folder", None) or ""), work.listener)
+        return do(listener)
+    runner = Commands(settings, name, str(folder) if isinstance(folder, Path) else "", listener)
     try:
-        result = do(replace(work, listener=runner.listen))
+        result = do(runner.listen)
         runner.tell("done", f"{name}: {'; '.join(failed(result)) or 'done'}")
         return result
     except (Cancelled, CellappError, OSError) as error:
@@ -54,12 +59,8 @@ def run_notified(
         runner.close()
 
 
-def _settings(request: Request) -> Notify | None:
-    """The section of the profile that a request names, or of the run; None where there is none to be read."""
-    from cellapp.cell.profile import load_profile  # late: a start of the program reads no profile
-    from cellapp.cell.run import RunFile
-
-    profile, folder = getattr(request, "profile", None), getattr(request, "folder", None)
+def _settings(profile: object, folder: object) -> Notify | None:
+    """The section of a profile, or of the profile of a run; None where there is none to be read."""
     try:
         if isinstance(profile, Path):
             return load_profile(profile).notify

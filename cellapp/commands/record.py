@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_type_hints
@@ -316,10 +316,16 @@ class Verb:
         do: Callable[[Work], Result] = partial(self._part("run").run, request)
         if not (self.moves_arms or self.stored):
             return do(work)
-        from cellapp.commands.notifying import run_notified  # late: it needs these records
+        from cellapp.commands.notifying import run_notified  # late: it reads profiles and runs
 
-        name = request.job_name() or self.name
-        return run_notified(name, request, work, do, lambda result: self.view(result, request).failed)
+        return run_notified(
+            request.job_name() or self.name,
+            getattr(request, "profile", None),
+            getattr(request, "folder", None),
+            work.listener,
+            lambda listener: do(replace(work, listener=listener)),
+            lambda result: self.view(result, request).failed,
+        )
 
     def view(self, result: Result, request: Request | None = None) -> View:
         """How a result is shown; ``request`` is what was asked for, None for a result that is stored."""

@@ -244,11 +244,11 @@ def require_stopped(ask: Callable[[str], str], host: str) -> None:
     raise LinkLost(f"{host}: the controller did not stop its program: {why}")
 
 
-def in_local_control(host: str, timeout_s: float, *, port: int = DASHBOARD_PORT) -> bool:
+def in_local_control(host: str, timeout_s: float) -> bool:
     """Return whether the pendant is in local control; False if the controller has no such switch or did not answer."""
     patience = Patience(timeout_s)
     try:
-        with Connection.to(host, port, patience) as link:
+        with Connection.to(host, DASHBOARD_PORT, patience) as link:
             return Dashboard(link, patience).ask("is in remote control").lower() == "false"
     except LinkLost:
         return False

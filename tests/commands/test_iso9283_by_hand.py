@@ -68,3 +68,4 @@ def test_it_is_said_who_was_at_the_arm(*, simulated: bool, who: str) -> None:
     lines = [one for one in view(_result(simulated=simulated)).parts if isinstance(one, str)]
     assert any(line.startswith(f"1 step at the arms by {who}") for line in lines)
     assert any("add that of your force gauge" in line for line in lines)
+    assert "arm left yields by up to 20.0 µm/N" in lines[0]

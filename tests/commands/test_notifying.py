@@ -13,12 +13,9 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.notifying import Commands, run_notified
-from cellapp.commands.record import Request, Work
-from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.profile.notify import Notify
-from cellapp.ground.progress import JobState, Notice, Progress, StateChange
+from cellapp.ground.progress import JobState, Listener, Notice, Progress, StateChange
 from cellapp.ground.results import Result
 from tests.twin import PROFILES
 
@@ -104,21 +101,11 @@ def test_a_command_that_hangs_holds_up_nothing_and_no_more_than_a_few_run(tmp_pa
     told(tmp_path / "none")
 
 
-class Asked(Request):
-    """Nothing."""
-
-    profile: Path | None = None
-
-
 class Done(Result):
     """Nothing."""
 
     schema_: str = "done"
     version: int = 1
-
-
-def work_of(events: list[Progress]) -> Work:
-    return Work(events.append, JobControl(), lambda name: None, NEW_ONLY)
 
 
 def profile_with(folder: Path, section: str) -> Path:
@@ -131,16 +118,25 @@ def profile_with(folder: Path, section: str) -> Path:
 
 def test_the_end_of_a_job_and_its_failure_are_told(tmp_path: Path) -> None:
     command = json.dumps([sys.executable, "-c", WRITES, str(tmp_path / "told"), "{event}"])
-    asked = Asked(profile=profile_with(tmp_path, f"notify: {{command: {command}}}\n"))
-    run_notified("check", asked, work_of([]), lambda work: Done(), lambda result: ("it does not hold",))
-    assert told(tmp_path / "told") == [["done", "check: it does not hold"]]
+    profile = profile_with(tmp_path, f"notify: {{command: {command}}}\n")
+    events: list[Progress] = []
 
-    def fails(work: Work) -> Result:
+    def ends(listener: Listener) -> Result:
+        listener(Progress("check", 1, 1))
+        return Done()
+
+    def fails(listener: Listener) -> Result:
         raise HardwareError("arm left: no answer")
 
+    run_notified("check", profile, None, events.append, ends, lambda result: ("it does not hold",))
+    assert told(tmp_path / "told") == [["done", "check: it does not hold"]]
+    assert len(events) == 1
     with pytest.raises(HardwareError):
-        run_notified("check", asked, work_of([]), fails, lambda result: ())
+        run_notified("check", profile, None, events.append, fails, lambda result: ())
     assert told(tmp_path / "told")[1:] == [["stopped", "check: arm left: no answer"]]
+    for unread, folder in ((tmp_path / "none.yaml", None), (None, tmp_path / "no run"), (None, None)):
+        assert isinstance(run_notified("check", unread, folder, events.append, ends, lambda result: ()), Done)
+    assert len(told(tmp_path / "told")) == 2, "what cannot be read has no section; the verb says what is wrong"
 
 
 def test_a_profile_without_the_section_keeps_its_text_and_a_bad_one_is_refused(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from cellapp.commands.view.charts import Axis, Chart
-from cellapp.commands.view.parts import Facts, Section, printed, section_of
+from cellapp.commands.view.parts import Facts, Parts, Section, printed, section_of
 from cellapp.commands.view.table import Column, Table
 from cellapp.interfaces.page.drawn import drawn_parts
 from cellapp.interfaces.page.templates import template
@@ -20,7 +20,7 @@ INSIDE = Section("details", ["'cellapp docs x' says more"], folded=True)
 SHOWN = Section(
     "shown", [CHART, "word " * 30, Section("empty", [CHART])], message="In a sentence.", about="how to read"
 )
-PARTS = ["first", Facts((("title", "text"), ("", "more"))), CHART, TABLE, INSIDE, SHOWN, "last"]
+PARTS: Parts = ["first", Facts((("title", "text"), ("", "more"))), CHART, TABLE, INSIDE, SHOWN, "last"]
 
 
 def test_plain_text_says_everything_but_charts_and_details_in_its_order() -> None:

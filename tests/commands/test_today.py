@@ -11,6 +11,7 @@ from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import ArmFigures, RunsResult, RunSummary, StageSummary
 from cellapp.commands.runs.today import today_sentences, today_tables
 from cellapp.commands.runs.view import view
+from cellapp.commands.view.table import Table
 from cellapp.estimation.discovery.records import BeforeAfter
 
 pytestmark = pytest.mark.fast
@@ -65,4 +66,4 @@ def test_an_outdated_calibration_has_no_age_and_no_stage_is_no_age() -> None:
 
 def test_the_command_has_it_by_an_option() -> None:
     shown = view(RUNS, RunsRequest(today=True))
-    assert [part.title for part in shown.parts if not isinstance(part, str)][:1] == ["Open runs, newest first"]
+    assert [part.title for part in shown.parts if isinstance(part, Table)][:1] == ["Open runs, newest first"]

@@ -31,8 +31,9 @@ def test_one_and_many() -> None:
 def _bare(path: Path) -> Iterator[str]:
     """Numbers that stand before a plural without being counted."""
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        parts = node.values if isinstance(node, ast.JoinedStr) else []
-        for value, after in pairwise(parts):
+        if not isinstance(node, ast.JoinedStr):
+            continue
+        for value, after in pairwise(node.values):
             if isinstance(value, ast.FormattedValue) and value.format_spec is None and isinstance(after, ast.Constant):
                 source, word = ast.unparse(value.value), str(after.value).removeprefix(" ").partition(" ")[0]
                 if word.strip(".,;:)") in _NOUNS and _NUMBER.fullmatch(source) and source not in _AT_LEAST_TWO:

@@ -46,10 +46,10 @@ def by_person(
         act(person)
         return
 
-    def say(state: JobState, reason: str) -> None:
-        listener(Progress("by hand", 0, 1, words, detail=StateChange(state, reason)))
+    def say(done: int, state: JobState, reason: str) -> None:
+        listener(Progress("by hand", done, 1, words, detail=StateChange(state, reason)))
 
     control.pause()
-    say("paused", f"{words}; then resume")
+    say(0, "paused", f"{words}; then resume")
     hold()
-    say("running", "resumed by a person")
+    say(1, "running", "resumed by a person")

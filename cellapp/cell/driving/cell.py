@@ -21,7 +21,7 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile import Profile
-from cellapp.robot.model.nominal import pose_matrix
+from cellapp.robot.model.nominal import joint_rates, pose_matrix
 from drivers.arms.protocol import Arm, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
@@ -116,7 +116,8 @@ def open_cell(
     simulated = None if _has_real_arm(profile) else plant
     together = in_threads if simulated is None else one_by_one
     with ExitStack() as stack:
-        stack.callback(_disconnect_all, arms, together)
+        # whatever one of them says: an earlier error is the one to report
+        stack.callback(answers_of_all, together, {name: arm.disconnect for name, arm in arms.items()})
         _connect_all(arms, together, control)
         stack.callback(tracker.disconnect)
         unmet = start_tracker(tracker, profile.tracker.driver)
@@ -176,11 +177,6 @@ def _connect_all(arms: Mapping[str, Arm], together: Together, control: JobContro
         raise HardwareError(str(error)) from error
 
 
-def _disconnect_all(arms: Mapping[str, Arm], together: Together) -> None:
-    """Disconnect every arm, whatever another one says: an earlier error is the one to report."""
-    answers_of_all(together, {name: arm.disconnect for name, arm in arms.items()})
-
-
 def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...]:
     """Connect and prepare the tracker; return what keeps it from measuring, as sentences.
 
@@ -210,16 +206,12 @@ def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...
 
 def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None) -> ArmContext:
     """Return what the profile specifies for the driver of an arm."""
-    joints = arm.type.joints
+    speed, acceleration = joint_rates(arm)
     return ArmContext(
         name=name,
         model=arm.type.model,
-        joints=len(joints),
-        limits=JointLimits(
-            position=np.array(arm.limits or tuple(joint.limit for joint in joints)),
-            speed=np.array([joint.speed for joint in joints]) * arm.speed_scale,
-            acceleration=np.array([joint.acceleration for joint in joints]) * arm.speed_scale,
-        ),
+        joints=len(arm.type.joints),
+        limits=JointLimits(position=np.array(arm.joint_limits), speed=speed, acceleration=acceleration),
         payload_kg=arm.payload.mass,
         payload_center_m=np.array(arm.payload.center_of_mass),
         plant=plant,
@@ -298,11 +290,10 @@ def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, obj
     if arm.base is None or arm.smr.offset == "unknown":
         raise InputError(f"arms.{name}: a simulated arm needs 'base' and a known 'smr.offset'")
     joints = arm.type.joints
-    limits = arm.limits or tuple(joint.limit for joint in joints)
     return ArmConfig(
         name=name,
         rows=np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in joints]),
-        limits=np.array(limits),
+        limits=np.array(arm.joint_limits),
         speed=np.array([joint.speed for joint in joints]),
         acceleration=np.array([joint.acceleration for joint in joints]),
         T_C_B=pose_matrix(arm.base),

@@ -15,10 +15,11 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.driving_targets import Driver
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
+from cellapp.cell.driving.moving_cell import MovingCell, moving_cell
 from cellapp.cell.driving.smr_search import FoundPoint, SmrSearch
-from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
+from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.target_visit import last_motion_matters
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.monitoring.check import SequentialState
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.control import JobControl
@@ -104,21 +105,12 @@ def drive_check(
     Stopped, Aborted
         On request; the arms have been braked.
     """
-    control = control or JobControl()
-    bodies, homes = cell_bodies(task.profile, task.model), home_positions(task.profile)
-    with attended_cell(task.profile, control, open_with) as (cell, reaction):
-        opened(cell)
-        cell.require_tracker()
-        mover = Mover(task.profile, cell, bodies, reaction)
-        mover.confirm_first(homes, confirm)
-
-        def checkpoint() -> None:
-            hold_while_paused(cell, control, reaction)
-
-        repeat = task.profile.collection.repeat
+    profile, control = task.profile, control or JobControl()
+    with moving_cell(profile, task.model, control, confirm=confirm, opened=opened, open_with=open_with) as moving:
+        repeat, mover = profile.collection.repeat, moving.mover
         repeats = 1 if repeat.precision is None else repeat.times
-        search = SmrSearch(task.profile, task.model, mover, np.eye(4), task.excess_m, repeats, checkpoint)
-        checking = _Checking(task, test, mover, Driver(mover, homes), search, checkpoint, cell.clock.now_s, listener)
+        search = SmrSearch(profile, task.model, mover, np.eye(4), task.excess_m, repeats, moving.hold)
+        checking = _Checking(task, test, moving, mover, Driver(mover, home_positions(profile)), search, listener)
         driven = checking.visit_all()
         mover.go_home()
         driven.seconds = checking.elapsed_s()
@@ -133,29 +125,25 @@ def drive_check(
 class _Checking:
     task: CheckTask
     test: StopTest
+    moving: MovingCell
     mover: Mover
     driver: Driver
     search: SmrSearch
-    checkpoint: Callable[[], None]
-    now_s: Callable[[], float]
     listener: Listener
     driven: DrivenCheck = field(default_factory=DrivenCheck)
 
     def __post_init__(self) -> None:
-        self._began_s = self.now_s()
         self._missed = dict.fromkeys(self.task.profile.arms, 0)
 
     def elapsed_s(self) -> float:
         """Time since the first motion [s]."""
-        return self.now_s() - self._began_s
+        return self.moving.cell.clock.now_s() - self.moving.began_s
 
     def visit_all(self) -> DrivenCheck:
         """Visit the stops until the test is sure, or no arm is left that can be measured."""
-        self._set_speed(0)
-        self.mover.go_home()
         for number, stop in enumerate(self.task.stops):
-            self.checkpoint()
-            self._set_speed(number)
+            self.moving.hold()
+            self.mover.slow_start(number)
             wanted = {name: q for name, q in stop.items() if name not in self.driven.lost}
             if not wanted:
                 break
@@ -168,11 +156,6 @@ class _Checking:
                 " 'cellapp locate DIR' with --tracker-pose first"
             )
         return self.driven
-
-    def _set_speed(self, visited: int) -> None:
-        """The first stops are visited slowly, on real hardware only."""
-        slow = self.task.profile.collection.slow_start
-        self.mover.speed = slow.speed if self.task.profile.moves_hardware and visited < slow.stops else 1.0
 
     def _visit(self, number: int, wanted: Mapping[str, Vector]) -> bool:
         """Measure the arms at one stop, together or each alone; return whether the test is sure."""

@@ -9,9 +9,8 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
+from cellapp.cell.driving.moving_cell import moving_cell
 from cellapp.cell.driving.reaction import StopCause, StopReaction
-from cellapp.cell.driving.supervision import attended_cell, hold_while_paused
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.path_records import DrivenPath, PathLag
 from cellapp.cell.targets.plan_path import RUN_UP_RAD, PathPlan, path_rates, plan_path
@@ -69,21 +68,16 @@ def follow(
     control = control or JobControl()
     if all(plan.refusal for plan in plans):
         raise InputError(f"follow: none of the paths can be driven: {plans[0].refusal}")
-    homes = home_positions(profile)
     found: list[tuple[PathPlan, DrivenPath | None]] = []
-    with attended_cell(profile, control) as (cell, reaction):
-        opened(cell)
-        if verify:
-            cell.require_tracker()
-        mover = Mover(profile, cell, cell_bodies(profile, model), reaction)
-        mover.confirm_first(homes, confirm)
-        mover.speed = profile.collection.slow_start.speed if profile.moves_hardware else 1.0
-        mover.go_home()
+    with moving_cell(
+        profile, model, control, confirm=confirm, opened=opened, measures=verify, slow_visits=None
+    ) as moving:
+        cell, mover = moving.cell, moving.mover
         for done, plan in enumerate(plans):
-            hold_while_paused(cell, control, reaction)
+            moving.hold()
             listener(Progress("follow", done, len(plans), plan.spec.name))
             plan = _at_rate_of_arm(profile, model, plan, cell)
-            driver = _Driver(profile, mover, cell, reaction, model, plan.spec, judge or Judge(profile))
+            driver = _Driver(profile, mover, cell, moving.reaction, model, plan.spec, judge or Judge(profile))
             found.append((plan, None if plan.refusal else driver.drive(plan, verify=verify, rehearse=rehearse)))
             mover.go_home()
     listener(Progress("follow", len(plans), len(plans), "done"))

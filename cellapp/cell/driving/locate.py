@@ -13,9 +13,10 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.locating_stops import LocatingStops
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
+from cellapp.cell.driving.moving_cell import moving_cell
 from cellapp.cell.driving.smr_search import FoundPoint, SmrSearch
-from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.driving.supervision import Opened
+from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.calibration.station_location import (
     LEAST_PROBABILITY,
     ArmPoints,
@@ -100,23 +101,14 @@ def locate_station(
     Stopped, Aborted
         On request; the arms have been braked.
     """
-    control = control or JobControl()
-    bodies = cell_bodies(task.profile, task.model)
-    with attended_cell(task.profile, control, open_with) as (cell, reaction):
-        opened(cell)
-        cell.require_tracker()
-        mover = Mover(task.profile, cell, bodies, reaction)
-        mover.confirm_first(home_positions(task.profile), confirm)
-        slow = task.profile.collection.slow_start
-        mover.speed = slow.speed if task.profile.moves_hardware else 1.0
-
-        def checkpoint() -> None:
-            hold_while_paused(cell, control, reaction)
-
-        mover.go_home()
-        stops = LocatingStops(task.profile, task.model, bodies, task.candidates)
-        search = SmrSearch(task.profile, task.model, mover, task.rough_T, task.excess_m, _REPEATS, checkpoint)
-        measuring = _Measuring(task, mover, stops, search, checkpoint, listener)
+    profile, model, control = task.profile, task.model, control or JobControl()
+    with moving_cell(
+        profile, model, control, confirm=confirm, opened=opened, open_with=open_with, slow_visits=None
+    ) as moving:
+        mover = moving.mover
+        stops = LocatingStops(profile, model, moving.bodies, task.candidates)
+        search = SmrSearch(profile, model, mover, task.rough_T, task.excess_m, _REPEATS, moving.hold)
+        measuring = _Measuring(task, mover, stops, search, moving.hold, listener)
         fit, causes = _explained(task, measuring)
         mover.go_home()
     listener(Progress("locate", len(measuring.found), len(measuring.found), "done"))
@@ -128,7 +120,8 @@ def locate_station(
 
 def _explained(task: LocateTask, measuring: _Measuring) -> tuple[StationFit, tuple[Cause, ...]]:
     """Measure and fit; where one motion does not explain the points, measure more and see what does."""
-    measuring.measure(_shares(list(task.candidates), task.points))
+    count, left = divmod(task.points, len(task.candidates))  # the first arms take what is left over
+    measuring.measure({name: count + (k < left) for k, name in enumerate(task.candidates)})
     fit = measuring.fit()
     if fit.explains:
         return fit, ()
@@ -142,11 +135,6 @@ def _explained(task: LocateTask, measuring: _Measuring) -> tuple[StationFit, tup
         return fit, ()
     points, start = measuring.search.points(), fit.T_new_old
     return fit, possible_causes(task.model, points, start, excess_m=task.excess_m, still_m=task.still_m)
-
-
-def _shares(names: list[str], points: int) -> dict[str, int]:
-    """Points of each arm, the first ones take what is left over."""
-    return {name: points // len(names) + (k < points % len(names)) for k, name in enumerate(names)}
 
 
 @dataclass(eq=False)

@@ -16,9 +16,9 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
 from cellapp.cell.safety.path_gate import refuse_path
 from cellapp.ground.errors import CellappError, InputError
-from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Detail, MotionBegun
+from cellapp.robot.model.nominal import joint_rates
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, FollowedPath, MotionStopped, PathFollower
 from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
 
@@ -46,13 +46,6 @@ Confirm = Callable[[Mapping[str, Vector], Mapping[str, Vector]], bool]
 
 def no_one(detail: Detail) -> None:
     """Takes details of motions that nobody watches."""
-
-
-def rates(arm: ArmProfile, share: float = 1.0) -> tuple[Vector, Vector]:
-    """Return speeds (N,) [rad/s] and accelerations (N,) [rad/s^2] of motions at a share of the profile's speed."""
-    joints = arm.type.joints
-    speeds = np.array([joint.speed for joint in joints]) * arm.speed_scale * share
-    return speeds, np.array([joint.acceleration for joint in joints]) * arm.speed_scale
 
 
 def motion_s(way: Vector, speeds: Vector, accelerations: Vector) -> float:
@@ -101,6 +94,12 @@ class Mover:
         """Share of the profile's speed for the next motions."""
         self.stop: int | None = None
         """Stop to which the next motions lead; None on other ways."""
+
+    def slow_start(self, visited: int | None = None) -> None:
+        """Move slowly on real hardware while fewer stops are ``visited`` than the profile asks for; None: always."""
+        slow = self._profile.collection.slow_start
+        slowly = self._profile.moves_hardware and (visited is None or visited < slow.stops)
+        self.speed = slow.speed if slowly else 1.0
 
     def positions(self) -> dict[str, Vector]:
         """Return the joint positions (N,) of all arms [rad]. Raises ``CellStopped`` if one is not ready or moves."""
@@ -177,7 +176,7 @@ class Mover:
 
     def _drive(self, start: Mapping[str, Vector], targets: Mapping[str, Vector]) -> dict[str, ArmState]:
         """Start all arms and wait until they have settled. The gate has accepted the motion."""
-        allowed = {name: rates(self._profile.arms[name], self.speed) for name in targets}
+        allowed = {name: joint_rates(self._profile.arms[name], self.speed) for name in targets}
         expected_s = max(motion_s(q - start[name], *allowed[name]) for name, q in targets.items())
         self._emit(
             MotionBegun(self.stop, vectors({name: start[name] for name in targets}), vectors(targets), expected_s)
@@ -304,7 +303,8 @@ class Mover:
                     with self._cell.pulse.waiting(self._cell.oldest_data_s):
                         states[name] = self._cell.arms[name].wait_settled(_ROUND_S)
                 except ArmTimeout:
-                    late, fraction = name, min(fraction, self._speed_fraction(name))
+                    slider = self._state(name).speed_fraction  # None: its controller does not report it
+                    late, fraction = name, fraction if slider is None else min(fraction, slider)
                     continue
                 except ArmError as error:
                     raise self.stop_cell(cause_of(name, error)) from error
@@ -322,11 +322,6 @@ class Mover:
         if standing_s >= _STANDSTILL_S:
             text = f"arm {late}: its speed slider is at 0 %, so that it does not move; raise it on the pendant"
         raise self.stop_cell(StopCause("fault", text, late))
-
-    def _speed_fraction(self, name: str) -> float:
-        """Return the speed slider of an arm, 1 if its controller does not report it."""
-        fraction = self._state(name).speed_fraction
-        return 1.0 if fraction is None else fraction
 
     def approach(self, name: str) -> NDArray[np.int8]:
         """Return the sign of each joint's last motion (N,); 0 if it has not moved yet."""

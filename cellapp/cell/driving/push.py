@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import require_same_arms
 from cellapp.cell.driving.driving_targets import Driver
-from cellapp.cell.driving.motion import Confirm, Mover
-from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
+from cellapp.cell.driving.motion import Confirm
+from cellapp.cell.driving.moving_cell import moving_cell
+from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.target_visit import TargetVisit
 from cellapp.cell.driving.verification import Agreement, Findings, by_arm, summary_of
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
 from cellapp.estimation.uncertainty.judging import Judge
@@ -88,25 +89,18 @@ def push(
     require_same_arms(profile, model, commands)
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
-    bodies, homes = cell_bodies(profile, model), home_positions(profile)
-    with attended_cell(profile, control, open_with) as (cell, reaction):
-        opened(cell)
-        cell.require_tracker()
-        mover = Mover(profile, cell, bodies, reaction)
-        mover.confirm_first(homes, confirm)
-        mover.speed = _speed(profile, 0)
-        mover.go_home()
+    with moving_cell(profile, model, control, confirm=confirm, opened=opened, open_with=open_with) as moving:
         visit = TargetVisit(
             model=model,
-            driver=Driver(mover, homes),
+            driver=Driver(moving.mover, home_positions(profile)),
             control=control,
-            hold=lambda: hold_while_paused(cell, control, reaction),
+            hold=moving.hold,
             verify=verify,
             rounds=rounds,
             repeatability_m=repeatability_m or {},
         )
         stopped = _visit_all(visit, judge or Judge(profile), commands, visited, listener)
-        mover.go_home()
+        moving.mover.go_home()
     total = len(dict.fromkeys(command.target.name for command in commands))
     listener(Progress("push", total, total, "done"))
     return visited.result(stopped)
@@ -120,7 +114,7 @@ def _visit_all(
     agreement, total = Agreement(), len(by_target)
     for done, (name, own) in enumerate(by_target.items()):
         visit.hold()
-        visit.driver.mover.speed = _speed(judge.profile, done)
+        visit.driver.mover.slow_start(done)
         listener(Progress("push", done, total, name))
         found = visit.to(own)
         visited.add(found, judge, verify=visit.verify)
@@ -128,9 +122,3 @@ def _visit_all(
         if stopped := agreement.broken(ended=done + 1 == total):
             return stopped
     return ""
-
-
-def _speed(profile: Profile, done: int) -> float:
-    """Share of the profile's speed after some targets: the first ones are visited slowly, on real hardware only."""
-    slow = profile.collection.slow_start
-    return slow.speed if profile.moves_hardware and done < slow.stops else 1.0

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.details import missed_sentence, point_measured, record_sentence, state_of, vectors
-from cellapp.cell.driving.motion import motion_s, rates
+from cellapp.cell.driving.motion import motion_s
 from cellapp.cell.run import Event, Outcome, ReferenceRow, RunFile, Session
 from cellapp.cell.run.collected import reference_drifts
 from cellapp.cell.safety.cell_bodies import home_positions
@@ -34,6 +34,7 @@ from cellapp.ground.progress import (
     PointMissed,
     StateChange,
 )
+from cellapp.robot.model.nominal import joint_rates
 
 UNTIMED_STOP_S = 10.0
 """Pace of readings without times: a motion of some seconds, and a few seconds for the points of two arms."""
@@ -261,7 +262,9 @@ class _Timeline:
         start = {name: self._q.get(name, q) for name, q in targets.items()}
         self._q |= reached
         arms = self._profile.arms
-        expected_s = max((motion_s(q - start[name], *rates(arms[name])) for name, q in targets.items()), default=0.0)
+        expected_s = max(
+            (motion_s(q - start[name], *joint_rates(arms[name])) for name, q in targets.items()), default=0.0
+        )
         warm = {name: one.joint_temperature_c for name, one in readings.items()}
         self._at(ends_s - expected_s, note)
         self._at(ends_s - expected_s, MotionBegun(stop, vectors(start), vectors(targets), expected_s))

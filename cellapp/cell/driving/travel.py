@@ -21,22 +21,18 @@ class Travel:
 
     def __init__(self, profile: Profile, mover: Mover, work: Work) -> None:
         self._mover, self._work = mover, work
-        self._settings = profile.collection.slow_start
-        self._real = profile.moves_hardware
         self._homes: Targets = home_positions(profile)
-        self._slow_stops = 0
         self.slow_again()
 
     def slow_again(self) -> None:
         """Visit the next stops slowly: at the beginning, and after persons were called. On real hardware only."""
-        self._slow_stops = self._settings.stops if self._real else 0
-        self._mover.speed = self._settings.speed if self._slow_stops else 1.0
+        self._visited = 0
+        self._mover.slow_start(0)
 
     def stop_visited(self) -> None:
         """Count a stop that was visited."""
-        self._slow_stops = max(self._slow_stops - 1, 0)
-        if not self._slow_stops:
-            self._mover.speed = 1.0
+        self._visited += 1
+        self._mover.slow_start(self._visited)
 
     def to_stop(self, stop: int) -> dict[str, ArmState]:
         """Move to a stop: as planned, straight, one arm after the other, or each of these from home.

@@ -85,11 +85,7 @@ def lost_parts(model: ArmModel, space: Workspace) -> dict[str, PositionLoss]:
 
 def lost_by(geometry: Geometry, model: ArmModel, space: Workspace) -> PositionLoss:
     """Position error of a rigid chain in the place of a model."""
-    return _loss(model.predict(space.q, conditions=space.conditions) - smr_positions(geometry, space.q))
-
-
-def _loss(shift: Array) -> PositionLoss:
-    """Rms and largest length of shifts (n, 3) [m]."""
+    shift = model.predict(space.q, conditions=space.conditions) - smr_positions(geometry, space.q)
     length = np.linalg.norm(shift, axis=1) * 1e3
     return PositionLoss(rms_mm=float(np.sqrt(np.mean(length**2))), max_mm=float(length.max()))
 

@@ -15,14 +15,6 @@ Text = Callable[[ArmExport, Sequence[str]], str]
 """Writes an arm in one format, with sentences as its comment. Raises ``InputError`` for an arm that it cannot hold."""
 
 
-def _as_it_is(geometry: Geometry) -> Geometry:
-    return geometry
-
-
-def _smr_in_flange(export: ArmExport) -> Array:
-    return export.geometry.tool
-
-
 def smr_in_plain_flange(export: ArmExport) -> Array:
     """SMR centre (3,) [m] in the last frame of the plain D-H rows."""
     return plain_geometry(export.geometry).tool
@@ -52,8 +44,8 @@ class ExportFormat:
     what: str
     suffix: str
     text: Text
-    held: Callable[[Geometry], Geometry] = _as_it_is
-    smr: Callable[[ArmExport], Array] = _smr_in_flange
+    held: Callable[[Geometry], Geometry] = lambda geometry: geometry
+    smr: Callable[[ArmExport], Array] = lambda export: export.geometry.tool
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from cellapp.cell.exports.joint_origins import joint_origins
 from cellapp.ground.results import Record, Result
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
-from cellapp.robot.kinematics.transforms import Array, xyz_of, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, rpy_of, xyz_of
 from cellapp.robot.model.model import CellModel
 
 _CONFIGURATIONS = 2000
@@ -103,8 +103,7 @@ def urdf_joints(geometry: Geometry) -> tuple[UrdfJoint, ...]:
 
 
 def _origin(name: str, kind: Literal["revolute", "fixed"], T: Array) -> UrdfJoint:
-    yaw, pitch, roll = zyx_angles(T[:3, :3])
-    return UrdfJoint(name=name, type=kind, xyz_m=xyz_of(T[:3, 3]), rpy_rad=(roll, pitch, yaw))
+    return UrdfJoint(name=name, type=kind, xyz_m=xyz_of(T[:3, 3]), rpy_rad=rpy_of(T[:3, :3]))
 
 
 def ur_deltas(nominal: Geometry, identified: Geometry) -> UrDeltas:

@@ -18,7 +18,7 @@ from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.joint_origins import joint_origins
 from cellapp.cell.exports.ur_calibration import frame_sentences
 from cellapp.cell.exports.ur_chain import ur_rows
-from cellapp.robot.kinematics.transforms import Array, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, rpy_of
 
 _LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 _SEED, _FACTOR, _WORD = 0xC70F6907, 0xC6A4A7935BD1E995, (1 << 64) - 1
@@ -50,8 +50,7 @@ def smr_in_tool0(export: ArmExport) -> Array:
 
 
 def _origin(T: Array) -> dict[str, float]:
-    yaw, pitch, roll = zyx_angles(T[:3, :3])
-    values = (*T[:3, 3].tolist(), roll, pitch, yaw)
+    values = (*T[:3, 3].tolist(), *rpy_of(T[:3, :3]))
     return dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), values, strict=True))
 
 

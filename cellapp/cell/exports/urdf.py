@@ -16,7 +16,7 @@ import numpy as np
 from cellapp.cell.exports.arm_export import ArmExport
 from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.joint_origins import dh_frames_in_links, joint_origins
-from cellapp.robot.kinematics.transforms import Array, transform, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, rpy_of, transform
 
 _EFFORT = "1000"
 """Nm; more than any joint of such an arm has: a limit that never acts, for a number that the file must have."""
@@ -60,8 +60,7 @@ def _add_joint(robot: Element, export: ArmExport, index: int, parent: str, child
     turns = 0 <= index < export.geometry.joints
     name = f"{export.name}_joint_{index + 1}" if turns else f"{child}_fixed"
     joint = SubElement(robot, "joint", name=name, type="revolute" if turns else "fixed")
-    yaw, pitch, roll = zyx_angles(pose[:3, :3])
-    SubElement(joint, "origin", xyz=_numbers(pose[:3, 3].tolist()), rpy=_numbers([roll, pitch, yaw]))
+    SubElement(joint, "origin", xyz=_numbers(pose[:3, 3].tolist()), rpy=_numbers(rpy_of(pose[:3, :3])))
     SubElement(joint, "parent", link=parent)
     SubElement(joint, "child", link=child)
     if turns:

@@ -6,6 +6,7 @@ therefore not only drawn at random: they are changed, one at a time, until the l
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,8 +43,13 @@ class Columns:
 
     def with_(self, *others: Columns) -> Columns:
         """These and the others, side by side."""
-        every = (self, *others)
-        return Columns(sum((one.names for one in every), ()), np.concatenate([one.values for one in every], axis=1))
+        return side_by_side((self, *others))
+
+
+def side_by_side(columns: Iterable[Columns]) -> Columns:
+    """All of them, one after the other."""
+    every = tuple(columns)
+    return Columns(sum((one.names for one in every), ()), np.concatenate([one.values for one in every], axis=1))
 
 
 def standardised(names: tuple[str, ...], values: Array) -> Columns:
@@ -63,11 +69,10 @@ def posture_functions(profile: Profile, cell: CellBodies, name: str, q: Array) -
     arm = cell.arms[name]
     torques = gravity_loads(frame_poses(arm.geometry, q), bodies_of(profile.arms[name]), _UP_C).joint_torques()
     groups = (("sin q{}", np.sin(q)), ("cos q{}", np.cos(q)), ("gravity torque {}", torques))
-    found = [
+    return side_by_side(
         standardised(tuple(f"{text.format(j + 1)} of {name}" for j in range(q.shape[1])), values)
         for text, values in groups
-    ]
-    return found[0].with_(*found[1:])
+    )
 
 
 def time_and_blocks(time: Array, block: NDArray[np.intp]) -> Columns:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, orders, routes
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, orders, refused_route, routes
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
 from cellapp.cell.planning.stored_stops import read_planned_stops
 from cellapp.cell.run import RunFile
@@ -60,7 +60,7 @@ def check_stops(
         here = there
     reason = refuse_motion(cell, here, homes)
     if reason:
-        via_home = any(not _refused_route(cell, here, route) for route in orders(homes))
+        via_home = any(not refused_route(cell, here, route) for route in orders(homes))
         refused.append(PlanRefusal(configuration=None, before=count - 1, what="way", reason=reason, via_home=via_home))
     listener(Progress("check", count, count, "done"))
     return tuple(refused)
@@ -104,26 +104,16 @@ def _way_refusals(
 ) -> Iterator[PlanRefusal]:
     """The refusal of the planned way to a stop, and how collection would get there all the same."""
     planned, *others = routes(stops, k, as_planned=True)
-    reason = _refused_route(cell, here, planned)
+    reason = refused_route(cell, here, planned)
     if not reason or refuse_stop(cell, stops.targets(k)):
         return
     before = k - 1 if k else None
     refusal = PlanRefusal(configuration=k, before=before, what="way", reason=reason)
-    detour = next((route for route in others if not _refused_route(cell, here, route)), None)
+    detour = next((route for route in others if not refused_route(cell, here, route)), None)
     if detour is not None:
         word = "straight" if len(detour[0]) == len(stops.q) else "one arm after the other"
         yield refusal.model_copy(update={"detour": word})
         return
-    from_home = any(not _refused_route(cell, homes, route) for route in routes(stops, k, as_planned=k == 0))
-    via_home = from_home and any(not _refused_route(cell, here, route) for route in orders(homes))
+    from_home = any(not refused_route(cell, homes, route) for route in routes(stops, k, as_planned=k == 0))
+    via_home = from_home and any(not refused_route(cell, here, route) for route in orders(homes))
     yield refusal.model_copy(update={"via_home": via_home})
-
-
-def _refused_route(cell: CellBodies, here: Configuration, route: Route) -> str:
-    """Reason why the arms cannot take a route; empty if they can. Names the motion where there are several."""
-    for number, motion in enumerate(route, start=1):
-        there = {**here, **motion}
-        if reason := refuse_motion(cell, here, there):
-            return reason if len(route) == 1 else f"motion {number} of {len(route)}: {reason}"
-        here = there
-    return ""

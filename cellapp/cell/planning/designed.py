@@ -113,15 +113,12 @@ def _in_order(
             stops = more.stops if stops is None or not len(stops) else joined_after(stops, more.stops)
     reached = 0 if stops is None else len(stops)
     if stops is None or reached < wanted - profile.plan.reserve:
+        reason = f". {given_up[0]}" if given_up else ""
         raise InputError(
             f"plan: only {reached} of {counted(wanted, 'stop')} can be reached; ask for fewer stops, a smaller"
-            f" plan.clearance, or move bases, tracker or obstacles{_first_of(given_up)}"
+            f" plan.clearance, or move bases, tracker or obstacles{reason}"
         )
     return stops, tuple(given_up)
-
-
-def _first_of(given_up: list[str]) -> str:
-    return f". {given_up[0]}" if given_up else ""
 
 
 def _pool(

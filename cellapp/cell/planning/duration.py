@@ -11,6 +11,7 @@ from cellapp.cell.planning.records import PlannedTime
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model.nominal import joint_rates
 
 _SETTLE_S = 0.2
 """Rest after a motion before an arm counts as settled: the default of UR controllers and of simulated arms."""
@@ -45,8 +46,7 @@ def motion_s(arm: Arm, way: Array) -> Array:
 
     All joints start and end together, with a trapezoidal speed profile inside the arm's speeds and accelerations.
     """
-    speed = np.array([joint.speed for joint in arm.type.joints]) * arm.speed_scale
-    acceleration = np.array([joint.acceleration for joint in arm.type.joints]) * arm.speed_scale
+    speed, acceleration = joint_rates(arm)
     at_speed = np.abs(way / speed).max(axis=1)
     at_acceleration = np.abs(way / acceleration).max(axis=1)
     # with ramps of a / v each: distance 1 = v * (T - a / v), or a triangle where full speed is never reached

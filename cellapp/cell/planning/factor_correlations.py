@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from cellapp.cell.planning.balance import Columns, posture_functions, standardised, time_and_blocks
+from cellapp.cell.planning.balance import Columns, posture_functions, side_by_side, standardised, time_and_blocks
 from cellapp.cell.planning.design_records import FactorCorrelation, TravelTime
 from cellapp.cell.planning.duration import home_s, stop_times_of
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
@@ -38,7 +38,7 @@ def correlations(
     sizes = {name: _of_joints("step size of joint {} of " + name, np.abs(step)) for name, step in steps.items()}
     signed = {name: _of_joints("step of joint {} of " + name, step) for name, step in steps.items()}
     dwell = standardised(("dwell",), next(iter(stops.dwell_s.values()))[:, None])
-    every_posture = _joined(postures)
+    every_posture = side_by_side(postures.values())
     chosen = common.with_(dwell, *sides.values(), *sizes.values())
     found = [
         *_largest("all", common.first(1), every_posture),
@@ -51,14 +51,12 @@ def correlations(
         found += _largest(name, signed[name], every_posture.with_(common, dwell))
         if others:
             found += sorted(
-                _largest(name, postures[name], others[0].with_(*others[1:])), key=lambda one: -abs(one.correlation)
+                _largest(name, postures[name], side_by_side(others)), key=lambda one: -abs(one.correlation)
             )[:1]
     return tuple(found)
 
 
-def travel_time(
-    profile: Profile, stops: PlannedStops, rng: np.random.Generator, start: Configuration | None = None
-) -> TravelTime:
+def travel_time(profile: Profile, stops: PlannedStops, rng: np.random.Generator) -> TravelTime:
     """Time in motion of a plan, and of the same pairs, approaches and dwells in random order.
 
     In random order too the gate refuses some straight ways: what detours add there is taken from a sample of ways.
@@ -67,8 +65,8 @@ def travel_time(
     random_s = []
     for _ in range(_RANDOM_ORDERS):
         order = straight.take(rng.permutation(len(stops)))
-        random_s.append(float(stop_times_of(profile, order, start).moving_s.sum()) + home_s(profile, order))
-    planned_s = float(stop_times_of(profile, stops, start).moving_s.sum()) + home_s(profile, stops)
+        random_s.append(float(stop_times_of(profile, order).moving_s.sum()) + home_s(profile, order))
+    planned_s = float(stop_times_of(profile, stops).moving_s.sum()) + home_s(profile, stops)
     detours_s = len(stops) * _added_by_a_detour_s(profile, stops, rng)
     return TravelTime(planned_s=planned_s, random_order_s=float(np.mean(random_s)) + detours_s)
 
@@ -89,11 +87,6 @@ def _added_by_a_detour_s(profile: Profile, stops: PlannedStops, rng: np.random.G
 
 def _of_joints(text: str, values: Array) -> Columns:
     return standardised(tuple(text.format(j + 1) for j in range(values.shape[1])), values)
-
-
-def _joined(columns: Mapping[str, Columns]) -> Columns:
-    first, *others = columns.values()
-    return first.with_(*others)
 
 
 def _largest(arm: str, factors: Columns, others: Columns) -> Iterator[FactorCorrelation]:

@@ -12,7 +12,13 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.balance import Columns, balanced_levels, posture_functions, standardised, time_and_blocks
+from cellapp.cell.planning.balance import (
+    balanced_levels,
+    posture_functions,
+    side_by_side,
+    standardised,
+    time_and_blocks,
+)
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
@@ -55,7 +61,8 @@ class FactorPlan:
         self._first = np.flatnonzero(repeat_of < 0)
         """Stops whose levels are free; those of repeats follow."""
         time = time_and_blocks(np.arange(len(block), dtype=np.float64), block)
-        self._against = _postures(profile, cell, q).with_(time).values
+        postures = [posture_functions(profile, cell, name, rows) for name, rows in q.items()]
+        self._against = side_by_side((*postures, time)).values
 
     def dwell_s(self, step: Mapping[str, Array]) -> dict[str, Array]:
         """Rest before measuring at each stop, arm -> (n,) [s]: the same for all arms, which wait for each other."""
@@ -186,14 +193,10 @@ class FactorPlan:
         place = np.searchsorted(self._first, self._repeat_of)
         for copy in np.flatnonzero(self._repeat_of >= 0).tolist():
             fold[place[copy]] += -against[copy] if mirrored else against[copy]
-        fold = np.concatenate([_with_constant(fold) if not mirrored else self._with_free_constant(fold)], axis=1)
+        repeated = np.isin(self._first, self._repeat_of)  # a repeat balances the side of its stop
+        fold = np.column_stack([fold, np.where(repeated & mirrored, 0.0, 1.0)])
         usable = np.where(np.any(allowed, axis=1, keepdims=True), allowed, True)
         return balanced_levels(levels, usable, fold, self._rng, _GOAL)
-
-    def _with_free_constant(self, values: Array) -> Array:
-        """With a column that is 1 where a stop is not repeated: a repeat balances the side of its stop."""
-        repeated = np.isin(self._first, self._repeat_of)
-        return np.column_stack([values, np.where(repeated, 0.0, 1.0)])
 
     def _of_all(self, values: Array, *, mirrored: bool) -> Array:
         """Values of all stops from those of the free ones (m,)."""
@@ -241,11 +244,6 @@ def _inside(q: Array, step: Array, low: Array, high: Array) -> Array:
 
 def _with_constant(values: Array) -> Array:
     return np.column_stack([values, np.ones(len(values))])
-
-
-def _postures(profile: Profile, cell: CellBodies, q: Mapping[str, Array]) -> Columns:
-    found = [posture_functions(profile, cell, name, rows) for name, rows in q.items()]
-    return found[0].with_(*found[1:])
 
 
 _MEASURES: tuple[Callable[[Array], Array], ...] = (np.sign, np.abs, np.positive)

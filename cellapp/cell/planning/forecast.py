@@ -24,7 +24,6 @@ from cellapp.estimation.discovery.plan_forecast import (
     planned_accuracy,
     planned_effects,
 )
-from cellapp.estimation.discovery.records import PlannedEffect
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
@@ -58,7 +57,8 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
         cancel.check()
         listener(Progress("forecast", number, len(designs), f"arm {name}"))
         try:
-            effects = _effects(design)
+            with threadpool_limits(limits=1, user_api="blas"):  # the matrices are small
+                effects = planned_effects(design)
         except InputError as error:
             effects = ()
             notes.append(str(error))
@@ -77,11 +77,6 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
         arms=arms,
         notes=(*notes, *_notes(profile, first)),
     )
-
-
-def _effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
-    with threadpool_limits(limits=1, user_api="blas"):  # the matrices are small
-        return planned_effects(design)
 
 
 def _noise_rms_mm(design: ArmDesign) -> float:

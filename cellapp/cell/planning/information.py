@@ -139,7 +139,8 @@ class InformationModel:
 
     def _covariance(self, context: EffectContext) -> Array:
         """Expected covariance (n, 3, 3) [m^2] of readings: the tracker's, and the scatter of the arm."""
-        growth = _growth(incidence(context), self.profile.plan.incidence)
+        oblique = np.maximum(incidence(context) - self.profile.plan.incidence, 0.0)
+        growth = 1.0 + _INCIDENCE_GROWTH * oblique / _INCIDENCE_SCALE
         covariance = tracker_covariance(self.profile.tracker, context.p_M) * growth[:, None, None] ** 2
         return np.asarray(covariance + EXPECTED_SCATTER_M**2 * np.eye(3))
 
@@ -218,7 +219,8 @@ def _sized(
     chosen, sizes = [], []
     columns = EFFECTS[slug].columns(context, law, names)
     displaced = whitened_displacements(columns, _by_joint(context), _unit(len(context)))
-    for column, rms in zip(columns, _rms(displaced, len(context)).tolist(), strict=True):
+    rms_m = np.sqrt(np.einsum("md,md->m", displaced, displaced) / len(context))
+    for column, rms in zip(columns, rms_m.tolist(), strict=True):
         bound = max(abs(column.lower), abs(column.upper))
         refines = column.refines or (names is None and (column.cycles or 0) > _MOST_CYCLES)
         if not refines and rms * min(bound, 1.0) > _LEAST_EFFECT_M:
@@ -239,11 +241,6 @@ def _by_joint(context: EffectContext) -> Array:
     return jacobian(context.geometry, JointAngles.of(context.q), joints)[1]
 
 
-def _rms(rows: Array, n: int) -> Array:
-    """Rms length (m,) of displacements (m, 3 n)."""
-    return np.asarray(np.sqrt(np.einsum("md,md->m", rows, rows) / n))
-
-
 def _unit(n: int) -> Array:
     """Whitening (3, 3, n) that changes nothing."""
     return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
@@ -255,11 +252,6 @@ def incidence(context: EffectContext) -> Array:
         return np.zeros(len(context))
     normal = context.frames[0][-1] @ context.smr_normal
     return np.asarray(np.arccos(np.clip(-np.einsum("na,na->n", normal, context.beam[1]), -1.0, 1.0)))
-
-
-def _growth(angle: Array, full_accuracy: float) -> Array:
-    """Factor (n,) by which the tracker's standard uncertainty is larger at an incidence ``angle`` (n,) [rad]."""
-    return 1.0 + _INCIDENCE_GROWTH * np.maximum(angle - full_accuracy, 0.0) / _INCIDENCE_SCALE
 
 
 def even_conditions(

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellapp.cell.planning.arrangement import Arrangement
 from cellapp.cell.planning.factors import FactorPlan
-from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, orders
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, straight_stops
 from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion
 from cellapp.ground.progress import CancelToken, Report
@@ -62,14 +62,12 @@ class LegPlanner:
             here = self._at(stop)
         changeable = np.array([not legs.get(stop, ({},)) for stop in range(n)], dtype=np.bool_)
         self._factors.improve(self._step, changeable, self._accepts)
-        whole = PlannedStops(
-            q=self._q,
+        whole = replace(
+            straight_stops(self._q),
             approach_from={name: _begin(q, self._step[name]) for name, q in self._q.items()},
             dwell_s=self._factors.dwell_s(self._step),
-            legs=((),) * n,
             block=self._arrangement.block,
             repeat_of=self._arrangement.repeat_of,
-            frozen=np.zeros(n, dtype=np.bool_),
         )
         return replace(whole.take(list(legs)), legs=tuple(legs.values()))
 
@@ -130,22 +128,6 @@ class LegPlanner:
         for name, step in steps.items():
             self._step[name][copies] = -step
             self._step[name][stop] = step
-
-
-def can_end(cell: CellBodies, last: Configuration, home: Configuration | None) -> bool:
-    """Whether the arms can go home from the last stop, at once or one after the other."""
-    if home is None or not refuse_motion(cell, last, home):
-        return True
-    for route in orders(home):
-        here: Configuration = last
-        for targets in route:
-            there = {**here, **targets}
-            if refuse_motion(cell, here, there):
-                break
-            here = there
-        else:
-            return True
-    return False
 
 
 def _begin(q: Array, step: Array) -> Array:

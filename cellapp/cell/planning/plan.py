@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.planning.candidates import random_configurations
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible, visible_stops
+from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible_stops
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -140,15 +140,6 @@ def _admitted(cell: CellBodies, q: Mapping[str, Array]) -> NDArray[np.bool_]:
     return admitted
 
 
-def all_smrs_visible(cell: CellBodies, q: Mapping[str, Array]) -> bool:
-    """Whether the tracker sees the SMRs of all arms at one stop, arm -> q (N,) [rad]."""
-    for name in q:
-        others = {other: value[None] for other, value in q.items() if other != name}
-        if not visible(cell, name, q[name][None], others)[0]:
-            return False
-    return True
-
-
 def _next_stop(
     cell: CellBodies,
     drawn: Mapping[str, Iterator[Array]],
@@ -159,7 +150,7 @@ def _next_stop(
     refusal = ""
     for _ in range(_TRIES_PER_STOP):
         q = {name: next(configurations) for name, configurations in drawn.items()}
-        if not all_smrs_visible(cell, q):
+        if not visible_stops(cell, {name: one[None] for name, one in q.items()})[0]:
             refusal = "an arm or what it carries hides the other's SMR from the tracker"
             continue
         refusal = refuse_motion(cell, here, q)

@@ -190,7 +190,7 @@ class _Points:
             points[point] = replace(of_stop, q=q)
 
     def _joint_positions(self, line: int, cells: Mapping[str, str], name: str, arm: Arm) -> Array | None:
-        limits = arm.limits or tuple(joint.limit for joint in arm.type.joints)
+        limits = arm.joint_limits
         found = []
         for joint, (low, high) in enumerate(limits):
             column = f"q{joint + 1}"

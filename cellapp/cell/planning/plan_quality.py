@@ -28,7 +28,6 @@ from cellapp.estimation.design.block_design import information_of
 from cellapp.estimation.design.gaps import largest_gaps, without_turns
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
-from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 
 ERROR_NAMES: tuple[ErrorName, ...] = get_args(ErrorName)
@@ -109,11 +108,9 @@ class Judge:
         """Sizes of random plans among which the equal of ``stops`` stops is found."""
         return sorted({min(round(ratio * stops), len(self.random)) for ratio in _LARGER})
 
-    def rows(self, q: Array, conditions: MeasurementConditions | None) -> Array:
-        """Whitened rows (n, 3, p) of stops ``q`` (n, N) [rad], under drawn conditions where none are given."""
-        if conditions is None:
-            conditions = drawn_conditions(self.model.profile, self.model.name, q, self.others, self.rng)
-        return self.model.rows(q, conditions)
+    def rows(self, q: Array) -> Array:
+        """Whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under drawn conditions."""
+        return self.model.rows(q, drawn_conditions(self.model.profile, self.model.name, q, self.others, self.rng))
 
     def errors(self, information: Array) -> Errors:
         """From the information (p, p) of readings."""
@@ -189,7 +186,6 @@ def arm_design(
     name: str,
     stops: Mapping[str, Array],
     rng: np.random.Generator,
-    conditions: MeasurementConditions | None = None,
     cancel: CancelToken | None = None,
 ) -> ArmDesign:
     """What the stops of one arm tell, against random ones.
@@ -204,8 +200,6 @@ def arm_design(
     stops : mapping
         Arm -> joint positions (n, N) [rad] in the order of the plan, of all arms.
     rng : numpy.random.Generator
-    conditions : MeasurementConditions, optional
-        Of the n stops; drawn like those of the random plans where not given.
     cancel : CancelToken, optional
 
     Raises
@@ -219,7 +213,7 @@ def arm_design(
     others = {other: theirs for other, theirs in stops.items() if other != name}
     with threadpool_limits(limits=1, user_api="blas"):
         judge = Judge.of(profile, name, others, n, rng, cancel or CancelToken())
-        rows = judge.rows(q, conditions)
+        rows = judge.rows(q)
         parts = [*(part for part in _PARTS if part < n), n]
         random = judge.random_plans(sorted({*parts, *judge.sizes(n)}))
         geometry = judge.determined(random[n][1])

@@ -9,6 +9,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.robot.kinematics.transforms import Array
 
 Configuration = Mapping[str, Array]
@@ -156,3 +157,18 @@ def orders(targets: Configuration) -> Iterator[Route]:
     """The orders in which the arms may move to their targets one after the other."""
     for order in permutations(targets):
         yield tuple({name: targets[name]} for name in order)
+
+
+def refused_route(cell: CellBodies, here: Configuration, route: Route) -> str:
+    """Reason why the arms cannot take a route; empty if they can. Names the motion where there are several."""
+    for number, motion in enumerate(route, start=1):
+        there = {**here, **motion}
+        if reason := refuse_motion(cell, here, there):
+            return reason if len(route) == 1 else f"motion {number} of {len(route)}: {reason}"
+        here = there
+    return ""
+
+
+def can_go(cell: CellBodies, here: Configuration, there: Configuration) -> bool:
+    """Whether the arms may go somewhere all at once, or one after the other in some order, as the collection does."""
+    return any(not refused_route(cell, here, route) for route in ((there,), *orders(there)))

@@ -10,9 +10,9 @@ import numpy as np
 from cellapp.cell.planning.arrangement import arrange, block_count
 from cellapp.cell.planning.factors import FactorPlan
 from cellapp.cell.planning.joint_draws import joint_ranges
-from cellapp.cell.planning.legs import LegPlanner, can_end
+from cellapp.cell.planning.legs import LegPlanner
 from cellapp.cell.planning.order_repair import repair_order
-from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, joined_after
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, can_go, joined_after
 from cellapp.cell.planning.stop_set import StopSet
 from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.cell_bodies import home_positions
@@ -164,7 +164,9 @@ class _Job:
         legs = LegPlanner(self.cell, at, arrangement, factors, self.finder, start)
         planned = legs.plan(report, self.cancel)
         self.given_up.extend(legs.given_up)
-        while len(planned) and not can_end(self.cell, planned.targets(len(planned) - 1), self.home):
+        while len(planned) and not (
+            self.home is None or can_go(self.cell, planned.targets(len(planned) - 1), self.home)
+        ):
             planned = planned.take(range(len(planned) - 1))
             self.given_up.append("the last stop has no way home")
         if not len(planned):

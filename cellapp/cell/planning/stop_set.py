@@ -109,17 +109,14 @@ class StopSet:
         array, shape (m, p), bool
         """
         a, b = self.names[first], self.names[second]
-        pair = self._pair_of_ways(a, b)
+        two = replace(self.cell, arms={name: self.cell.arms[name] for name in (a, b)})
+        pair = with_margin_for_ways(two, between_arms=True)
         i, k = np.repeat(rows, len(partners)), np.tile(partners, len(rows))
         q = {a: self.q[a][i], b: self.q[b][k]}
         allowed = np.asarray(clear_stops(pair, q))
         left = np.flatnonzero(allowed)
         allowed[left] = visible_stops(pair, {name: rows_q[left] for name, rows_q in q.items()})
         return allowed.reshape(len(rows), len(partners))
-
-    def _pair_of_ways(self, first: str, second: str) -> CellBodies:
-        pair = replace(self.cell, arms={name: self.cell.arms[name] for name in (first, second)})
-        return with_margin_for_ways(pair, between_arms=True)
 
     def together(self, rows: Rows) -> NDArray[np.bool_]:
         """Whether all arms may stand and be seen at the stops ``rows`` (K, n), shape (n,) bool."""

@@ -52,7 +52,7 @@ class NewText:
     checked: Checked
 
 
-def blank_draft(arm_types: tuple[str, ...] = ("arms/ur10.yaml", "arms/ur5.yaml")) -> ProfileDraft:
+def blank_draft() -> ProfileDraft:
     """Return the fields of a new real cell: usual values; what only a person at the cell knows is empty."""
     arms = tuple(
         ArmDraft(
@@ -64,7 +64,7 @@ def blank_draft(arm_types: tuple[str, ...] = ("arms/ur10.yaml", "arms/ur5.yaml")
             home="0, -90 deg, 0, -90 deg, 0, 0",  # a UR arm upright
             speed="0.25",
         )
-        for name, arm_type in zip(("left", "right"), arm_types, strict=False)
+        for name, arm_type in (("left", "arms/ur10.yaml"), ("right", "arms/ur5.yaml"))
     )
     tracker = TrackerDraft(kind="lmf", rpy="0, 0, 0 deg")
     return ProfileDraft(arms=arms, tracker=tracker, plan=PlanDraft(stops="400", clearance="80 mm"))

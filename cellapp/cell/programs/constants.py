@@ -14,6 +14,7 @@ import numpy as np
 
 from cellapp.cell.programs.expressions import Call, Expression, Items, Name, Number, Operation
 from cellapp.cell.programs.urscript import Program, Statement
+from cellapp.ground.grouping import grouped
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
 
 SIX = 6
@@ -52,10 +53,7 @@ class Constants:
 
     def __init__(self, program: Program) -> None:
         self._parameters = program.parameters
-        self._assigned: dict[str, list[Statement]] = {}
-        for statement in program.statements:
-            for name in _assigned_names(statement):
-                self._assigned.setdefault(name, []).append(statement)
+        self._assigned = grouped((name, one) for one in program.statements for name in _assigned_names(one))
 
     def definition(self, name: str) -> Expression:
         """The only expression that a variable is assigned. Raises ``Unresolved``."""

@@ -12,10 +12,11 @@ Joint targets mean the pose that the controller computes for them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from cellapp.cell.targets.invert import Inverted
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
 from cellapp.robot.kinematics.closed_form import closed_form_solutions
@@ -34,15 +35,6 @@ _MARGIN = np.radians(2.0)
 degrees, and a correction alone may lead a program's posture past the last reading."""
 _TWIN = 1e-6
 """Solutions that agree to 1 µrad in every joint are one."""
-
-
-@dataclass(frozen=True)
-class Aim:
-    """Solutions of the calibrated model for n flange poses: joints (n, N) [rad], residuals (n,) [m] and [rad]."""
-
-    q: Array
-    residual_m: Array
-    residual_rad: Array
 
 
 def controller_chain(arm: ArmModel) -> Geometry:
@@ -75,7 +67,7 @@ def true_flange(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> A
     return _poses(u @ vt, at[0])
 
 
-def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementConditions) -> Aim:
+def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementConditions) -> Inverted:
     """Joint positions at which the model puts the flange at ``wanted_M`` (n, 4, 4), near ``start`` (n, N)."""
     chain = replace(arm.geometry, tool=np.zeros(3))
     aimed, q = wanted_M.copy(), start
@@ -89,7 +81,7 @@ def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementCon
         if max(shift.max(initial=0.0), turn.max(initial=0.0)) < _SAME:
             break
         aimed = _poses(rotation @ aimed[:, :3, :3], aimed[:, :3, 3] + off)
-    return Aim(q, shift, turn)
+    return Inverted(q, shift, turn)
 
 
 def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: int) -> list[Array]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,14 +30,18 @@ from cellapp.cell.run.csv_text import (
     short,
     unquoted_text,
 )
+from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text, read_distances_csv, swapped_points
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.cell.run.records import ArmOrder
-from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, Column, Values, beyond_limits
+from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, MEASURED_POINT, Column, Values, beyond_limits
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
+from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 
+POINT = "point"
+"""Column that names a fixed but unknown point in place of a measured position."""
 _NOT_NUMBERS = re.compile(r"[^0-9.eE+\- ]")
 
 
@@ -77,8 +82,13 @@ def read_readings_csv(
     return readings, notes
 
 
-def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> RunFile:
+def import_csv(
+    profile: Profile, csv: Path, folder: Path, *, in_order: bool = False, distances: Path | None = None
+) -> RunFile:
     """Make a run from a file of readings, after the whole file was read and checked.
+
+    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
+    run then keeps what was derived. ``distances`` is a file of known distances between points in sockets.
 
     Raises
     ------
@@ -86,19 +96,27 @@ def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = Fa
         As ``read_readings_csv`` and ``RunFile.create`` do, and if an arm of the profile has no readings. No run is
         made then.
     """
-    return RunFile.create(folder, profile, readings_from_csv(profile, csv, in_order=in_order))
+    return RunFile.create(folder, profile, readings_from_csv(profile, csv, in_order=in_order, distances=distances))
 
 
 def readings_from_csv(
-    profile: Profile, csv: Path, *, in_order: bool = False, recorded: Collection[str] = ()
+    profile: Profile,
+    csv: Path,
+    *,
+    in_order: bool = False,
+    distances: Path | None = None,
+    recorded: Collection[str] = (),
 ) -> Callable[[RunFile], None]:
     """Read and check a whole file of readings; returns what puts them into a new run.
 
     Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
-    run then keeps what was derived. Arms that are ``recorded`` in motion need no readings. Raises as ``import_csv``.
+    run then keeps what was derived. ``distances`` is a file of known distances between points in sockets. Arms that are
+    ``recorded`` in motion need no readings. Raises as ``import_csv``.
     """
     table = read_csv_table(Path(csv))
     readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded)
+    if distances is not None:
+        readings = read_distances_csv(distances, profile, readings)
 
     def fill(run: RunFile) -> None:
         run.keep_columns(table.names)
@@ -108,6 +126,8 @@ def readings_from_csv(
         run.log("info", f"imported {csv}: {count}")
         if orders:
             write_in_order(run, orders)
+        if distances is not None:
+            run.write_result(DISTANCES_RESULT, distances_text(readings))
         for note in notes:
             run.log("note", note)
 
@@ -135,6 +155,7 @@ def readings_of_table(
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
     readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
+    _check_sockets(profile, table, readings)
     missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
         raise InputError(
@@ -142,6 +163,17 @@ def readings_of_table(
             " arm from the profile"
         )
     return readings, orders, notes
+
+
+def _check_sockets(profile: Profile, table: CsvTable, readings: Mapping[str, Readings]) -> None:
+    """Check that readings of one point belong together, by the published arms."""
+    problems = Problems(table.place)
+    arms, numbers = table.cells["arm"], table.cells[CONFIGURATION.csv[0]]
+    line_of = {(arm.strip(), int(n)): line for arm, n, line in zip(arms, numbers, table.lines, strict=True)}
+    for arm, its in readings.items():
+        for row, text in swapped_points(profile, arm, its) if in_sockets(its) else ():
+            problems.add(line_of[arm, int(its.configuration[row])], POINT, text)
+    problems.check()
 
 
 def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
@@ -204,7 +236,13 @@ def _check_header(table: CsvTable, problems: Problems) -> None:
     names = table.names
     check_names(table, problems)
     unknown = [name for name in names if not is_known(name)]
-    required = [name for column in COLUMNS if column.required for name in column.csv_names(1)]
+    named = POINT in names
+    required = [
+        name
+        for column in COLUMNS
+        if column.required and not (named and column.name == MEASURED_POINT)
+        for name in column.csv_names(1)
+    ]
     for name in ("arm", *required):
         if name not in names:
             close = difflib.get_close_matches(name, unknown, n=1, cutoff=0.6)
@@ -275,6 +313,11 @@ class _ArmCells:
                 return np.zeros(len(texts), dtype=np.int64)
         return np.array([int(text) for text in texts], dtype=np.int64)
 
+    @property
+    def names_points(self) -> bool:
+        """Whether readings of the arm name points in place of measured positions."""
+        return POINT in self.table.cells and any(text.strip() for text in self.texts(POINT))
+
     def words(self, column: Column) -> tuple[str | None, ...] | None:
         """A column of words; None for an empty cell, and for the column if all are empty or the file lacks it."""
         (name,) = column.csv
@@ -294,7 +337,8 @@ class _ArmCells:
             return None
         if column.dtype is np.int64:
             return np.column_stack([self.whole_numbers(name) for name in names])
-        matrix = np.column_stack([self.numbers(name, required=column.required) for name in names])
+        required = column.required and not (column.name == MEASURED_POINT and self.names_points)
+        matrix = np.column_stack([self.numbers(name, required=required) for name in names])
         if column.allowed:
             for row, place in np.argwhere(~np.isnan(matrix) & ~np.isin(matrix, column.allowed))[:1].tolist():
                 self.refuse(row, names[place], f"expected {column.expected}, got {matrix[row, place]:g}")
@@ -323,6 +367,10 @@ def _read_arm(cells: _ArmCells, arm: str, joints: int, limits: NDArray[np.float6
     if problems.count > before:
         return None
     values: dict[str, Values | None] = {**words}
+    if cells.names_points:
+        measured = matrices[MEASURED_POINT][1]
+        _check_points(cells, words[POINT] or (), measured)
+        matrices[MEASURED_POINT] = (matrices[MEASURED_POINT][0], np.full((len(cells.rows), 3), np.nan))
     for name, (column, matrix) in matrices.items():
         if matrix is not None:
             cells.check(column, matrix, joints, limits)
@@ -333,6 +381,21 @@ def _read_arm(cells: _ArmCells, arm: str, joints: int, limits: NDArray[np.float6
         return None
     extras = {name: tuple(map(unquoted_text, cells.texts(name))) for name in cells.table.names if not is_known(name)}
     return readings_from_columns(values, extras)
+
+
+def _check_points(cells: _ArmCells, points: Sequence[str | None], measured: NDArray[Any] | None) -> None:
+    """Check that every reading of an arm names a point, none has a measured position too, and no point is alone."""
+    counts = Counter(points)
+    for index, point in enumerate(points):
+        if measured is not None and not np.isnan(measured[index]).all():
+            cells.refuse(index, POINT, "there is a measured position too; give x_m, y_m, z_m or a point, not both")
+        elif point is None:
+            cells.refuse(index, POINT, "the value is missing; other readings of this arm name their points")
+        elif counts[point] == 1:
+            cells.refuse(index, POINT, f"'{point}' is there once; one touch of a point says nothing, give two or more")
+        else:
+            continue
+        break
 
 
 def _check_joint_columns(cells: _ArmCells, arm: str, joints: int) -> None:

@@ -34,6 +34,7 @@ from cellapp.cell.run.collection_rows import (
     select_references,
     select_sessions,
 )
+from cellapp.cell.run.distances import with_distances
 from cellapp.cell.run.plan_table import changed_stops, check_plan, replace_plan, select_plan
 from cellapp.cell.run.readings_table import (
     check_readings,
@@ -270,7 +271,7 @@ class RunFile:
         """All readings of one arm, ordered by configuration; n is 0 if there are none."""
         self._check_arm(arm)
         with self.look() as connection:
-            return select_readings(connection, arm, self._joints(arm))
+            return with_distances(connection, select_readings(connection, arm, self._joints(arm)))
 
     def split_counts(self) -> dict[str, dict[str | None, int]]:
         """Number of readings of each arm that has some, by split; None is no split."""

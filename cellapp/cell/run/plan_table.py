@@ -38,7 +38,7 @@ def changed_stops(before: Plan, after: Plan) -> set[int]:
 
 def select_plan(connection: sqlite3.Connection, arms: Sequence[str]) -> dict[str, NDArray[np.float64]]:
     """The plan of those of ``arms`` that have one."""
-    texts = grouped((arm, text) for arm, text in connection.execute("SELECT arm, q FROM plan ORDER BY arm, stop"))
+    texts: dict[str, list[str]] = grouped(connection.execute("SELECT arm, q FROM plan ORDER BY arm, stop"))
     return {arm: vectors_from_json(texts[arm]) for arm in arms if arm in texts}
 
 

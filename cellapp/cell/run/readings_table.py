@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.schema import schema_version
-from cellapp.estimation.readings.columns import COLUMNS, SPLITS, Column, Values
+from cellapp.estimation.readings.columns import COLUMNS, MEASURED_POINT, SPLITS, Column, Values
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
 from cellapp.ground.counting import counted
 
@@ -75,12 +75,17 @@ def check_readings(arm: str, joints: int, readings: Readings) -> None:
         raise ValueError(f"{readings.joints} joint positions for the {joints} joints of arm {arm}")
     for column in COLUMNS:
         values = getattr(readings, column.name)
-        if column.required and not np.all(np.isfinite(values)):
+        if column.required and not np.all(np.isfinite(values)) and not _named_instead(column, readings):
             raise ValueError(f"{column.name} of arm {arm} is not finite")
-        if column.dtype is str:
+        if column.name == "split":
             check_splits(values or ())
         elif column.allowed and values is not None and not np.all(np.isin(values, column.allowed)):
             raise ValueError(f"{column.name} of arm {arm} is not {column.expected}")
+
+
+def _named_instead(column: Column, readings: Readings) -> bool:
+    """Whether readings have the names of points in place of this quantity, all of them."""
+    return column.name == MEASURED_POINT and all(readings.point or (None,)) and bool(np.isnan(readings.p_M).all())
 
 
 def check_splits(words: Sequence[str | None]) -> None:
@@ -129,7 +134,7 @@ def _to_cells(column: Column, values: Values | None, n: int) -> Sequence[Any]:
     cells[np.isnan(matrix)] = None
     if column.shape == "scalar":
         return [cell for (cell,) in cells.tolist()]
-    empty = np.isnan(matrix).all(axis=1)
+    empty = np.isnan(matrix).all(axis=1) & (not column.required)
     return [None if nothing else json.dumps(row) for nothing, row in zip(empty.tolist(), cells.tolist(), strict=True)]
 
 

@@ -6,10 +6,10 @@ import sqlite3
 
 from cellapp.estimation.readings.columns import COLUMNS
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 """2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
 collecting, outcomes of stops that were not measured, reference measurements. 5: place of a reading in the order of
-measurement. 6: recordings of motion."""
+measurement. 6: recordings of motion. 7: names of points in place of measured positions."""
 
 _KEY = ("arm TEXT NOT NULL", "PRIMARY KEY (arm, configuration)")
 _EXTRAS = "extras TEXT"

@@ -26,7 +26,7 @@ from cellapp.ground.profile.obstacles import (
     SphereObstacle,
 )
 from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.transforms import Array, invert, rotation_zyx, transform
+from cellapp.robot.kinematics.transforms import Array, invert, transform
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 
@@ -86,7 +86,7 @@ def _arm_bodies(arm: Arm, geometry: Geometry, mounted: Sequence[Obstacle]) -> Ar
         start=np.concatenate([start, *(one.start for one in covers)]),
         end=np.concatenate([end, *(one.end for one in covers)]),
         radius=np.concatenate([radius, *(one.radius for one in covers)]),
-        limits=np.array(arm.limits or tuple(joint.limit for joint in arm.type.joints)),
+        limits=np.array(arm.joint_limits),
         normal_F=np.array(arm.smr.normal) / math.hypot(*arm.smr.normal),
         acceptance=arm.smr.acceptance,
         mounted=tuple(mounted),
@@ -118,8 +118,7 @@ def _obstacles(profile: Profile, bases: dict[str, Array]) -> tuple[list[Obstacle
     placed: list[Obstacle] = []
     mounted: dict[str, list[Obstacle]] = {}
     for name, entry in profile.obstacles.items():
-        roll, pitch, yaw = entry.pose.rpy
-        pose = transform(rotation_zyx(yaw, pitch, roll), entry.pose.position)
+        pose = pose_matrix(entry.pose)
         shape, centre = _shape(f"profile {profile.name}: obstacles.{name}", entry)
         obstacle = Obstacle(name, shape, pose @ transform(np.eye(3), centre))
         if entry.arm is None:

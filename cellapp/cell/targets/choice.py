@@ -118,7 +118,8 @@ def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, 
     pick = list(product(*(range(one.q.shape[1]) for one in branches.values())))
     places = {name: np.array([entry[k] for entry in pick]) for k, name in enumerate(branches)}
     nominal = {name: np.full((n, one.q.shape[2]), np.nan) for name, one in branches.items()}
-    chosen = Chosen(np.zeros(n, dtype=bool), nominal, {name: _unsolved(q) for name, q in nominal.items()})
+    unsolved = {name: Inverted(np.full(q.shape, np.nan), *np.full((2, n), np.inf)) for name, q in nominal.items()}
+    chosen = Chosen(np.zeros(n, dtype=bool), nominal, unsolved)
     for attempt in range(int(count.max(initial=0))):
         rows = np.flatnonzero(~chosen.accepted & (count > attempt))
         if not len(rows):
@@ -154,10 +155,6 @@ def _good(
         good &= one.reached & (np.abs(one.q - nominal[name]).max(axis=1) <= LARGEST_CORRECTION)
     good[good] = clear_with_others(cell, homes, {name: one.q[good] for name, one in solved.items()})
     return good
-
-
-def _unsolved(nominal: Array) -> Inverted:
-    return Inverted(np.full(nominal.shape, np.nan), np.full(len(nominal), np.inf), np.full(len(nominal), np.inf))
 
 
 def preferred(branches: Mapping[str, Branches]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

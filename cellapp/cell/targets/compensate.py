@@ -68,8 +68,7 @@ def compensate(
     _check_arms(profile, model)
     cell, homes = cell_bodies(profile, model), home_positions(profile)
     commands: dict[tuple[int, str], Command] = {}
-    groups = grouped((target.arms, number) for number, target in enumerate(targets))
-    for names, numbers in groups.items():
+    for names, numbers in grouped((target.arms, number) for number, target in enumerate(targets)).items():
         of_group = _Group.of(profile, model, cell, homes, names, [targets[number] for number in numbers], ranges or {})
         for name, of_arm in _commands(of_group).items():
             commands.update({(number, name): command for number, command in zip(numbers, of_arm, strict=True)})

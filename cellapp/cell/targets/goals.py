@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.targets.targets import Target, WorkFrame
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array, apply, register
-from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model import CellModel
 
 _FREE = (np.nan, np.nan, np.nan)
 """Roll, pitch, yaw of a free rotation."""
@@ -47,8 +46,11 @@ def goals_of_arm(model: CellModel, targets: Sequence[Target], name: str) -> ArmG
     rotation, position = _in_frames(own, name)
     frame, parents, T_parent_W = _frames(own)
     T_calibrated, T_nominal = (
-        _frame_poses(model, chain, parents, T_parent_W)[frame]
-        for chain in (attrgetter("geometry"), attrgetter("nominal"))
+        _frame_poses(chains, parents, T_parent_W)[frame]
+        for chains in (
+            {name: arm.geometry for name, arm in model.arms.items()},
+            {name: arm.nominal for name, arm in model.arms.items()},
+        )
     )
     return ArmGoals(
         rows=np.array(rows, dtype=np.intp),
@@ -115,11 +117,9 @@ def _frames(targets: Sequence[Target]) -> tuple[NDArray[np.intp], list[str], Arr
     return index, parents, np.array(poses).reshape(-1, 4, 4)
 
 
-def _frame_poses(
-    model: CellModel, chain: Callable[[ArmModel], Geometry], parents: Sequence[str], T_parent_W: Array
-) -> Array:
+def _frame_poses(chains: Mapping[str, Geometry], parents: Sequence[str], T_parent_W: Array) -> Array:
     """Poses (f, 4, 4) of frames in the tracker frame."""
-    T_M_parent = [np.eye(4) if parent == "tracker" else chain(model.arms[parent]).T_M_B() for parent in parents]
+    T_M_parent = [np.eye(4) if parent == "tracker" else chains[parent].T_M_B() for parent in parents]
     return np.array(T_M_parent).reshape(-1, 4, 4) @ T_parent_W
 
 

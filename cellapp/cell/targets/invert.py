@@ -107,11 +107,9 @@ def invert(
     return Inverted(best, np.linalg.norm(error[:, :3], axis=1), turned)
 
 
-def invert_model(
-    arm: ArmModel, position_M: Array, rotation_M: Array, start: Array, conditions: MeasurementConditions | None = None
-) -> tuple[Array, NDArray[np.bool_]]:
+def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Controller readings (n, N) [rad] of ``invert``, and which targets (n,) they reach."""
-    found = invert(arm, position_M, rotation_M, start, conditions)
+    found = invert(arm, position_M, rotation_M, start)
     return found.q, found.reached
 
 

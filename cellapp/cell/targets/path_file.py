@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-import yaml
 from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from cellapp.cell.profile.messages import value_message
+from cellapp.cell.targets.target_source import location, placed_error
+from cellapp.cell.targets.target_yaml import read_yaml
 from cellapp.cell.targets.targets import Target, WorkFrame, WorkingConditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import CellPoint, Profile
@@ -38,14 +40,6 @@ def _above_zero(value: float) -> float:
     if not value > 0.0:
         raise ValueError(f"expected a value above 0, got {value:g}")
     return value
-
-
-class PoseProblem(ValueError):
-    """Poses make no path; ``pose`` is the number of the wrong one, from 0."""
-
-    def __init__(self, pose: int, text: str) -> None:
-        super().__init__(f"pose {pose + 1}: {text}")
-        self.pose = pose
 
 
 PathSpeed = Annotated[Speed, AfterValidator(_speed)]
@@ -140,28 +134,16 @@ def load_paths(path: Path, profile: Profile, arm: str | None = None) -> tuple[Pa
 
     Raises ``InputError`` naming the file, the line and the path.
     """
+    source = read_yaml(path, "path file", "YAML")
     try:
-        text = path.read_text(encoding="utf-8")
-        content = yaml.load(text, Loader=yaml.CSafeLoader)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a path file (YAML)") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not UTF-8 text; write the path file as UTF-8 YAML") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = "" if mark is None else f":{mark.line + 1}"
-        raise InputError(f"{path}{line}: not YAML: {getattr(error, 'problem', 'cannot be read')}") from None
-    try:
-        listed = PathList.model_validate(content)
+        listed = PathList.model_validate(source.content)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
-        problem = first.get("ctx", {}).get("error")
-        at = (*first["loc"], problem.pose) if isinstance(problem, PoseProblem) else first["loc"]
-        raise InputError(f"{path}:{_line_of(text, at)}: {key}: {value_message(first)}") from None
+        raise InputError(f"{source.place(location(first))}: {key}: {value_message(first)}") from None
     for index, spec in enumerate(listed.paths):
         if problem := _misfit(spec, listed.paths[:index], profile):
-            raise InputError(f"{path}:{_line_of(text, ('paths', index))}: path '{spec.name}'{problem}")
+            raise InputError(f"{source.place(('paths', index))}: path '{spec.name}'{problem}")
     if arm is not None and arm not in profile.arms:
         raise InputError(f"--arm: no arm '{arm}'; arms are {', '.join(profile.arms)}")
     chosen = tuple(spec for spec in listed.paths if arm in (None, spec.arm))
@@ -188,23 +170,27 @@ def _misfit(spec: PathSpec, others: tuple[PathSpec, ...], profile: Profile) -> s
     return ""
 
 
+def _pose_problem(pose: int, text: str) -> PydanticCustomError:
+    return placed_error((pose,), f"pose {pose + 1}: {text}")
+
+
 def _require_path(poses: tuple[PathPose, ...]) -> None:
-    """Raise ``PoseProblem`` where poses make no path."""
+    """Raise an error that is placed at a pose where poses make no path."""
     first, last = poses[0], len(poses) - 1
     if first.rpy is None:
-        raise PoseProblem(0, "'rpy' is needed: a path begins with a full pose")
+        raise _pose_problem(0, "'rpy' is needed: a path begins with a full pose")
     if first.via is not None or first.blend or first.speed is not None:
-        raise PoseProblem(0, "'via', 'blend' and 'speed' belong to a pose that is reached from another one")
+        raise _pose_problem(0, "'via', 'blend' and 'speed' belong to a pose that is reached from another one")
     if poses[last].blend:
-        raise PoseProblem(last, "'blend' at the end of a path rounds no corner")
+        raise _pose_problem(last, "'blend' at the end of a path rounds no corner")
     for number, (before, pose) in enumerate(itertools.pairwise(poses), start=1):
         if problem := _piece_problem(before, pose):
-            raise PoseProblem(number, problem)
-    lengths = [_chord_m(before, pose) for before, pose in itertools.pairwise(poses)]
+            raise _pose_problem(number, problem)
+    lengths = np.linalg.norm(np.diff([pose.position for pose in poses], axis=0), axis=1).tolist()
     for number, pose in enumerate(poses[1:-1], start=1):
         shortest = min(lengths[number - 1], lengths[number])
         if pose.blend > 0.5 * shortest:
-            raise PoseProblem(
+            raise _pose_problem(
                 number,
                 f"blend {pose.blend * 1e3:g} mm is more than half of {shortest * 1e3:.1f} mm, the distance to the next"
                 " pose or from the one before",
@@ -226,21 +212,3 @@ def _piece_problem(before: PathPose, pose: PathPose) -> str:
     if height < _COLLINEAR * longest:
         return "the three points of its arc lie on one line; leave 'via' out for a straight line"
     return ""
-
-
-def _chord_m(before: PathPose, pose: PathPose) -> float:
-    return float(np.linalg.norm(np.subtract(pose.position, before.position)))
-
-
-def _line_of(text: str, location: tuple[int | str, ...]) -> int:
-    """Line of the innermost part of a YAML text that a location leads to, from 1."""
-    node = yaml.compose(text, Loader=yaml.CSafeLoader)
-    for key in location:
-        if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
-            node = node.value[key]
-        elif isinstance(node, yaml.MappingNode):
-            below = [value for name, value in node.value if name.value == key]
-            if not below:
-                break
-            node = below[0]
-    return 1 if node is None else node.start_mark.line + 1

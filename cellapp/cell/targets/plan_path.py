@@ -18,6 +18,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.nominal import joint_rates
 from cellapp.robot.paths.branches import Branch, follow_branches
 from cellapp.robot.paths.cartesian import CartesianPath, cartesian_path
 from cellapp.robot.paths.joint_path import Conditions, JointPath, PathError, joint_path
@@ -175,10 +176,7 @@ def _nominal(
 
 def path_rates(profile: Profile, spec: PathSpec) -> Rates:
     """The limits of the arm's joints at the profile's share, and the path's own acceleration."""
-    arm = profile.arms[spec.arm]
-    speed = np.array([joint.speed for joint in arm.type.joints]) * arm.speed_scale
-    acceleration = np.array([joint.acceleration for joint in arm.type.joints]) * arm.speed_scale
-    return Rates(speed, acceleration, spec.acceleration)
+    return Rates(*joint_rates(profile.arms[spec.arm]), spec.acceleration)
 
 
 def _conditions(profile: Profile, spec: PathSpec) -> Conditions:

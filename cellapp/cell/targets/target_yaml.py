@@ -1,4 +1,4 @@
-"""A YAML file of targets as plain data, with the line of each value."""
+"""A YAML file of targets or paths as plain data, with the line of each value."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cellapp.ground.errors import InputError
 
 _MOST_LEVELS = 50
 """A list of targets has about seven."""
-_NESTED = "nested too deeply; a target list has a few levels"
+_NESTED = "nested too deeply; a {} has a few levels"
 _TOO_DEEP = "maximum nesting depth"
 """Said by PyYAML from 6.0.4, which counts levels itself; earlier ones recurse until the process ends."""
 
@@ -38,11 +38,11 @@ class _Loader(yaml.CSafeLoader):
 _Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
 
 
-def read_yaml(path: Path) -> TargetSource:
+def read_yaml(path: Path, what: str = "target list", forms: str = "YAML or CSV") -> TargetSource:
     """Read a file. Raises ``InputError`` with file and line if it is no YAML of plain values."""
-    text = _text(path)
+    text = _text(path, what, forms)
     try:
-        _check_levels(path, text)
+        _check_levels(path, text, what)
         loader = _Loader(text)
         root = loader.get_single_node()
         content = None if root is None else loader.construct_document(root)
@@ -50,7 +50,7 @@ def read_yaml(path: Path) -> TargetSource:
         mark = error.problem_mark or error.context_mark
         line = "" if mark is None else f":{mark.line + 1}"
         if _TOO_DEEP in (error.problem or ""):
-            raise InputError(f"{path}{line}: {_NESTED}") from None
+            raise InputError(f"{path}{line}: {_NESTED.format(what)}") from None
         raise InputError(f"{path}{line}: not YAML: {error.problem or error.context}; correct the line") from None
     except yaml.YAMLError as error:
         raise InputError(f"{path}: not YAML: {getattr(error, 'reason', error)}; remove that character") from None
@@ -59,18 +59,18 @@ def read_yaml(path: Path) -> TargetSource:
     return TargetSource(content, _places(path, root), dotted)
 
 
-def _text(path: Path) -> str:
+def _text(path: Path, what: str, forms: str) -> str:
     try:
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
-        raise InputError(f"{path}: cannot be read: file not found; give a target list (YAML or CSV)") from None
+        raise InputError(f"{path}: cannot be read: file not found; give a {what} ({forms})") from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a target list (YAML or CSV)") from None
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a {what} ({forms})") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: not UTF-8 text; write the target list as UTF-8 YAML") from None
+        raise InputError(f"{path}: not UTF-8 text; write the {what} as UTF-8 YAML") from None
 
 
-def _check_levels(path: Path, text: str) -> None:
+def _check_levels(path: Path, text: str, what: str) -> None:
     """Refuse what is nested too deeply: the loader recurses in C and would end the program."""
     level = 0
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
@@ -80,7 +80,7 @@ def _check_levels(path: Path, text: str) -> None:
             level -= 1
         if level > _MOST_LEVELS:
             line = "" if event.start_mark is None else f":{event.start_mark.line + 1}"
-            raise InputError(f"{path}{line}: {_NESTED}")
+            raise InputError(f"{path}{line}: {_NESTED.format(what)}")
 
 
 def _places(path: Path, root: yaml.Node | None) -> Callable[[KeyPath], str]:

@@ -11,6 +11,7 @@ import numpy as np
 from cellapp.estimation.calibration.evaluation import position_errors
 from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.sockets import measured_positions
 from cellapp.ground.results import STAGES
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import smr_positions
@@ -62,8 +63,10 @@ class HeldOutArm:
     @cached_property
     def errors_mm(self) -> Mapping[str, Array]:
         """Position errors (n,) [mm] by stage; the stages are those of ``computed_M``."""
-        measured = self.readings.p_M
-        return {stage: position_errors(measured, computed) * 1e3 for stage, computed in self.computed_M.items()}
+        return {
+            stage: position_errors(measured_positions(self.readings, computed), computed) * 1e3
+            for stage, computed in self.computed_M.items()
+        }
 
     @cached_property
     def prediction(self) -> tuple[Array, Array, float] | None:
@@ -76,7 +79,8 @@ class HeldOutArm:
         if not predicted.any():
             return None
         noise_mm = 0.0 if model.posterior is None else model.posterior.noise_m * 1e3
-        return predicted, position_errors(self.readings.p_M, self._predict(model)) * 1e3, noise_mm
+        computed = self._predict(model)
+        return predicted, position_errors(measured_positions(self.readings, computed), computed) * 1e3, noise_mm
 
     def _predict(self, model: ArmModel) -> Array:
         return model.predict(self.readings.q, conditions=self.conditions)

@@ -56,7 +56,19 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
             if method in result.pair
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *ERROR_COLUMNS), tuple(rows)))
-    return [*tables, *motion_tables(result), *prior_tables(result)]
+    return [*tables, *motion_tables(result), *gauge_tables(result), *prior_tables(result)]
+
+
+def gauge_tables(result: CalibrateResult) -> list[Table]:
+    """Errors of known distances between held-out points in sockets, one table for each arm that has some."""
+    columns = (Column("stage"), number_column("mean", MM), number_column("max", MM), number_column("n", "d"))
+    tables = []
+    for name, arm in result.arms.items():
+        known = {stage: arm.validate_[stage].gauge_mm for stage in STAGES if stage in arm.validate_}
+        rows = tuple((stage, one.mean, one.max, one.n) for stage, one in known.items() if one is not None)
+        if rows:
+            tables.append(Table(f"Arm {name}: errors of known distances, held out [mm]", columns, rows))
+    return tables
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -80,7 +92,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
             (METHOD_WORDS[key], *_detailed_cells(errors), _ratio(errors, noise)) for key, errors in summaries.items()
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
-    return [*tables, *motion_tables(result), *prior_tables(result)]
+    return [*tables, *motion_tables(result), *gauge_tables(result), *prior_tables(result)]
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:

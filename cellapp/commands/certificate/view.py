@@ -16,7 +16,7 @@ from cellapp.commands.view.acceptance_words import (
     CHARACTERISTIC_WORDS,
     RULE_WORDS,
     Verdict,
-    judgement_words,
+    judgement_table,
     verdict_of,
 )
 from cellapp.commands.view.table import Cell, Column, Table, number_column
@@ -54,7 +54,7 @@ def view(result: CertificateResult, request: CertificateRequest | None = None) -
 
 def certificate_tables(result: CertificateResult) -> list[Table]:
     """Errors as found and as left, judgements, uncertainty budget, instruments."""
-    judged = [judgement_table(result)] if result.judgements else []
+    judged = [judgement_table(result.judgements)] if result.judgements else []
     tested = [iso_table(result.iso9283)] if result.iso9283 is not None else []
     return [errors_table(result), *judged, *tested, budget_table(result), instruments_table(result)]
 
@@ -129,23 +129,6 @@ def errors_table(result: CertificateResult) -> Table:
         number_column("n", "d"),
     )
     return Table("Errors as found (published geometry) and as left (compensated) [mm]", columns, tuple(rows))
-
-
-def judgement_table(result: CertificateResult) -> Table:
-    """Every characteristic with a tolerance [mm]."""
-    columns = (
-        Column("characteristic"),
-        number_column("measured", ".3f"),
-        number_column("U (k = 2)", ".3f"),
-        number_column("tolerance", "g"),
-        Column("result"),
-        Column("from"),
-    )
-    rows = tuple(
-        (judgement_words(one), one.value_mm, one.expanded_mm, one.tolerance_mm, one.conformity, one.source)
-        for one in result.judgements
-    )
-    return Table("Conformity with the tolerances [mm]", columns, rows)
 
 
 def iso_table(tests: CertifiedTests) -> Table:

@@ -24,6 +24,14 @@ class CheckRequest(Request):
         Field(ge=FEWEST_STOPS, le=1000),
         Asked("Stops at most; fewer where that is enough.", "N", label="stops at most", hint="of all arms together"),
     ] = STOPS
+    touches: Annotated[
+        Path | None,
+        Asked(
+            "Touches of sockets in place of stops: configuration, arm, q1..qN, point; nothing moves.",
+            "CSV",
+            suffixes=(".csv",),
+        ),
+    ] = None
     strict: Annotated[bool, Asked("Exit code 1 also if the model was out of date before the check.")] = False
     simulated_plant: Annotated[
         Path | None,
@@ -35,6 +43,10 @@ class CheckRequest(Request):
             suffixes=(".yaml", ".yml"),
         ),
     ] = None
+
+    def moves(self) -> bool:
+        """Touches were recorded already: nothing moves for them."""
+        return self.touches is None
 
 
 VERB = Verb(

@@ -16,10 +16,12 @@ from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.driving.smr_search import points_of
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile
+from cellapp.cell.run import RunFile, read_readings_csv
+from cellapp.cell.run.csv_import import joint_limits
 from cellapp.cell.run.samples import known_readings
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.check.request import FEWEST_STOPS, STOPS, CheckRequest
+from cellapp.commands.check.touches import touches_result
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.locate.station import excess_of_readings, profile_at_station
@@ -38,7 +40,9 @@ from cellapp.estimation.monitoring.check.records import (
     WeakChange,
 )
 from cellapp.estimation.monitoring.check.statistics import SPENT_EARLY
+from cellapp.estimation.monitoring.check.touches import check_touches
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -52,6 +56,8 @@ from cellapp.robot.model import CellModel
 def run(request: CheckRequest, work: Work) -> CheckResult:
     """Measure whether the calibration still holds."""
     with RunFile.open(request.folder, write=True) as opened:
+        if request.touches is not None:
+            return check_by_touches(opened, request.touches)
         return check_run(
             opened,
             work.listener,
@@ -109,6 +115,29 @@ def check_run(
         result = _result(run, checked, len(chosen), driven, test.conclusion())
         result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
         _store(run, checked, result)  # those who watch read the run when they hear of the end
+    return result
+
+
+def check_by_touches(run: RunFile, path: Path) -> CheckResult:
+    """Judge the model in force by touches of sockets, which a file holds, and store the result. Nothing moves.
+
+    Raises
+    ------
+    InputError
+        If the run is not calibrated, or the file is not one of touches.
+    """
+    counts = {name: len(arm.type.joints) for name, arm in run.profile.arms.items()}
+    touches, notes = read_readings_csv(path, counts, limits=joint_limits(run.profile))
+    for name, its in touches.items():
+        if not in_sockets(its):
+            raise InputError(
+                f"{path}: point: arm '{name}' was measured, not in a socket; a check by touches needs points"
+            )
+    checked = _checked(run)
+    found = check_touches(checked.belief, touches)
+    result = touches_result(checked.used.name, checked.stale, found, _next_step(found.conclusion.verdict, run.folder))
+    result = result.model_copy(update={"notes": (*notes, *result.notes)})
+    _store(run, checked, result)
     return result
 
 

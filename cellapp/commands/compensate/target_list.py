@@ -107,9 +107,9 @@ def target_states(targets: Sequence[Target], results: StageResults | None) -> li
     """
     if results is None:
         return [TargetState()] * len(targets)
-    commands = {} if results.compensate is None else _by_name(results.compensate.targets)
+    commands = {} if results.compensate is None else grouped((one.name, one) for one in results.compensate.targets)
     pushes = [
-        (_by_name(pushed.targets), {pair.name: pair for pair in pushed.pairs}, pushed.rule)
+        (grouped((one.name, one) for one in pushed.targets), {pair.name: pair for pair in pushed.pairs}, pushed.rule)
         for pushed in (results.verify, results.push)
         if pushed is not None
     ]
@@ -243,10 +243,6 @@ def _short_state(state: TargetState) -> str:
     if state.measured:
         return "measured" if state.is_measured else "reached"
     return "compensated" if state.commands else ""
-
-
-def _by_name(stored: Sequence[R]) -> dict[str, list[R]]:
-    return grouped((entry.name, entry) for entry in stored)
 
 
 def _with_tolerance(target: Target, stored: TargetRecord) -> Target:

@@ -91,7 +91,7 @@ def correct_run(
     if not read.targets and not read.left:
         raise InputError(f"{program}: no motion with a target found; nothing was written")
     settings = run.profile.arms[name]
-    limits = np.array(settings.limits or [joint.limit for joint in settings.type.joints])
+    limits = np.array(settings.joint_limits)
     home = np.zeros(_JOINTS) if settings.home is None else np.array(settings.home)
     q = known_readings(run, name).q
     place = Workplace(model_arm, limits, home, q, run.profile.seed, read.payload_kg, extrapolate)

@@ -60,7 +60,6 @@ def propose_run(
     count: int,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-    effort: Effort | None = None,
 ) -> DiscoverResult:
     """Discover, then propose ``count`` further stops of all arms and write them into the plan.
 
@@ -76,7 +75,7 @@ def propose_run(
     """
     result, found = _discover(run, listener, cancel)
     try:
-        proposal = propose_after(run, found, count, listener, cancel, effort)
+        proposal = propose_after(run, found, count, listener, cancel)
     except InputError as error:
         raise InputError(f"{error}. The discovery is stored: 'cellapp show {run.folder} discovery'") from None
     return result.model_copy(update={"proposal": proposal})

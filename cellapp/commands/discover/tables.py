@@ -58,16 +58,16 @@ def discovery_tables(result: DiscoverResult) -> list[Table]:
 
 
 def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """What recordings of motion show of the joints, by effect; None without recordings."""
-    if arm.motion is None or not arm.motion.effects:
-        return None
+    """What recordings of motion show beside the accepted effects; None without any."""
+    accepted = {one.effect for one in arm.accepted}
     rows: list[tuple[Cell, ...]] = []
-    for found in arm.motion.effects:
-        for parameter, estimate in found.parameters.items():
-            value, interval, unit = interval_95(estimate)
-            rows.append((found.effect, parameter, value, interval, unit, found.only_motion or ""))
-    columns = (Column("effect"), *_SIZE_COLUMNS[1:5], Column("only in motion"))
-    return without_empty(Table(f"Arm {name}: what its recordings of motion show", columns, tuple(rows)))
+    for found in () if arm.motion is None else arm.motion.effects:
+        for parameter, estimate in () if found.effect in accepted else found.parameters.items():
+            rows.append((found.effect, parameter, *interval_95(estimate)))
+    if not rows:
+        return None
+    columns = (Column("effect"), *_SIZE_COLUMNS[1:5])
+    return without_empty(Table(f"Arm {name}: what its recordings of motion show besides", columns, tuple(rows)))
 
 
 def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:

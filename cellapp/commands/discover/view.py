@@ -33,7 +33,7 @@ from cellapp.commands.discover.words import (
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Section, printed, section_of, sentence
-from cellapp.commands.view.words import place_words, short_reason
+from cellapp.commands.view.words import place_words, ranges, short_reason
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
 from cellapp.ground.profile.schema import Discovery
 
@@ -101,12 +101,26 @@ def arm_section(
     return Section(f"Arm {name}: {arm.verdict}", parts, sentence(verdict_sentence(name, arm)), key=key)
 
 
+def _motion_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """What recordings of motion show, what only they can show, and what stays out of commands."""
+    if arm.motion is None:
+        return []
+    said = []
+    for one in arm.motion.effects:
+        place = f"joint{'s' if len(one.joints) > 1 else ''} {ranges(one.joints)}"
+        only = f"; only motion can: {one.only_motion}" if one.only_motion else ""
+        aside = "" if one.at_rest else "; it stays out of commands for poses at rest"
+        said.append(f"Recordings of motion show {one.effect} ({one.title}) of {place}{only}{aside}.")
+    return said or ["Recordings of motion show no effect of the joints."]
+
+
 def _remarks(arm: ArmDiscoveryResult) -> list[str]:
     """What contradicts an effect, could replace it, is possible too, hardly fits its law, or cannot be shown."""
     possible = also_possible(arm)
     hidden = [f"{one.effect} ({short_reason(one.reason)})" for one in arm.invisible]
     return [
         *contradiction_sentences(arm),
+        *_motion_sentences(arm),
         *rival_sentences(arm),
         *([f"Not accepted, but possible: {possible}."] if possible else []),
         *misfit_sentences(arm),

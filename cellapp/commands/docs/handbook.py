@@ -15,6 +15,7 @@ CHAPTERS: Mapping[str, str] = {
     "cell": "connecting the real cell step by step, with its risks; writing a profile",
     "readings": "readings that you measured elsewhere: any table, any arm, in ten minutes",
     "motion": "sweeps instead of stops: recordings of joints and points, each with its own clock",
+    "sockets": "a ball in a socket: calibrating and checking without a tracker",
     "terminal": "the terminal application: a day, its screens and its keys",
     "planning": "which stops are measured, obstacles, editing a plan",
     "faults": "stopping, pausing, resuming; each fault and what to do",

@@ -91,7 +91,7 @@ def constraint_words(profile: Profile) -> list[tuple[str, str]]:
         ("measuring", f"{tracker.averaging:g} s a point{_repeats(profile)}"),
     ]
     for name, arm in profile.arms.items():
-        limits = arm.limits or tuple(joint.limit for joint in arm.type.joints)
+        limits = arm.joint_limits
         words.append((f"joints {name}", ", ".join(_degrees(pair) for pair in limits) + " deg"))
         words.append((f"incidence {name}", f"beam within {math.degrees(arm.smr.acceptance):.0f} deg of the SMR's axis"))
     if plan.ranges is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import platform
+import shutil
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -59,7 +60,7 @@ def examine(profile: Profile) -> list[Finding]:
     with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
         probes = _start_probes(pool, profile)
         placement = _placement(profile)
-        findings = [_python(profile), *installed_findings(), *_found(profile, probes)]
+        findings = [_python(profile), *installed_findings(), *_notify(profile), *_found(profile, probes)]
     return findings + placement
 
 
@@ -138,6 +139,16 @@ def _python(profile: Profile) -> Finding:
         else:
             texts.append(f"{package.name} is not installed, and this profile does not need it")
     return Finding("python", "failed" if failed else "ok", ", ".join(texts))
+
+
+def _notify(profile: Profile) -> list[Finding]:
+    """Whether the command of the section ``notify`` is there; a job goes on without it."""
+    if profile.notify is None:
+        return []
+    program = profile.notify.command[0]
+    if shutil.which(program) is None:
+        return [Finding("notify", "warning", f"{program}: no such program here; nobody is told of a stop")]
+    return [Finding("notify", "ok", f"{program} is run on: {', '.join(profile.notify.events)}")]
 
 
 def installed_plugins() -> tuple[Plugin, ...]:

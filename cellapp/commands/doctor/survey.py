@@ -15,7 +15,7 @@ from cellapp.estimation.calibration.base_from_points import BaseFit, base_from_p
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Pose
 from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.kinematics.transforms import Array, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, rpy_of
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 
 
@@ -41,9 +41,8 @@ def surveyed_base(arm: Arm, points: Sequence[SurveyPoint], tracker: Pose) -> Sur
     p_M = np.array([point.tracker for point in points])
     fit = base_from_points(p_B.reshape(-1, 3), p_M.reshape(-1, 3))
     T_C_B = pose_matrix(tracker) @ fit.T_M_B
-    yaw, pitch, roll = zyx_angles(T_C_B[:3, :3])
     x, y, z = T_C_B[:3, 3].tolist()
-    return SurveyedBase(Pose(position=(x, y, z), rpy=(roll, pitch, yaw)), fit)
+    return SurveyedBase(Pose(position=(x, y, z), rpy=rpy_of(T_C_B[:3, :3])), fit)
 
 
 def draft_with_surveyed_base(

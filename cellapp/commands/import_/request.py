@@ -25,6 +25,7 @@ class ImportRequest(Request):
         bool,
         Asked("Rows stand in the order of measurement (with time_s: by time); derive missing approach and step."),
     ] = False
+    distances: Annotated[Path | None, Asked("Known distances between points in sockets.", "FILE")] = None
     joints: Annotated[tuple[Path, ...], Asked("Joint positions of a motion: time_s, q1, q2, ...", "FILE")] = ()
     points: Annotated[tuple[Path, ...], Asked("Points of the same motion: time_s, x_m, y_m, z_m.", "FILE")] = ()
     arm: Annotated[str | None, Asked("The arm of recordings that do not say it.", "NAME")] = None
@@ -40,6 +41,8 @@ class ImportRequest(Request):
             raise ValueError("--arm belongs to --joints and --points; a CSV of readings has a column 'arm'")
         if self.in_order and self.csv is None:
             raise ValueError("--in-order belongs to a CSV of readings")
+        if self.distances is not None and self.csv is None:
+            raise ValueError("--distances belongs to a CSV of readings of a ball in sockets")
         return self
 
 

@@ -26,6 +26,7 @@ def run(request: ImportRequest, work: Work) -> ImportResult:
         in_order=request.in_order,
         recordings=(request.joints, request.points),
         arm=request.arm,
+        distances=request.distances,
     )
 
 
@@ -37,10 +38,12 @@ def import_new_run(
     in_order: bool = False,
     recordings: tuple[Sequence[Path], Sequence[Path]] = ((), ()),
     arm: str | None = None,
+    distances: Path | None = None,
 ) -> ImportResult:
     """Make a new run from readings in a CSV file, recordings of motion, or both.
 
-    ``recordings`` are files of joints and of points, pair by pair, ``arm`` that of those that do not say it.
+    ``recordings`` are files of joints and of points, pair by pair, ``arm`` that of those that do not say it,
+    ``distances`` is a file of known distances between points in sockets.
 
     Raises
     ------
@@ -52,7 +55,7 @@ def import_new_run(
         recorded, fill = recordings_from_csv(profile, *recordings, arm)
         fills.append(fill)
     if csv is not None:
-        fills.append(readings_from_csv(profile, csv, in_order=in_order, recorded=recorded))
+        fills.append(readings_from_csv(profile, csv, in_order=in_order, distances=distances, recorded=recorded))
     elif missing := [name for name in profile.arms if name not in recorded]:
         raise InputError(
             f"import: no recording of arm {', '.join(missing)} of the profile; add its recordings or readings, or"

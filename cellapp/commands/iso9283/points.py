@@ -18,7 +18,11 @@ def write_points(folder: Path, found: IsoFindings) -> tuple[str, str]:
 
     Raises ``InputError`` if it cannot be written.
     """
-    tracks = [runs.tracks for runs in (*found.paths, *found.settling, *found.weaving)]
+    tracks = [
+        *(runs.tracks for runs in found.paths),
+        *(runs.tracks for runs in found.settling),
+        *(runs.tracks for runs in found.weaving),
+    ]
     if not found.measured.visits and not any(tracks):
         return "", ""
     data = table_text(

@@ -155,7 +155,7 @@ class Iso9283Request(Request):
         Asked(
             "Force on the flange in the test of compliance, in N; may be repeated.",
             "N",
-            option="--force",
+            option="--pull",
             label="force",
             unit="N",
         ),

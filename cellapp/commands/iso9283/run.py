@@ -203,10 +203,8 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
         notes += stale_notes(stages, used)
     if task.profile.is_simulated:
         notes.append("measured in a simulated cell")
-    if task.cycles < NORM_CYCLES["pose"]:
-        notes.append(
-            f"{counted(task.cycles, 'cycle was', 'cycles were')} asked for; the norm's number is {NORM_CYCLES['pose']}"
-        )
+    if short := [NORM_CYCLES[test] for test in task.tests if task.cycles < NORM_CYCLES[test]]:
+        notes.append(f"{counted(task.cycles, 'cycle was', 'cycles were')} asked for; the norm's number is {max(short)}")
     if "cooperative" in task.tests and len(task.arms) < 2:
         notes.append("no cooperative test was made: it needs two arms")
     if "drift" in task.tests and task.drift_s < NORM_DRIFT_MIN * 60.0:

@@ -101,6 +101,9 @@ def _message(result: Iso9283Result) -> str:
             if words := _largest({kind: values(tests) for kind, tests in arm.tests.items()}):
                 parts.append(f"arm {name} has a {what} of {words}")
                 break
+        else:
+            yielded = [one.compliance_um_n for tests in arm.tests.values() for one in tests.compliance]
+            parts += [f"arm {name} yields by up to {max(yielded):.1f} µm/N"] if yielded else []
     for pair in result.pairs:
         if words := _largest({kind: [one.accuracy for one in poses] for kind, poses in pair.vector.items()}):
             parts.append(f"{' and '.join(pair.arms)} together of {words}")

@@ -28,7 +28,7 @@ from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.results import LOCATE
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.effects.law import DriverVariable
-from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, xyz_of, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, rpy_of, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import pose_matrix
 from cellapp.robot.model.relocation import relocated
@@ -269,5 +269,4 @@ def _added_mm(found: LocatedStation) -> float:
 
 
 def _pose(T: Array) -> StationPose:
-    yaw, pitch, roll = zyx_angles(T[:3, :3])
-    return StationPose(position=xyz_of(T[:3, 3]), rpy=(roll, pitch, yaw))
+    return StationPose(position=xyz_of(T[:3, 3]), rpy=rpy_of(T[:3, :3]))

@@ -16,7 +16,7 @@ from cellapp.cell.planning.records import (
     PlanRefusal,
 )
 from cellapp.commands.view.charts import enumerated
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
 from cellapp.commands.view.words import display_unit, geometry_unit, short_reason
 from cellapp.estimation.discovery.records import PlannedEffect
 from cellapp.ground.counting import counted
@@ -120,20 +120,17 @@ def duration_words(seconds: float) -> str:
 
 def coverage_table(name: str, arm: ArmForecast) -> Table:
     """Allowed and used range and the largest gap of each joint."""
-    columns = (
-        number_column("joint", "d"),
-        number_column("allowed from", ".0f", "deg"),
-        number_column("to", ".0f", "deg"),
-        number_column("used from", ".0f", "deg"),
-        number_column("to", ".0f", "deg"),
-        number_column("share", ".0f", "%"),
-        number_column("largest gap", ".0f", "deg"),
+    return table_of(
+        f"Arm {name}: joint ranges of {counted(arm.stops, 'stop')}",
+        arm.coverage,
+        ("joint", "joint", "d"),
+        ("allowed from", lambda one: math.degrees(one.allowed[0]), ".0f", "deg"),
+        ("to", lambda one: math.degrees(one.allowed[1]), ".0f", "deg"),
+        ("used from", lambda one: math.degrees(one.used[0]), ".0f", "deg"),
+        ("to", lambda one: math.degrees(one.used[1]), ".0f", "deg"),
+        ("share", "share", ".0f", "%"),
+        ("largest gap", lambda one: math.degrees(one.largest_gap), ".0f", "deg"),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (one.joint, *map(math.degrees, (*one.allowed, *one.used)), 100.0 * one.share, math.degrees(one.largest_gap))
-        for one in arm.coverage
-    ]
-    return Table(f"Arm {name}: joint ranges of {counted(arm.stops, 'stop')}", columns, tuple(rows))
 
 
 def accuracy_table(name: str, arm: ArmForecast) -> Table:
@@ -157,24 +154,15 @@ def accuracy_table(name: str, arm: ArmForecast) -> Table:
 
 def effects_table(name: str, arm: ArmForecast) -> Table:
     """For each effect whether the plan can show it, and from which displacement of the SMR on."""
-    columns = (
-        Column("effect"),
-        Column("visible"),
-        number_column("seen from", ".4f", "mm rms"),
-        number_column("with scatter", ".4f", "mm rms"),
-        Column("why not"),
+    return table_of(
+        f"Arm {name}: effects that the plan can show",
+        arm.effects,
+        ("effect", effect_title),
+        ("visible", lambda one: "yes" if one.visible else "no"),
+        ("seen from", lambda one: one.smallest_seen_rms_mm if one.visible else None, ".4f", "mm rms"),
+        ("with scatter", lambda one: one.with_scatter_rms_mm if one.visible else None, ".4f", "mm rms"),
+        ("why not", lambda one: "" if one.visible else short_reason(one.reason)),
     )
-    rows = tuple(
-        (
-            effect_title(one),
-            "yes" if one.visible else "no",
-            one.smallest_seen_rms_mm if one.visible else None,
-            one.with_scatter_rms_mm if one.visible else None,
-            "" if one.visible else short_reason(one.reason),
-        )
-        for one in arm.effects
-    )
-    return Table(f"Arm {name}: effects that the plan can show", columns, rows)
 
 
 def coverage_bar(one: JointCoverage, width: int) -> str:

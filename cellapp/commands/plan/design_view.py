@@ -7,7 +7,7 @@ import math
 from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.planning.design_records import ArmDesign, FactorCorrelation, ObservabilityIndices, PlanDesignResult
 from cellapp.commands.plan.check_view import TIME_RESTS_ON, duration_words, time_sentence
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
 from cellapp.ground.counting import counted
 
 _SINGULAR = 1e-9
@@ -120,14 +120,14 @@ def gaps_table(design: PlanDesignResult) -> Table:
 
 def by_stops_table(name: str, arm: ArmDesign) -> Table:
     """Expected errors after the first n stops."""
-    columns = (
-        number_column("stops", "d"),
-        number_column("parameters", ".3f"),
-        number_column("mean", ".4f", "mm"),
-        number_column("worst", ".4f", "mm"),
+    return table_of(
+        f"Arm {name}: errors after the first stops",
+        arm.by_stops,
+        ("stops", "stops", "d"),
+        ("parameters", "parameters", ".3f"),
+        ("mean", "mean_mm", ".4f", "mm"),
+        ("worst", "worst_mm", ".4f", "mm"),
     )
-    rows = tuple((one.stops, one.parameters, one.mean_mm, one.worst_mm) for one in arm.by_stops)
-    return Table(f"Arm {name}: errors after the first stops", columns, rows)
 
 
 def _stops(count: float | None) -> str | None:

@@ -21,6 +21,7 @@ from cellapp.estimation.calibration.measurement_conditions import conditions_of_
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.sockets import in_sockets, placed
 from cellapp.estimation.uncertainty.conditions import measured_conditions
 from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.errors import InputError
@@ -131,6 +132,7 @@ def read_report_data(run: RunFile) -> ReportData:
     if calibrated is None or stages.in_force is None or stages.in_force.model is None:
         raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
     holds = results.discover is not None and DISCOVER not in results.out_of_date
+    discovered = _stored_model(run, stages, DISCOVER) if holds else None
     verb, command = next_step(run, stages, arm_states(run))
     measured = run.arms()
     return ReportData(
@@ -138,15 +140,27 @@ def read_report_data(run: RunFile) -> ReportData:
         results=results,
         calibrate=results.calibrate,
         calibrated=calibrated,
-        discovered=_stored_model(run, stages, DISCOVER) if holds else None,
-        readings={
-            name: run.readings(name) if name in measured else known_readings(run, name) for name in calibrated.arms
-        },
+        discovered=discovered,
+        readings=_placed(
+            discovered or calibrated,
+            {name: run.readings(name) if name in measured else known_readings(run, name) for name in calibrated.arms},
+        ),
         in_order=read_in_order(run),
         events=tuple(run.events()),
         model_in_force=stages.in_force.model,
         next_step="" if verb == "report" else command,
     )
+
+
+def _placed(model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Readings]:
+    """The readings, a ball in sockets with its points where the model finds them."""
+    if not any(in_sockets(its) for its in readings.values()):
+        return dict(readings)
+    conditions = conditions_of_arms(model.arms, readings)
+    return {
+        name: placed(its, model.arms[name].predict(its.q, conditions=conditions[name]))
+        for name, its in readings.items()
+    }
 
 
 def _stored_model(run: RunFile, stages: RunStages, name: StageName) -> CellModel | None:

@@ -1,4 +1,4 @@
-"""Errors against their tolerances: a table of all, and the short one of the first screen."""
+"""Errors against their tolerances as the first screen shows them."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from cellapp.commands.view.acceptance_words import CHARACTERISTIC_WORDS
-from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.uncertainty.records import Judgement
-
-_MM = ".3f"
 
 
 @dataclass
@@ -52,31 +49,3 @@ def judged_matrix(judgements: Sequence[Judgement], arms: Sequence[str]) -> Judge
         row.by_arm[one.where] = one
     shown = tuple(arm for arm in arms if any(arm in row.by_arm for row in rows))
     return JudgedMatrix(shown, tuple(rows))
-
-
-def judgement_table(judgements: Sequence[Judgement]) -> Table:
-    """Every judgement with its uncertainty and what it rests on."""
-    columns = (
-        Column("error"),
-        Column("of"),
-        number_column("measured", _MM),
-        number_column("U (k = 2)", _MM),
-        number_column("tolerance", "g"),
-        number_column("n", "d"),
-        Column("verdict"),
-        Column("measured by"),
-    )
-    rows = tuple(
-        (
-            CHARACTERISTIC_WORDS[one.characteristic],
-            one.where,
-            one.value_mm,
-            one.expanded_mm,
-            round(one.tolerance_mm, 6),
-            one.n or None,
-            one.conformity,
-            one.source,
-        )
-        for one in judgements
-    )
-    return Table("Largest errors against their tolerances [mm]", columns, rows)

@@ -46,10 +46,9 @@ from cellapp.commands.plan.section import plan_section
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
-from cellapp.commands.report.judged import judgement_table
 from cellapp.commands.report.provenance import provenance_facts
 from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
-from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence
+from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -403,7 +402,7 @@ def _parameters_message(data: ReportData) -> str:
 
 def _notes(data: ReportData) -> Section | None:
     notes, missing = warnings(data), missing_results(data)
-    counts = [f"{counted(len(notes), 'warning')} or note{'s' if len(notes) != 1 else ''}"] if notes else []
+    counts = [counted(len(notes), "warning or note", "warnings or notes")] if notes else []
     counts += [f"{counted(len(missing), 'result')} not in this report"] if missing else []
     about = "DIR is the folder of this run, TARGETS a list of targets."
     parts = [
@@ -420,7 +419,8 @@ def _provenance(data: ReportData) -> Section:
     return Section(
         "",
         [provenance_facts(data), *([Section("Log of the run", [log])] if log.rows else [])],
-        f"Calibrated by {origin.program} on {day_of(origin.written)} from {count} readings; hashes identify the data.",
+        f"Calibrated by {origin.program} on {day_of(origin.written)} from {counted(count, 'reading')}; hashes"
+        " identify the data.",
     )
 
 

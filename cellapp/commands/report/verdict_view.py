@@ -10,11 +10,10 @@ from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.report.result import read_results
 from cellapp.commands.report.summary import Summary, summary
-from cellapp.commands.view.acceptance_words import RULE_WORDS
-from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.commands.view.acceptance_words import RULE_WORDS, judgement_table
+from cellapp.commands.view.table import Table
 from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
 from cellapp.ground.errors import InputError
-from cellapp.ground.grouping import grouped
 
 
 @dataclass(frozen=True)
@@ -48,35 +47,14 @@ def read_verdict(run: RunFile, today: date) -> RunVerdict:
 
 
 def verdict_tables(verdict: RunVerdict) -> list[Table]:
-    """Every judgement: error, expanded uncertainty, tolerance, decision."""
-    if not verdict.judgements:
-        return []
-    columns = (
-        Column("tolerance of"),
-        Column("arm"),
-        *(number_column(title, ".3f") for title in ("error", "\N{PLUS-MINUS SIGN}U", "tolerance")),
-        Column("decision"),
-    )
-    rows = tuple(
-        (_name(one), one.where, one.value_mm, one.expanded_mm, one.tolerance_mm, one.conformity)
-        for one in verdict.judgements
-    )
-    return [Table("Errors against their tolerances [mm]", columns, rows)]
+    """Every judgement: error, expanded uncertainty, tolerance, decision, what measured it."""
+    return [judgement_table(verdict.judgements)] if verdict.judgements else []
 
 
 def verdict_sentences(verdict: RunVerdict) -> list[str]:
-    """What the judgements rest on, and what comes next."""
-    sources = grouped((one.source, f"{_name(one)} of {one.where}") for one in verdict.judgements)
-    return [
-        *dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements),
-        *(f"{', '.join(judged)}: {source}" for source, judged in sources.items()),
-        *(f"next: {step}" for step in verdict.steps),
-    ]
-
-
-def _name(judgement: Judgement) -> str:
-    """The name of its tolerance in the profile."""
-    return judgement.characteristic.replace("_", " ")
+    """The rule of the decisions, and what comes next."""
+    rules = dict.fromkeys(RULE_WORDS[one.rule] for one in verdict.judgements)
+    return [*rules, *(f"next: {step}" for step in verdict.steps)]
 
 
 def _report_data(run: RunFile) -> ReportData | None:

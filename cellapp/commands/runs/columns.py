@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cellapp.commands.runs.result import RunSummary
-from cellapp.commands.runs.view import CELL_WORDS, effects_words, next_words, short_name, stops_words
+from cellapp.commands.runs.words import CELL_WORDS, effects_words, next_words, short_name, stops_words
 from cellapp.ground.times import minute_of
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from datetime import UTC, date, datetime
 
 from cellapp.commands.runs.result import RunsResult, RunSummary
-from cellapp.commands.runs.view import CELL_WORDS, next_words, short_name, stops_words
+from cellapp.commands.runs.words import CELL_WORDS, next_words, short_name, stops_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.results import CALIBRATE, CHECK, StageName
 from cellapp.ground.times import day_of

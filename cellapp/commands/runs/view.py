@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 
 from rich import filesize
 
 from cellapp.commands.record import Request, View
 from cellapp.commands.runs.request import RunsRequest
-from cellapp.commands.runs.result import ArmFigures, CellKind, RunsResult, RunSummary
+from cellapp.commands.runs.result import ArmFigures, RunsResult, RunSummary
+from cellapp.commands.runs.today import today_sentences, today_tables
+from cellapp.commands.runs.words import CELL_WORDS, effects_words, next_words, session_words, short_name, stops_words
 from cellapp.commands.view.table import Column, Table, number_column
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.times import day_of, minute_of
 
-CELL_WORDS: dict[CellKind, str] = {
-    "simulated": "simulated",
-    "emulated": "emulated",
-    "real": "REAL ARMS",
-    "none": "no arms",
-}
 _MM = ".3f"
 
 
 def view(result: RunsResult, request: Request | None = None) -> View:
     """Every run below the folder; or what waits today."""
     if isinstance(request, RunsRequest) and request.today:
-        from cellapp.commands.runs.today import today_sentences, today_tables  # late: it uses the words of this module
-
         now = datetime.now(UTC)
         return View((*today_tables(result, now), *today_sentences(result, now)))
     return View((*runs_tables(result), *runs_sentences(result)))
@@ -125,27 +117,6 @@ def resume_sentence(run: RunSummary) -> str:
     )
 
 
-def short_name(run: RunSummary, folder: str) -> str:
-    """The run's folder as seen from the listed one."""
-    path = Path(run.run)
-    return str(path.relative_to(folder)) if path.is_relative_to(folder) and path != Path(folder) else run.run
-
-
-def stops_words(run: RunSummary) -> str:
-    """``120/400 stopped``; the number alone for imported readings."""
-    if not run.stops_planned:
-        return str(run.stops_measured)
-    words = session_words(run)
-    return f"{run.stops_measured}/{run.stops_planned} {'' if words == 'complete' else words}".rstrip()
-
-
-def session_words(run: RunSummary) -> str:
-    """How the last session of collecting ended, or that it still runs."""
-    if run.in_use and run.last_session == "no end":
-        return "running"
-    return run.last_session or ("" if run.stops_measured else "not begun")
-
-
 def stages_words(run: RunSummary) -> str:
     """Which results hold, and which are out of date and why."""
     held = [stage.name for stage in run.stages if not stage.out_of_date]
@@ -153,17 +124,6 @@ def stages_words(run: RunSummary) -> str:
     parts = [f"results: {', '.join(held)}"] if held else []
     parts += [f"out of date: {', '.join(names)} ({reason})" for reason, names in reasons.items()]
     return "; ".join(parts) or "no results"
-
-
-def next_words(run: RunSummary) -> str:
-    """The verb that comes next, and whether a result is out of date; ``done`` if nothing is left to do."""
-    outdated = any(stage.out_of_date for stage in run.stages)
-    return f"{run.next_verb or 'done'}{' (out of date)' if outdated else ''}"
-
-
-def effects_words(effects: Sequence[str]) -> str:
-    """Names of effects as words."""
-    return ", ".join(slug.replace("_", " ") for slug in effects)
 
 
 def _pair(values: BeforeAfter | None) -> tuple[float | None, float | None]:

@@ -122,7 +122,9 @@ def blind_matrix(
         here = folder / cell.name
         _seal(profile, here, n, cell.setup, None if seed is None else seed + place, work.cancel)
         results[cell.name] = judge_trials(here, Work(work.resources, cancel=work.cancel))
-        _check(profile, here, cell.setup, results[cell.name])
+        sealed = results[cell.name].sealed  # only the opened truth states the conditions
+        if (sealed.profile, sealed.setup) != (profile.name, cell.setup):
+            raise InputError(f"{here} was sealed from another profile or under other conditions; give another --out")
     work.listener(Progress("matrix", len(cells), len(cells), "done"))
     return _together(results)
 
@@ -135,12 +137,6 @@ def _seal(profile: Profile, folder: Path, n: int, setup: Setup, seed: int | None
     found = sum(path.is_dir() for path in folder.glob("run-*"))
     if found != n:
         raise InputError(f"{folder} holds {found} sealed runs, not {n}; give --n {found} or another --out")
-
-
-def _check(profile: Profile, folder: Path, setup: Setup, result: JudgeResult) -> None:
-    """Refuse trials that were sealed under other conditions; only the opened truth states them."""
-    if (result.sealed.profile, result.sealed.setup) != (profile.name, setup):
-        raise InputError(f"{folder} was sealed from another profile or under other conditions; give another --out")
 
 
 def _together(results: Mapping[str, JudgeResult]) -> MatrixResult:

@@ -126,10 +126,8 @@ def _statistics(result: CheckTrialResult) -> Table:
 
 def _hardest(result: CheckTrialResult) -> Table:
     """Visible changes that were detected or listed least."""
-    by = grouped(
-        (one.what, one) for one in (*result.some("parameter", visible=True), *result.some("effect", visible=True))
-    )
-    lines = [_Checks(what, some) for what, some in by.items()]
+    visible = (*result.some("parameter", visible=True), *result.some("effect", visible=True))
+    lines = [_Checks(what, some) for what, some in grouped((one.what, one) for one in visible).items()]
     lines.sort(key=lambda its: (its.found.value, its.of_changes(lambda one: one.listed) or 0.0, its.moved_mm))
     return table_of(
         "Visible changes that are hardest to find or to name",

@@ -115,7 +115,7 @@ INTERVALS = TaskKind("cellapp.commands.trials.coverage:INTERVALS", PlannedCell, 
 
 
 def _coverage(found: Sequence[Interval]) -> ArmCoverage:
-    inside = grouped((name, held) for one in found for name, held in one.held.items())
+    inside = grouped(pair for one in found for pair in one.held.items())
     every = [held for some in inside.values() for held in some]
     return ArmCoverage(
         runs=len(found),

@@ -25,7 +25,6 @@ from cellapp.estimation.calibration.calibrate import ArmCalibration, calibrate_r
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
-from cellapp.ground.progress import CancelToken
 from cellapp.ground.results import Method, Record, Result
 from cellapp.ground.scale.task import Seed, SimulatedCell, TaskKind, profile_of
 from cellapp.robot.kinematics.chain import smr_positions
@@ -92,14 +91,14 @@ def paper_trials(
     return paper_result(gathered.found, gathered.failed)
 
 
-def paper_trial(profile: Profile, seed: int, cancel: CancelToken | None = None) -> PaperTrial:
+def paper_trial(profile: Profile, seed: int) -> PaperTrial:
     """One seed of the comparison. Raises ``InputError`` if the profile does not suit it."""
     if profile.plant is None or len(profile.arms) != 2:
         raise InputError(f"profile {profile.name}: the comparison needs a section 'plant' and two arms")
     profile = drawn_cell(profile, seed)
-    plan = plan_stops(profile, cancel=cancel)
+    plan = plan_stops(profile)
     readings = measured_plan(profile, plan, seed)
-    calibration = calibrate_readings(profile, readings, cancel=cancel)
+    calibration = calibrate_readings(profile, readings)
     if calibration.pair is None:
         raise InputError(f"profile {profile.name}: {'; '.join(calibration.notes)}")
     methods = calibration.pair.methods

@@ -117,27 +117,24 @@ def plan_trials(
     return PlanTrialsResult(profile=profile.name, trials=trials, plans=plans, failed=failed)
 
 
-def plan_trial(
-    profile: Profile, seed: int, stops: int, *, with_bound: bool = False, cancel: CancelToken | None = None
-) -> Iterator[PlanTrial]:
+def plan_trial(profile: Profile, seed: int, stops: int, *, with_bound: bool = False) -> Iterator[PlanTrial]:
     """Design ``stops`` stops with a seed and judge them, arm by arm.
 
     Raises
     ------
     InputError
         If the cell has too few candidates, or the profile does not describe it.
-    Cancelled
     """
-    cancel = cancel or CancelToken()
+    cancel = CancelToken()
     profile = profile.model_copy(update={"seed": seed, "plan": profile.plan.model_copy(update={"stops": stops})})
     cell, rng = cell_bodies(profile), np.random.default_rng([seed, _SEED])
     pools = {name: draw_pool(cell, profile, name, profile.plan.pool_size, rng, cancel) for name in cell.arms}
     began = time.perf_counter()
-    chosen = select_stops(profile, pools, stops, rng, cancel=cancel)
+    chosen = select_stops(profile, pools, stops, rng)
     seconds = (time.perf_counter() - began) / len(pools)
     q = {name: pools[name].q[rows] for name, rows in chosen.items()}
     for name, pool in pools.items():
-        judged = arm_design(profile, pool, name, q, rng, cancel=cancel)
+        judged = arm_design(profile, pool, name, q, rng)
         yield PlanTrial(
             seed=seed,
             arm=name,
@@ -175,7 +172,7 @@ def _bound(
     with threadpool_limits(limits=1, user_api="blas"):
         judge = Judge.of(profile, name, others, stops, rng, cancel)
         random = {size: errors for size, (errors, _) in judge.random_plans(judge.sizes(stops)).items()}
-        rows = judge.rows(pools[name].q, None)
+        rows = judge.rows(pools[name].q)
         candidates = Candidates(rows, np.eye(rows.shape[2]))
         criterion = Criterion(random[stops].parameters, judge.points)
         least = least_errors(candidates, stops, criterion, _ROUNDS, cancel)

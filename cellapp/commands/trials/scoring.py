@@ -57,7 +57,8 @@ def scores(runs: Sequence[ScoredRun]) -> Scores:
 
 def _groups(runs: Sequence[ScoredRun]) -> dict[str, list[ScoredRun]]:
     """Runs that hide the same, look-alikes last."""
-    return grouped((run.hidden_names, run) for run in sorted(runs, key=lambda run: (run.look_alikes, run.hidden_names)))
+    ordered = sorted(runs, key=lambda run: (run.look_alikes, run.hidden_names))
+    return grouped((run.hidden_names, run) for run in ordered)
 
 
 def _effect_counts(runs: Sequence[ScoredRun]) -> EffectCounts:

@@ -385,17 +385,11 @@ def _hidden_law(
     return HiddenLaw(
         effect=library_name(slug),
         plant=slug,
-        parameters=_plain(parameters),
+        parameters=json.loads(json.dumps(parameters)),
         raw_um=_rms_um(moved),
         visible_um=_rms_um(beyond_geometry(profile.arms[name], own.q, own.p_M, moved)),
         beyond_law_um=None if beyond is None else _rms_um(beyond),
     )
-
-
-def _plain(parameters: Mapping[str, Any]) -> dict[str, JsonValue]:
-    """Parameters of a hidden law as plain JSON values."""
-    plain: dict[str, JsonValue] = json.loads(json.dumps(parameters))
-    return plain
 
 
 def _rms_um(vectors: Array) -> float:

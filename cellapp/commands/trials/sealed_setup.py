@@ -154,7 +154,7 @@ def _narrowed(profile: Profile, rng: np.random.Generator) -> Profile:
     centre = draw_stops(cell_bodies(profile), profile, 1, rng)
     arms: dict[str, Arm] = {}
     for name, arm in profile.arms.items():
-        outer = np.array(arm.limits or tuple(joint.limit for joint in arm.type.joints))
+        outer = np.array(arm.joint_limits)
         half = 0.5 * rng.uniform(*_NARROW_RAD, len(outer))
         low, high = np.maximum(centre[name][0] - half, outer[:, 0]), np.minimum(centre[name][0] + half, outer[:, 1])
         limits = tuple(zip(low.tolist(), high.tolist(), strict=True))

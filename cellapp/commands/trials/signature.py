@@ -50,6 +50,10 @@ _PLAN_SEED = 1000
 """Is added to the seed of the plan of the second calibration: its stops are others."""
 
 
+_EARLIER, _LATER = "C", "D"
+"""Series of one real arm, the earlier as prior of the later."""
+
+
 class SignatureDraw(Record):
     """One arm calibrated again from some stops: mean held-out position errors [mm].
 
@@ -226,8 +230,6 @@ def real_trials(
     seeds: Sequence[int],
     work: Work = IN_PLACE,
     *,
-    earlier: str = "C",
-    later: str = "D",
     data: Path,
     profiles: Path,
 ) -> SignatureResult:
@@ -238,11 +240,11 @@ def real_trials(
     InputError
         If a series, or the asked number of rows, is not there.
     """
-    series = RealSeries(earlier=earlier, later=later, texts=series_texts([earlier, later], data, profiles))
+    series = RealSeries(earlier=_EARLIER, later=_LATER, texts=series_texts([_EARLIER, _LATER], data, profiles))
     tasks = [RealTask(rows=size, seed=seed) for size in rows for seed in seeds]
     gathered = work.gather(REAL, "signature", series, tasks, "{0.rows} rows, seed {0.seed}")
     draws = sorted(gathered.found, key=lambda draw: (draw.stops, draw.seed))
-    count = len(load_entrant(earlier, data, profiles).readings)
+    count = len(load_entrant(_EARLIER, data, profiles).readings)
     lines = lines_of(draws)
     bars = [
         SignatureBar(
@@ -254,7 +256,7 @@ def real_trials(
         for line in lines
     ]
     return SignatureResult(
-        earlier_stops={earlier: count}, lines=lines, bars=tuple(bars), draws=tuple(draws), failed=gathered.failed
+        earlier_stops={_EARLIER: count}, lines=lines, bars=tuple(bars), draws=tuple(draws), failed=gathered.failed
     )
 
 
@@ -280,10 +282,7 @@ def calibrated_earlier(series: RealSeries) -> RealArm:
 def real_draw(arm: RealArm, task: RealTask) -> SignatureDraw:
     """One draw of rows with and without the earlier series."""
     entrant = arm.entrant
-    rows = draw_rows(entrant, task.rows, task.seed)
-    words = np.full(len(entrant.readings), None, dtype=object)
-    words[rows.learned], words[rows.judged] = "identify", "validate"
-    readings = replace(entrant.readings, split=tuple(words.tolist()))
+    readings = draw_rows(entrant, task.rows, task.seed).split(entrant.readings)
     profile = entrant.profile.model_copy(update={"seed": task.seed})
     conditions = measurement_conditions(readings)
     model = calibrate_arm(profile, entrant.arm, readings)[0].model

@@ -12,10 +12,10 @@ from cellapp.cell.planning.candidates import random_configurations
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_stop, visible, visible_stops
 from cellapp.cell.targets.targets import Partner, Target
-from cellapp.commands.trials.sealed_cases import MIXTURE, OUT, Case, cases
+from cellapp.commands.trials.sealed_cases import MIXTURE, OUT, cases
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.transforms import Array, invert, transform, xyz_of, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, invert, rpy_of, transform, xyz_of
 from cellapp.robot.model import CellModel
 from drivers.plant import suggest, suggest_other_law
 
@@ -36,7 +36,7 @@ def draw_hidden(profile: Profile, seed: int, duration_s: float) -> tuple[dict[st
     laws = {}
     for place, name in enumerate(profile.arms):
         rng = np.random.default_rng([seed, _HIDDEN_SEED, place])
-        case = _drawn_case(name, rng)
+        case = cases((name,), str(rng.choice(MIXTURE)), 1, int(rng.integers(2**31)))[0]
         other = bool(rng.random() < _OTHER_LAWS) and case.kind != OUT
         draw = suggest_other_law if other else suggest
         drawn = {slug: draw(slug, rng, configs[name], duration_s) for slug in case.slugs}
@@ -89,11 +89,6 @@ def draw_pairs(profile: Profile, model: CellModel, count: int, seed: int) -> lis
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _drawn_case(name: str, rng: np.random.Generator) -> Case:
-    kind = str(rng.choice(MIXTURE))
-    return cases((name,), kind, 1, int(rng.integers(2**31)))[0]
-
-
 def _drawn(cell: CellBodies, profile: Profile, name: str, seed: list[int]) -> Iterator[Array]:
     return random_configurations(cell, profile, name, np.random.default_rng(seed))
 
@@ -128,5 +123,4 @@ def _target(
 
 
 def _rpy(rotation: Array) -> tuple[float, float, float]:
-    yaw, pitch, roll = zyx_angles(rotation)
-    return roll, pitch, yaw
+    return rpy_of(rotation)

@@ -132,11 +132,7 @@ class TargetTrialsResult(Result):
 
     def by_arm(self, state: str) -> dict[str, list[ArmFigures]]:
         """Figures of every arm in one state, a cell each."""
-        return grouped(
-            (name, arm)
-            for trial in self.trials
-            for name, arm in (trial.states[state].arms.items() if state in trial.states else ())
-        )
+        return grouped(of for one in self.trials if state in one.states for of in one.states[state].arms.items())
 
     def pairs(self, state: str) -> list[PairFigures]:
         """Figures of the pair in one state, a cell each."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
+from cellapp.commands.view.table import Table, table_of
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
@@ -94,3 +95,19 @@ def named_errors(judgements: Sequence[Judgement]) -> str:
     places = grouped((one.characteristic, one.where) for one in judgements)
     words = ((CHARACTERISTIC_WORDS[characteristic], where) for characteristic, where in places.items())
     return ", ".join(f"{name[0].lower()}{name[1:]} of {' and '.join(where)}" for name, where in words)
+
+
+def judgement_table(judgements: Sequence[Judgement]) -> Table:
+    """Every judgement with its uncertainty and what it rests on."""
+    return table_of(
+        "Errors against their tolerances [mm]",
+        judgements,
+        ("error", lambda one: CHARACTERISTIC_WORDS[one.characteristic]),
+        ("of", "where"),
+        ("measured", "value_mm", ".3f"),
+        ("U (k = 2)", "expanded_mm", ".3f"),
+        ("tolerance", lambda one: round(one.tolerance_mm, 6), "g"),
+        ("n", lambda one: one.n or None, "d"),
+        ("verdict", "conformity"),
+        ("measured by", "source"),
+    )

@@ -10,17 +10,22 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
-from cellapp.estimation.calibration.evaluation import evaluate, repeatability
+from cellapp.estimation.calibration.evaluation import evaluate, evaluate_readings, repeatability
 from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_geometry, left_out_words, without
 from cellapp.estimation.calibration.identification import Identification, TooFewReadings, start_from_nominal
 from cellapp.estimation.calibration.network_training import Shape, Training, train_network, training_steps
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
+from cellapp.estimation.calibration.socket_arm import fit_arm, gauge_note, socket_notes
+from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
+from cellapp.estimation.calibration.socket_splits import draw_point_splits
 from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
+from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
@@ -178,6 +183,9 @@ def profile_splits(
     profile: Profile, readings: Mapping[str, Readings]
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
     """A split for each reading of each arm, the same for all arms at a stop, drawn by the profile's seed; and notes."""
+    if any(in_sockets(arm) for arm in readings.values()):
+        positions = {name: smr_positions(nominal_arm(profile.arms[name]), its.q) for name, its in readings.items()}
+        return draw_point_splits(readings, positions, profile.seed)
     splits = profile.splits
     numbers = np.concatenate([arm.configuration for arm in readings.values()])
     validate = None if splits.validate_ == "rest" else splits.validate_
@@ -193,14 +201,21 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
     """
     fitted = _fitted(profile, name, readings)
     for _ in range(ROUNDS):
-        good = fitted.readings
-        learned = len(good.in_split("identify"))
-        wrong = gross_errors_of_geometry(fitted.identification.geometry, fitted.nominal, good.q, good.p_M, learned)
+        wrong = _gross_errors(fitted)
         if not wrong.any():
             break
-        fitted = _fitted(profile, name, good.take(~wrong), robust=True)
+        fitted = _fitted(profile, name, fitted.readings.take(~wrong), robust=True)
     calibration = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
     return calibration, _arm_notes(name, calibration, fitted)
+
+
+def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
+    """Which readings (n,) are gross errors for what was fitted to the identify split."""
+    good, geometry = fitted.readings, fitted.identification.geometry
+    if in_sockets(good):
+        return gross_errors_in_sockets(geometry, fitted.nominal, good)
+    learned = len(good.in_split("identify"))
+    return gross_errors_of_geometry(geometry, fitted.nominal, good.q, good.p_M, learned)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +226,7 @@ class _Fitted:
     nominal: Geometry
     identification: Identification
     excess_m: float
+    notes: tuple[str, ...] = ()
 
 
 def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = False) -> _Fitted:
@@ -223,6 +239,10 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
             f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
         )
     arm, learn = profile.arms[name], readings.take(identify_rows)
+    if in_sockets(readings):
+        nominal, fit, priors = fit_arm(profile, name, learn, robust=robust)
+        notes = socket_notes(name, readings, fit, priors, nominal)
+        return _Fitted(readings, nominal, fit.tabulated(priors, nominal), fit.noise_m, notes)
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
     identification, excess = _identify(profile, name, nominal, learn, robust=robust)
     return _Fitted(readings, nominal, identification, excess)
@@ -242,18 +262,18 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         covariance=identification.estimated_covariance,
     )
     stages: dict[Stage, StageErrors] = {
-        "nominal": evaluate(held_out.p_M, smr_positions(nominal, held_out.q)),
-        "geometry": evaluate(held_out.p_M, smr_positions(identification.geometry, held_out.q)),
+        "nominal": evaluate_readings(held_out, smr_positions(nominal, held_out.q)),
+        "geometry": evaluate_readings(held_out, smr_positions(identification.geometry, held_out.q)),
     }
     left_out = readings.take(~np.isin(readings.configuration, good.configuration))
-    stated = stated_uncertainty(held_out)
+    stated = None if in_sockets(held_out) else stated_uncertainty(held_out)
     return ArmCalibration(
         model=model,
         identification=identification,
         excess_m=fitted.excess_m,
         validate=stages,
         counts={word: len(good.in_split(word)) for word in SPLITS},
-        repeatability=repeatability(good.q, good.p_M),
+        repeatability=None if in_sockets(good) else repeatability(good.q, good.p_M),
         tracker_mm=None if stated is None else rms_length_mm(stated),
         left_out=tuple(left_out.configuration.tolist()),
         left_out_counts={word: len(left_out.in_split(word)) for word in SPLITS} if len(left_out) else {},
@@ -266,7 +286,10 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
     if arm.left_out:
         notes.append(left_out_note(name, arm))
-    notes += _hardly_better(name, arm)
+    notes += [*_hardly_better(name, arm), *fitted.notes]
+    if in_sockets(readings):
+        gauge, held_out = arm.validate["geometry"].gauge_mm, readings.take(readings.in_split("validate"))
+        return notes if gauge is None else [*notes, *gauge_note(name, held_out, gauge.mean)]
     moved = station_change(smr_positions(fitted.nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
         notes.append(
@@ -333,6 +356,8 @@ def train_arm(
     The training data are the train split, or the identify split where there is no train split.
     """
     readings = without(readings, arm.left_out)
+    if in_sockets(readings):  # a network would learn the unknown points with the rest
+        return arm
     rows = readings.in_split("train")
     learn = readings.take(rows if len(rows) else readings.in_split("identify"))
     held_out = readings.take(readings.in_split("validate"))

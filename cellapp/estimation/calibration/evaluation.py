@@ -6,7 +6,9 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from cellapp.estimation.calibration.records import Repeatability
-from cellapp.ground.results import ErrorSummary, StageErrors
+from cellapp.estimation.readings import Readings
+from cellapp.estimation.sockets import gauge_errors, in_sockets, measured_positions
+from cellapp.ground.results import ErrorSummary, GaugeErrors, StageErrors
 from cellapp.robot.kinematics.transforms import Array
 
 _SAMPLES = 400
@@ -78,6 +80,17 @@ def repeatability(q: Array, p_M: Array) -> Repeatability | None:
     centers = np.stack([np.bincount(group, p_M[:, k]) / sizes for k in range(3)], axis=1)
     off = np.linalg.norm(p_M - centers[group], axis=1)[repeated] * 1e3
     return Repeatability(mean=float(off.mean()), rp=float(off.mean() + 3.0 * off.std(ddof=1)), n=len(off))
+
+
+def evaluate_readings(readings: Readings, computed: Array) -> StageErrors:
+    """Errors of one model at readings, ``computed`` (n, 3) [m]: of measured points, or of a ball in sockets."""
+    if not in_sockets(readings):
+        return evaluate(readings.p_M, computed)
+    gauge = np.abs(gauge_errors(readings, computed)) * 1e3
+    return StageErrors(
+        position_mm=summarise(position_errors(measured_positions(readings, computed), computed)),
+        gauge_mm=GaugeErrors(mean=float(gauge.mean()), max=float(gauge.max()), n=len(gauge)) if len(gauge) else None,
+    )
 
 
 def evaluate(measured: Array, computed: Array) -> StageErrors:

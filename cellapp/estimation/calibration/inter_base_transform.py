@@ -17,6 +17,9 @@ from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, transform, zyx_angles
 
 PAIR_NAMES = ("x", "y", "z", "theta", "beta", "alpha")
+_TOLERANCE = 1e-9
+"""The iteration ends when the next step is at most this large [m, rad]."""
+_MOST_ITERATIONS = 100
 _FEWEST_STOPS = 7
 """Six parameters and one degree of freedom for their scatter."""
 
@@ -52,9 +55,7 @@ def distances(T_R_L: Array, p_L: Array, p_R: Array) -> Array:
     return np.asarray(np.linalg.norm(p_R - (p_L @ T_R_L[:3, :3].T + T_R_L[:3, 3]), axis=1))
 
 
-def identify_pair(
-    start: Array, p_L: Array, p_R: Array, measured: Array, *, tolerance: float = 1e-9, max_iterations: int = 100
-) -> PairIdentification:
+def identify_pair(start: Array, p_L: Array, p_R: Array, measured: Array) -> PairIdentification:
     """Identify the inter-base transform.
 
     Parameters
@@ -65,9 +66,6 @@ def identify_pair(
         SMR positions, each in its own base frame [m].
     measured : array, shape (n,)
         Measured distances [m].
-    tolerance : float
-        The iteration ends when the next step is at most this large [m, rad].
-    max_iterations : int
 
     Raises
     ------
@@ -81,7 +79,7 @@ def identify_pair(
         )
     problem = _Problem(p_L, p_R, measured)
     first = problem.estimate(start[:3, :3], start[:3, 3])
-    minimum = minimise(problem, first, tolerance=tolerance, max_iterations=max_iterations)
+    minimum = minimise(problem, first, tolerance=_TOLERANCE, max_iterations=_MOST_ITERATIONS)
     found = minimum.point
     T_R_L = transform(found.rotation, found.translation)
     off = measured - distances(T_R_L, p_L, p_R)

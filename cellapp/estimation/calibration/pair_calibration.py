@@ -23,6 +23,7 @@ from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.inter_base_transform import PairIdentification, distances, identify_pair
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import ErrorSummary, Method
@@ -107,6 +108,8 @@ def calibrate_pair(
     """The pair by every method that the arms' models allow, and notes; None with the reason where it is skipped."""
     if len(readings) != 2:
         return None, [f"pair: skipped, the profile has {len(readings)} arm(s)"]
+    if any(in_sockets(its) for its in readings.values()):
+        return None, ["pair: skipped, sockets say nothing about where the bases stand to each other"]
     left, right = common_stops(*readings.values())
     learn, held_out = pair_stops(profile, left)
     if len(learn) < 7 or len(held_out) < 1:

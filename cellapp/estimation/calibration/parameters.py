@@ -286,11 +286,11 @@ def _undetermined(information: Array) -> NDArray[np.bool_]:
         held[low[: inexact[0] + 1]] = True
 
 
-def auto_set(geometry: Geometry, q: Array, noise_m: float = EXPECTED_SCATTER_M) -> ParameterSet:
-    """The parameters that readings at ``q`` (n, N) [rad] determine, with ``noise_m`` [m] on each coordinate."""
+def auto_set(geometry: Geometry, q: Array) -> ParameterSet:
+    """The parameters that readings at ``q`` (n, N) [rad] with the expected scatter determine."""
     estimated, priors = estimated_parameters("auto", geometry, {})
     _, J = jacobian(geometry, JointAngles.of(q), estimated.columns)
-    return determined_set(estimated, gram_matrix(J) / noise_m**2, prior_sds(estimated, priors))
+    return determined_set(estimated, gram_matrix(J) / EXPECTED_SCATTER_M**2, prior_sds(estimated, priors))
 
 
 @dataclass(frozen=True)

@@ -95,10 +95,9 @@ def choose_blocks(
     return chosen
 
 
-def most_informative_first(
-    candidates: Candidates, chosen: Rows, criterion: Criterion, effort: Effort = Effort()
-) -> Rows:
-    """The chosen candidates in greedy order from the first one on; behind ``effort.ordered`` of them as they are."""
+def most_informative_first(candidates: Candidates, chosen: Rows, criterion: Criterion) -> Rows:
+    """The chosen candidates in greedy order from the first one on; behind ``Effort.ordered`` of them as they are."""
+    effort = Effort()
     if len(chosen) < 2:
         return chosen
     early = candidates.prior + information_of(candidates.rows[chosen]) / 4.0

@@ -135,7 +135,7 @@ def _most_correlated(fit: JointFit, number: int) -> Correlation | None:
     """Geometric parameter most correlated with a term's values, and the correlation; None for smooth terms."""
     if fit.terms[number].smooth is not None:
         return None
-    covariance, size = fit.identification.covariance, fit.layout.geometric
+    covariance, size = fit.identification.covariance, len(fit.identification.parameter_set.columns)
     here = fit.layout.parameters(number)
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance[:size, here] / sd[:size, None] / sd[here]

@@ -10,9 +10,12 @@ import numpy as np
 
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.calibration.socket_identification import estimated_in_sockets, identify_in_sockets
+from cellapp.estimation.calibration.socket_points import PointColumns
 from cellapp.estimation.calibration.weights import whitener
 from cellapp.estimation.discovery.terms import ModelTerms
 from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.robot.effects.modulation import with_modulations
@@ -48,6 +51,8 @@ class ArmData:
         Values of an earlier fit by effect and column, from which the next fit begins.
     true_q : array, shape (n, N), or None
         Joint positions with the offsets of known effects [rad]; None is the controller's positions.
+    points : PointColumns, optional
+        Of a ball in sockets: the unknown points, whose guesses stand for measured positions in ``readings``.
     cache : dict
         Columns that were computed before, by effect, law and names; None for all names.
     """
@@ -62,6 +67,7 @@ class ArmData:
     prior_sigma: Mapping[str, float]
     start: Mapping[tuple[str, str], float] = field(default_factory=dict)
     true_q: Array | None = None
+    points: PointColumns | None = None
     cache: dict[tuple[str, str, tuple[str, ...] | None], list[EffectColumn]] = field(default_factory=dict)
 
     @classmethod
@@ -80,6 +86,8 @@ class ArmData:
         geometry_only = replace(model, effects=(), network=None)
         stated = stated_uncertainty(readings)
         settings = profile.calibration
+        if in_sockets(readings):
+            return cls._in_sockets(profile, geometry_only, readings, conditions, prior_sigma)
         found, _ = identify_with_excess(
             model.nominal,
             readings.q,
@@ -92,6 +100,34 @@ class ArmData:
         sigma = np.full(len(readings), found.scale) if stated is None else stated
         geometry_only = replace(geometry_only, geometry=found.geometry)
         return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, found.prior_sigma)
+
+    @classmethod
+    def _in_sockets(
+        cls,
+        profile: Profile,
+        model: ArmModel,
+        readings: Readings,
+        conditions: MeasurementConditions,
+        prior_sigma: Mapping[str, float] | None,
+    ) -> ArmData:
+        """Of a ball in sockets: the points are fitted with the geometry, and stand for measured positions."""
+        settings = profile.calibration
+        stated = prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma
+        parameters, priors = estimated_in_sockets(settings.parameter_set, model.nominal, stated)
+        fit = identify_in_sockets(
+            model.geometry, readings, parameters, priors, prior_mean=model.nominal, tolerance=TOLERANCE
+        )
+        return cls(
+            profile,
+            replace(model, geometry=fit.geometry),
+            replace(readings, p_M=fit.points.measured),
+            conditions,
+            None,
+            np.full(len(readings), fit.noise_m),
+            parameters,
+            priors,
+            points=fit.points,
+        )
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -106,6 +142,10 @@ class ArmData:
         true_q = model.true_joints(self.readings.q, conditions=self.conditions) if model.effects else None
         kept = {key: columns for key, columns in self.cache.items() if _depends_on_angles_only(key[0], columns)}
         here = replace(self, model=replace(model, effects=(), network=None), true_q=true_q, cache=kept)
+        if self.points is not None:
+            centres = self.points.contacts.centres(model.predict(self.readings.q, conditions=self.conditions))
+            points = PointColumns.near(self.points.contacts, centres)
+            here = replace(here, points=points, readings=replace(self.readings, p_M=points.measured))
         return here.beginning_at(model)
 
     def beginning_at(self, model: ArmModel) -> ArmData:

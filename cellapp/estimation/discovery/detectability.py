@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
 from cellapp.estimation.design.information import VISIBLE
 from cellapp.estimation.discovery.records import AbsentEffect, SmallestSize
 from cellapp.estimation.discovery.search.scan import LawScan
@@ -40,7 +41,8 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []
     for slug in found.absent:
-        if lacking := EFFECTS[slug].missing_data(found.data.context):
+        blind = found.data.points is not None and slug in OF_THE_TRACKER
+        if lacking := "no tracker" if blind else EFFECTS[slug].missing_data(found.data.context):
             invisible.append(AbsentEffect(effect=slug, reason=f"not testable: {lacking}"))
             continue
         one = _detectable(scan, slug, found.threshold)

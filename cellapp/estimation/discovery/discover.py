@@ -23,6 +23,7 @@ from cellapp.estimation.calibration.gross_errors import (
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.calibration.network_training import training_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
+from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions
 from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
@@ -47,6 +48,7 @@ from cellapp.estimation.discovery.structure import structure_left
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of
 from cellapp.estimation.discovery.verdict import sampling_allowance, verdict
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.sockets import in_sockets, measured_positions
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
@@ -182,12 +184,19 @@ def discover_arm(
     started = time.perf_counter()
     cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
-    wrong = gross_errors_of_geometry(model.geometry, model.nominal, readings.q, readings.p_M)
+    wrong = _gross_errors(model, readings)
     held_out = HeldOut.of(readings.take(~wrong), conditions.take(~wrong))
     result = _without_harm(
         _search_and_refit(profile, model, readings, conditions, wrong, cancel, report, prior_sigma), held_out
     )
     return _evaluated(name, model, result, held_out, started)
+
+
+def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
+    """Which readings (n,) are gross errors for the geometry alone."""
+    if in_sockets(readings):
+        return gross_errors_in_sockets(model.geometry, model.nominal, readings)
+    return gross_errors_of_geometry(model.geometry, model.nominal, readings.q, readings.p_M)
 
 
 def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut, started: float) -> Discovery:
@@ -279,7 +288,7 @@ def _search_and_refit(
     for _ in range(ROUNDS):
         result = _search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
         computed = result.model.predict(readings.q[rows], conditions=conditions.take(rows))
-        wrong = gross_errors(readings.p_M[rows] - computed)
+        wrong = gross_errors(measured_positions(readings.take(rows), computed) - computed)
         if not wrong.any():
             break
         gross[rows[wrong]] = True
@@ -299,7 +308,7 @@ def _search_rows(
     """Search some of the readings, and fit to all of them."""
     rows = np.arange(len(readings), dtype=np.intp)
     some = rows
-    if len(rows) > _MOST_SEARCHED:
+    if len(rows) > _MOST_SEARCHED and not in_sockets(readings):  # a part of them would hardly show the points
         generator = np.random.default_rng([profile.seed, _SUBSET_SEED])
         some = np.sort(generator.permutation(rows)[:_MOST_SEARCHED])
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]

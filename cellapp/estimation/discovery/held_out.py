@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from cellapp.estimation.calibration.calibrate import rms_length_mm
-from cellapp.estimation.calibration.evaluation import evaluate, position_errors
+from cellapp.estimation.calibration.evaluation import evaluate_readings, position_errors
 from cellapp.estimation.discovery.records import HeldOutPosition, PredictedUncertainty
 from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.sockets import measured_positions
 from cellapp.ground.results import StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model import ArmModel
@@ -39,7 +40,7 @@ class HeldOut:
     def position_mm(self, model: ArmModel) -> HeldOutPosition:
         """Statistics of the position error of a model."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
-        errors = position_errors(self.readings.p_M, computed) * 1e3
+        errors = position_errors(measured_positions(self.readings, computed), computed) * 1e3
         return HeldOutPosition(
             mean=float(errors.mean()),
             rms=float(np.sqrt(np.mean(errors**2))),
@@ -49,7 +50,7 @@ class HeldOut:
 
     def evaluate(self, model: ArmModel) -> StageErrors:
         """Position and distance errors of a model."""
-        return evaluate(self.readings.p_M, model.predict(self.readings.q, conditions=self.conditions))
+        return evaluate_readings(self.readings, model.predict(self.readings.q, conditions=self.conditions))
 
     def noise_floor_mm(self) -> float:
         """Rms length of the stated noise; NaN where the readings state none."""

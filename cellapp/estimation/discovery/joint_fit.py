@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, identify
 from cellapp.estimation.calibration.normal_equations import EffectColumns
+from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import TOLERANCE, ArmData, whitening
@@ -195,7 +196,8 @@ class JointFit:
 
     def candidates(self, data: ArmData, slugs: Sequence[str]) -> list[CandidateLaw]:
         """All laws of some effects that the data allow to test."""
-        testable = [slug for slug in slugs if not EFFECTS[slug].missing_data(data.context)]
+        blind = OF_THE_TRACKER if data.points is not None else frozenset()
+        testable = [slug for slug in slugs if slug not in blind and not EFFECTS[slug].missing_data(data.context)]
         return [self.candidate(data, slug, law) for slug in testable for law in EFFECTS[slug].laws(data.context)]
 
     def displacements(self, columns: Sequence[EffectColumn]) -> Array:
@@ -222,7 +224,8 @@ def _log_occam(rows: Array, precision: Array, flat: NuisanceProjector) -> float:
 def fit_terms(data: ArmData, terms: ModelTerms) -> JointFit:
     """Fit geometry and terms to all readings and linearise there."""
     found, columns = _identify(data, terms)
-    layout = TermLayout.of(len(found.parameter_set.columns), [term.size for term in terms])
+    points = 0 if data.points is None else len(data.points)
+    layout = TermLayout.of(len(found.parameter_set.columns) + points, [term.size for term in terms])
     white = whitening(data.sigma)
     linear = LinearModel.of(found.geometry, data.readings.q, white, found.parameter_set.columns, columns)
     fit = JointFit(
@@ -233,11 +236,19 @@ def fit_terms(data: ArmData, terms: ModelTerms) -> JointFit:
         model=_fitted_model(data, found, terms, layout),
         white=white,
         by_joint=linear.by_joint,
-        rows=linear.rows,
+        rows=_with_points(data, linear.rows, white, len(found.parameter_set.columns)),
         precision=_precision(data, found, layout, columns),
         residual=np.einsum("acn,nc->an", white, found.residuals).ravel(),
     )
     return _with_misfits(fit) if any(term.modulations for term in terms) else fit
+
+
+def _with_points(data: ArmData, rows: Array, white: Array, geometric: int) -> Array:
+    """Rows (p, 3 n) with those of unknown points behind the geometric ones."""
+    if data.points is None:
+        return rows
+    of_points = np.einsum("acn,kcn->kan", white, data.points.shifts).reshape(len(data.points), -1)
+    return np.concatenate([rows[:geometric], of_points, rows[geometric:]])
 
 
 def _with_misfits(fit: JointFit) -> JointFit:
@@ -249,10 +260,11 @@ def _with_misfits(fit: JointFit) -> JointFit:
 def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
     """The fitted model with draws of its parameters, and the scatter of the readings."""
     found = fit.identification
+    kept = [*range(len(found.estimated.columns)), *range(fit.layout.geometric, fit.layout.total)]
     draws = PosteriorDraws.of_covariance(
         columns=found.estimated.columns,
         sizes=[term.size for term in fit.terms],
-        covariance=found.covariance,
+        covariance=found.covariance[np.ix_(kept, kept)],
         noise_m=math.sqrt(mean_variance(data.sigma)) * max(found.scale, 1.0),
         seed=(data.profile.seed, _DRAW_SEED),
     )
@@ -314,6 +326,7 @@ def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[E
     columns = data.term_columns(terms)
     order = np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
     settings = data.profile.calibration
+    effects = _effect_columns(data, terms, columns, order) if columns else None
     found = identify(
         data.model.geometry,
         data.readings.q,
@@ -323,7 +336,7 @@ def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[E
         prior_sigma=data.prior_sigma,
         prior_mean=data.model.nominal,
         robust=settings.robust,
-        effects=_effect_columns(data, terms, columns, order) if columns else None,
+        effects=effects if data.points is None else data.points.after(effects),
         tolerance=max(settings.tolerance, TOLERANCE),
         max_iterations=settings.max_iterations,
     )
@@ -356,9 +369,10 @@ def _start_values(data: ArmData, terms: ModelTerms, columns: Sequence[EffectColu
 
 
 def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identification:
-    """The identification with its effect parameters at places ``effects``."""
-    size = len(found.parameter_set.columns)
-    place = np.concatenate([np.arange(size), size + effects]).astype(np.intp)
+    """The identification with its effect parameters at places ``effects``, behind those that are not among them."""
+    size, count = len(found.parameter_set.columns), len(found.effect_values)
+    others = np.arange(len(effects), count)  # unknown points
+    place = np.concatenate([np.arange(size), size + others, size + effects]).astype(np.intp)
     return replace(
         found,
         names=tuple(found.names[i] for i in place),
@@ -376,6 +390,8 @@ def _precision(data: ArmData, found: Identification, layout: TermLayout, columns
     for row, name in enumerate(found.names[: layout.geometric]):
         if name in data.prior_sigma:
             precision[row] = 1.0 / data.prior_sigma[name] ** 2
+    if data.points is not None:
+        precision[layout.geometric - len(data.points) : layout.geometric] = data.points.prior_sd**-2.0
     sd = prior_sd(columns)
     if sd is not None:
         precision[layout.geometric :] = 1.0 / sd**2
@@ -385,7 +401,7 @@ def _precision(data: ArmData, found: Identification, layout: TermLayout, columns
 def _fitted_model(data: ArmData, found: Identification, terms: ModelTerms, layout: TermLayout) -> ArmModel:
     """The arm with the fitted terms; the covariance is kept without the many coefficients with priors."""
     fitted = []
-    kept = list(range(layout.geometric))
+    kept = list(range(len(found.parameter_set.columns)))
     for number, term in enumerate(terms):
         here = layout.parameters(number)
         if term.smooth is None:

@@ -78,8 +78,24 @@ class _Set:
 
 def posteriors_of(found: SearchResult, scan: LawScan) -> Posteriors:
     """Probabilities after a search; ``scan`` is ``remaining_scan(found)``."""
-    further = further_scores(found, scan)
-    return posteriors(cautious_reviews(found), further, found.threshold, len(found.fit.residual))
+    further, reviews = further_scores(found, scan), cautious_reviews(found)
+    if found.data.points is not None:
+        reviews, further = _at_few_places(reviews, further, found.threshold)
+    return posteriors(reviews, further, found.threshold, len(found.fit.residual))
+
+
+def _at_few_places(
+    reviews: Sequence[Review], further: Mapping[str, float], threshold: float
+) -> tuple[tuple[Review, ...], dict[str, float]]:
+    """Scores of a ball in sockets: an effect was taken for what it predicts elsewhere, and not for its score; a rival
+    that scores more where it was fitted is as probable, and no more."""
+    return (
+        tuple(
+            replace(one, alternatives={slug: min(score, one.score) for slug, score in one.alternatives.items()})
+            for one in reviews
+        ),
+        {slug: min(score, threshold) for slug, score in further.items()},
+    )
 
 
 def posteriors(

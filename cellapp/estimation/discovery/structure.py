@@ -62,9 +62,9 @@ def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
         "order": tests.against_order,
         "time": tests.against_time,
         "approach": tests.against_approach,
-        "position": tests.against_position,
-        "tracker": tests.against_tracker,
     }
+    if data.points is None:  # a ball in sockets has a few places only, and no tracker
+        kinds |= {"position": tests.against_position, "tracker": tests.against_tracker}
     p_values: dict[StructureKind, float] = {}
     for kind, test in kinds.items():
         if found := test():

@@ -120,9 +120,9 @@ def calibrate_arm_with_motion(
     )
 
 
-def samples_of(fit: MotionFit, joints: int) -> Readings:
+def samples_of(fit: MotionFit, joints: int, lag_s: Array | None = None) -> Readings:
     """Some points of all recordings with the joint positions at their times, as readings: of what was learnt from, and
-    of the held-out blocks."""
+    of the held-out blocks. Joint positions are those without their lags ``lag_s`` (N,) [s]."""
     parts = []
     for one in fit.recordings.values():
         share = _SAMPLES // len(fit.recordings) + 1
@@ -138,7 +138,7 @@ def samples_of(fit: MotionFit, joints: int) -> Readings:
     return Readings(
         configuration=np.arange(n),
         time_s=np.concatenate([one.track.time_s[rows] for _, one, rows in parts]),
-        q=np.concatenate([q for q, _ in moved]).reshape(n, joints),
+        q=np.concatenate([q if lag_s is None else q - lag_s * qd for q, qd in moved]).reshape(n, joints),
         approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8).reshape(n, joints),
         p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
         sigma_m=_stated_of(parts),

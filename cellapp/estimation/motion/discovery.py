@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.discovery.accepted import accepted_effect
 from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
@@ -23,7 +23,7 @@ from cellapp.estimation.discovery.records import (
     MotionEffectResult,
     Place,
 )
-from cellapp.estimation.motion.calibrate import stops_of
+from cellapp.estimation.motion.calibrate import samples_of, stops_of
 from cellapp.estimation.motion.effects import MotionDiscovery, MotionEffect, effects_in_motion
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import Readings
@@ -64,6 +64,10 @@ def with_motion(
         started = time.perf_counter()
         motion = _search(profile, name, stops[name], its, cancel)
         held_out = HeldOut.of(readings[name], conditions[name])
+        if not len(stops[name].in_split("validate")):  # samples stand for poses at rest: without what only motion has
+            joints = readings[name].joints
+            samples = samples_of(motion.fit, joints, motion.lags_s(joints))
+            held_out = HeldOut.of(samples, measurement_conditions(samples))
         seconds = time.perf_counter() - started
         arms[name] = _with_effects(name, found.arms[name], calibrated[name], motion, held_out, seconds)
     model = replace(found.model, arms={name: one.model for name, one in arms.items()})

@@ -19,13 +19,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from cellapp.estimation.calibration.parameters import SetName
-from cellapp.estimation.motion.fit import Problem, Solution, solve
+from cellapp.estimation.motion.fit import Problem, Solution, free_clocks, solve
 from cellapp.estimation.motion.identify import held_out_rms_mm, motion_fit, motion_problem
+from cellapp.estimation.motion.lines import line_powers
 from cellapp.estimation.motion.noise import whitening_filter
 from cellapp.estimation.motion.observe import Stops, residuals
 from cellapp.estimation.motion.records import MotionFit
@@ -33,23 +32,13 @@ from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS, EffectTerm
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
+from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array
 
 _CHANCE = 1e-3
 """Corrected p-value below which a law enters."""
-_MOST_CYCLES = 210
-"""Largest cycle count: twice the ratio of a 1:100 strain-wave gear, and a margin."""
 _MOST_LINES = 12
-_COUNTS = np.arange(_MOST_CYCLES + 1)
-_RESPONSE = 1024
-"""Frequencies at which the response of a filter is tabulated."""
-_CHUNK = 4096
-_NEIGHBOURS = 31
-"""Cycle counts whose median power is the level of the noise."""
-_LOG_2 = math.log(2.0)
-"""Median of the power of noise over its mean: powers of cosine and sine together are exponential."""
 _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _COUNT_ROUNDS = 3
@@ -126,6 +115,14 @@ class MotionDiscovery:
     heldout_before_mm: float
     heldout_after_mm: float
     covariance: Array = field(repr=False)
+
+    def lags_s(self, joints: int) -> Array:
+        """Lag of each joint (N,) behind the mean of all [s]; zero where none shows."""
+        found = np.zeros(joints)
+        for effect in self.effects:
+            if effect.slug == Law.LAG.value:
+                found[[joint - 1 for joint in effect.joints]] = effect.values
+        return found
 
     @property
     def terms(self) -> tuple[EffectTerm, ...]:
@@ -219,8 +216,11 @@ class _Search:
             state = _whitened(state)
             steps.append(step)
         state, steps = self._with_exact_counts(state, steps)
+        state, steps = self._without_chance(state, steps)
         final = self._unwhitened(state)
-        fit = motion_fit(final.problem, final.solution)
+        # with lags an offset is known by its sum with their mean only, and is left as it is
+        freed = final.solution if _has(steps, Law.LAG) else free_clocks(final.problem, final.solution)
+        fit = motion_fit(final.problem, freed)
         effects = tuple(_effect(final, law, steps) for law in dict.fromkeys(step.law for step in steps))
         laws_at_rest = [law for law in dict.fromkeys(step.law for step in steps) if law in _AT_REST]
         at_rest = [term for law in laws_at_rest for term in _shown(final, law, steps)]
@@ -253,6 +253,17 @@ class _Search:
             steps = [_recounted(step, better) for step in steps]
             steps = [step for step in steps if step.terms]
             state = self._refitted(state, steps)
+        return state, steps
+
+    def _without_chance(self, state: _State, steps: list[_Step]) -> tuple[_State, list[_Step]]:
+        """Without laws that entered early and that chance explains beside all others."""
+        for step in list(steps):
+            if step.law is Law.LINE:
+                continue
+            p_value = min(1.0, float(chi2.sf(_statistic(state, step.terms), len(step.terms))) * len(Law))
+            if p_value > _CHANCE or not _shown(state, step.law, steps):
+                steps = [one for one in steps if one is not step]
+                state = self._refitted(state, steps)
         return state, steps
 
     def _refitted(self, state: _State, steps: Sequence[_Step]) -> _State:
@@ -432,47 +443,3 @@ def _effect(state: _State, law: Law, steps: Sequence[_Step]) -> MotionEffect:
         only_motion=only,
         at_rest=law in _AT_REST,
     )
-
-
-def line_powers(problem: Problem, solution: Solution) -> tuple[Array, Array]:
-    """Power of each cycle count of each joint in the residuals, (N, counts + 1), in units of the noise there: above
-    ``ln(1 / p)`` by chance with probability p. And the turns (N,) that each joint's range spans.
-
-    A line of c cycles has the frequency ``c qd / 2 pi``, slowly changing: whitening multiplies it by the filter's
-    response there.
-    """
-    joints, model = problem.layout.parameters.joints, problem.model(solution.values)
-    sums, energy = np.zeros((joints, _MOST_CYCLES + 1), dtype=np.complex128), np.zeros((joints, _MOST_CYCLES + 1))
-    low, high = np.full(joints, np.inf), np.full(joints, -np.inf)
-    for number, (track, source) in enumerate(zip(problem.tracks, solution.sources)):
-        whitening = np.ones(1) if problem.whitening is None else problem.whitening[number]
-        left = lfilter(whitening, [1.0], residuals(model, track, number, source.rows), axis=0)
-        response = np.conj(np.fft.fft(whitening, _RESPONSE))
-        scale, step = 1.0 / float(np.mean(left**2)), track.stamps.period_s * _RESPONSE / (2.0 * math.pi)
-        for first in range(0, len(left), _CHUNK):
-            part = slice(first, first + _CHUNK)
-            u = track.controller_times(source.rows[part], *model.clock(number))
-            q, qd = track.path.at(u)
-            _, J = joint_jacobian(model.geometry, JointAngles.of(q))
-            turned, weight = np.einsum("ajn,na->nj", J, left[part]) * scale, np.einsum("ajn,ajn->nj", J, J) * scale
-            low, high = np.minimum(low, q.min(axis=0)), np.maximum(high, q.max(axis=0))
-            for joint in range(joints):
-                place = np.rint(np.outer(_COUNTS, qd[:, joint] * step)).astype(np.intp) % _RESPONSE
-                gain = response[place]
-                sums[joint] += np.einsum("cn,cn,n->c", np.conj(_powers(q[:, joint])), gain, turned[:, joint])
-                energy[joint] += (gain.real**2 + gain.imag**2) @ weight[:, joint]
-    raw = np.abs(sums) ** 2 / np.maximum(energy, 1e-300)
-    floor = median_filter(raw, (1, _NEIGHBOURS), mode="nearest") / _LOG_2
-    return raw / np.maximum(floor, 1e-300), (high - low) / (2.0 * math.pi)
-
-
-def _powers(angle: Array) -> NDArray[np.complex128]:
-    """``exp(i c angle)`` for counts c from 0 to the largest, (counts + 1, n), by doubling."""
-    powers = np.empty((_MOST_CYCLES + 1, len(angle)), dtype=np.complex128)
-    powers[0], powers[1] = 1.0, np.cos(angle) + 1j * np.sin(angle)
-    have = 1
-    while have < _MOST_CYCLES:
-        more = min(have, _MOST_CYCLES - have)
-        np.multiply(powers[1 : more + 1], powers[have], out=powers[have + 1 : have + more + 1])
-        have += more
-    return powers

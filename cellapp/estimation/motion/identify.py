@@ -192,7 +192,7 @@ def _recording_fit(problem: Problem, solution: Solution, model: Model, number: i
         heldout_mm=misses[good] * 1e3,
         heldout_nominal_mm=nominal[good] * 1e3,
         track=track,
-        offsets_s=offsets.copy(),
+        offsets_s=offsets + _mean_lag(problem, solution),
         rate=rate,
     )
 
@@ -203,6 +203,13 @@ def _with_arm(problem: Problem, values: Array, vector: Array) -> Array:
     values[: problem.layout.geometric] = vector[list(problem.layout.parameters.columns)]
     values[problem.layout.geometric : problem.layout.arm] = 0.0
     return values
+
+
+def _mean_lag(problem: Problem, solution: Solution) -> float:
+    """Mean lag of the joints [s], which nothing tells from an offset of the clocks."""
+    of_terms = problem.model(solution.values).of_terms
+    lags = [value for term, value in zip(problem.layout.terms, of_terms.tolist(), strict=True) if term.law is Law.LAG]
+    return float(np.mean(lags)) if lags else 0.0
 
 
 def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:

@@ -86,8 +86,8 @@ def joint_path(joints: JointStream) -> JointPath:
     stamps = read_stamps(joints.time_s, joints.q)
     if len(stamps.rows) < 4:
         raise ValueError("fewer than four joint samples with different stamps")
-    t, q = stamps.time_s, joints.q[stamps.rows]
-    qd = None if joints.qd is None else joints.qd[stamps.rows]
+    t, q = stamps.time_s, stamps.averaged(joints.q)
+    qd = None if joints.qd is None else stamps.averaged(joints.qd)
     recorded = qd is not None and _agree(t, q, qd, stamps)
     slopes = qd if recorded else _slopes(t, q, stamps)
     position = CubicHermiteSpline(t, q, slopes)

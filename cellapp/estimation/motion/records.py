@@ -88,7 +88,7 @@ class RecordingFit:
     track : Track
         For what comes after: the path and the points at the fitted clock.
     offsets_s : array, shape (S,)
-        Of the segments.
+        Of the segments, with the mean lag of the joints.
     rate : float
     """
 

@@ -18,12 +18,16 @@ from cellapp.robot.kinematics.transforms import Array
 
 _BACK_PERIODS, _BACK_S = 3.0, 0.02
 """A stamp earlier by more than both is a step; less is jitter."""
-_AHEAD_PERIODS, _AHEAD_S = 20.0, 0.25
+_AHEAD_PERIODS, _AHEAD_S = 8.0, 0.05
 """A stamp later by more than both may be a step; the values decide."""
 _GAP_PERIODS, _GAP_S = 3.5, 0.03
 """Between samples further apart than both nothing is interpolated."""
-_MOVED_PERIODS = 5.0
+_MOVED_PERIODS = 3.0
 """Motion across a step, in motions of one sample, up to which no sample is missing."""
+_BESIDE_S = 0.03
+"""Time on either side of a step from which the speed there is taken."""
+_OF_SPREAD = 6.0
+"""Standard errors that the motion of one sample must be above, to tell a step from a gap."""
 _SMOOTHING_S = 1.0
 """Length of stamps that are averaged into a regular clock."""
 _MUCH_SMOOTHER = 0.7
@@ -47,7 +51,9 @@ class Stamps:
     Attributes
     ----------
     rows : array of int, shape (m,)
-        Samples that are kept, of those recorded.
+        Samples that are kept, of those recorded: the first of each stamp.
+    fresh : array of int
+        Samples without those that were polled twice: all of each stamp.
     time_s : array, shape (m,)
         Their times [s], strictly increasing; those of the first segment as recorded.
     segment : array of int, shape (m,)
@@ -62,6 +68,7 @@ class Stamps:
     """
 
     rows: NDArray[np.intp] = field(repr=False)
+    fresh: NDArray[np.intp] = field(repr=False)
     time_s: Array = field(repr=False)
     segment: NDArray[np.intp] = field(repr=False)
     period_s: float
@@ -69,6 +76,12 @@ class Stamps:
     gaps: int
     steps: tuple[ClockStep, ...]
     regular: bool
+
+    def averaged(self, values: Array) -> Array:
+        """Recorded ``values`` (n, d), averaged over the samples of each stamp, (m, d)."""
+        starts = np.searchsorted(self.fresh, self.rows)
+        counts = np.diff(np.append(starts, len(self.fresh)))
+        return np.asarray(np.add.reduceat(values[self.fresh], starts, axis=0) / counts[:, None])
 
     @property
     def longest_s(self) -> float:
@@ -102,7 +115,7 @@ def read_stamps(time_s: Array, values: Array) -> Stamps:
     time, _, kept = _distinct(time, values)
     longest = max(_GAP_PERIODS * period, _GAP_S)
     gaps = int(np.count_nonzero(np.diff(time) > longest))
-    return Stamps(rows[kept], time, segment[kept], period, repeated, gaps, steps, bool(smoother))
+    return Stamps(rows[kept], rows, time, segment[kept], period, repeated, gaps, steps, bool(smoother))
 
 
 def _fresh(values: Array) -> NDArray[np.intp]:
@@ -117,17 +130,18 @@ def _fresh(values: Array) -> NDArray[np.intp]:
 
 def _steps(time: Array, values: Array, period: float) -> NDArray[np.bool_]:
     """Whether the clock jumped after each sample but the last, (n - 1,)."""
-    ahead = np.diff(time)
+    ahead, beside = np.diff(time), int(np.clip(_BESIDE_S / period, 4, 40))
     jump = ahead < -max(_BACK_PERIODS * period, _BACK_S)
     for i in np.flatnonzero(ahead > max(_AHEAD_PERIODS * period, _AHEAD_S)).tolist():
-        before, after = values[max(i - 4, 0) : i + 1], values[i + 1 : i + 6]
+        before, after = values[max(i - beside, 0) : i + 1], values[i + 1 : i + 2 + beside]
         if len(before) < 2 or len(after) < 2:
             continue
         each = (before[-1] - before[0]) / (len(before) - 1) / 2.0 + (after[-1] - after[0]) / (len(after) - 1) / 2.0
         missed = values[i + 1] - values[i] - each
         per_sample, left = float(np.linalg.norm(each)), float(np.linalg.norm(missed))
         spread = np.linalg.norm(np.diff(before, axis=0) - (before[-1] - before[0]) / (len(before) - 1), axis=1)
-        jump[i] = per_sample > 3.0 * float(spread.mean()) and left < _MOVED_PERIODS * per_sample
+        moving = per_sample > _OF_SPREAD * float(spread.mean()) / np.sqrt(len(spread))
+        jump[i] = moving and left < _MOVED_PERIODS * per_sample
     return jump
 
 

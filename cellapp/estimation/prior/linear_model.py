@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.weights import whitener
 from cellapp.estimation.discovery.joint_fit import LinearModel
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.sockets import Contacts, in_sockets, measured_positions
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, MeasurementConditions
 from cellapp.robot.effects.modulation import with_modulations
 from cellapp.robot.kinematics.chain import Geometry
@@ -41,13 +42,17 @@ class Measured:
         return Measured(self.readings.take(rows), self.conditions.take(rows), self.sigma[rows])
 
     def chunks(self) -> Iterator[Measured]:
-        """The readings in parts."""
+        """The readings in parts; those in sockets as a whole, as the points tie them together."""
+        if in_sockets(self.readings):
+            yield self
+            return
         for first in range(0, len(self), _CHUNK):
             yield self.take(np.arange(first, min(first + _CHUNK, len(self)), dtype=np.intp))
 
     def left(self, model: ArmModel) -> Array:
         """Measured less predicted positions (n, 3) [m]."""
-        return self.readings.p_M - model.predict(self.readings.q, conditions=self.conditions)
+        computed = model.predict(self.readings.q, conditions=self.conditions)
+        return np.asarray(measured_positions(self.readings, computed) - computed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +99,23 @@ def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...],
         white = whitener(chunk.sigma)
         if white.ndim == 1:
             white = np.eye(3)[:, :, None] * white
-        rows = design(model, chunk, columns)
+        rows = _seen(chunk.readings, design(model, chunk, columns))
         target = np.einsum("acn,nc->an", white, chunk.left(model)).ravel() + deviation @ rows
         gram += rows @ rows.T
         moment += rows @ target
         square += float(target @ target)
         log_variance -= 2.0 * float(np.sum(np.log(np.einsum("aan->an", white))))
     return NormalMatrix(gram, moment, square, 3 * len(measured), log_variance)
+
+
+def _seen(readings: Readings, rows: Array) -> Array:
+    """Whitened derivatives (p, 3 n) without what unknown points follow: in sockets less the mean of each point, whose
+    readings weigh alike."""
+    if not in_sockets(readings):
+        return rows
+    contacts = Contacts.of(readings)
+    by_reading = rows.reshape(-1, len(readings)).T
+    return np.asarray((by_reading - contacts.centres(by_reading)[contacts.index]).T.reshape(rows.shape))
 
 
 def values_of(geometry: Geometry, terms: Sequence[EffectTerm], columns: tuple[int, ...], reference: Geometry) -> Array:

@@ -15,6 +15,7 @@ from cellapp.estimation.calibration.linear import inverse_psd, solve_psd
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
 from cellapp.estimation.prior.linear_model import Measured, NormalMatrix, normal_matrix, values_of, with_values
 from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.sockets import Contacts, in_sockets
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
@@ -81,11 +82,16 @@ def posterior(
         left_M = measured.left(model)
         before = scatter
         if scatter_m is None:
-            freedom = 3 * len(readings) - float(np.sum(covariance * normal.gram))
+            freedom = 3 * (len(readings) - _unknown_points(readings)) - float(np.sum(covariance * normal.gram))
             scatter = scatter_of(left_M, stated, freedom)
         if moved < _SETTLED and abs(scatter - before) <= _SCATTER_SETTLED * before:
             break
     return Posterior(prior, values, covariance, model, measured, normal, before, left_M)
+
+
+def _unknown_points(readings: Readings) -> int:
+    """Points of a ball in sockets, which are fitted with the rest."""
+    return len(Contacts.of(readings).names) if in_sockets(readings) else 0
 
 
 def solution(normal: NormalMatrix, prior: Prior) -> tuple[Array, Array]:

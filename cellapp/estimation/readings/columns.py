@@ -267,6 +267,9 @@ _DEGREES_C = _within(-273.15, 1e3, "degC")
 CONFIGURATION = Column("configuration", "", ("configuration",), dtype=np.int64, required=True)
 """The number of the stop, with the arm the key of a reading."""
 
+MEASURED_POINT = "p_M"
+"""The quantity that a reading of a ball in a socket has not: it names the point instead."""
+
 COLUMNS: tuple[Column, ...] = (
     CONFIGURATION,
     Column("time_s", "s", ("time_s",), fill=math.nan, check=_within(-_LONGEST_S, _LONGEST_S, "s")),
@@ -297,6 +300,7 @@ COLUMNS: tuple[Column, ...] = (
         sql="covariance_m2",
         check=_positive_definite,
     ),
+    Column("point", "", ("point",), dtype=str, since=7),
     Column("split", "", ("split",), dtype=str, allowed=SPLITS, expected="identify, train, validate or nothing"),
 )
 """In the order of an exported CSV file."""

@@ -40,6 +40,8 @@ class Reading:
         Time from standstill to the measurement [s].
     covariance_M : array, shape (3, 3), or None
         Covariance of ``p_M`` [m^2]; the run file stores its upper triangle.
+    point : str or None
+        Name of the fixed but unknown point that the ball's centre rests in; ``p_M`` is then NaN.
     split : str or None
         identify, train or validate; None if not assigned.
     extras : dict
@@ -58,6 +60,7 @@ class Reading:
     dwell_s: float | None = None
     covariance_M: _Floats | None = None
     sigma_m: float | None = None
+    point: str | None = None
     split: str | None = None
     extras: dict[str, str] = field(default_factory=dict)
 
@@ -81,6 +84,16 @@ class Reading:
             else:
                 values[column.name] = np.asarray(value, dtype=column.dtype)[np.newaxis]
         return readings_from_columns(values, {name: (text,) for name, text in self.extras.items()})
+
+
+@dataclass(frozen=True)
+class Distance:
+    """A known distance between two points [m], with its standard uncertainty [m]."""
+
+    point_a: str
+    point_b: str
+    distance_m: float
+    sigma_m: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -115,6 +128,10 @@ class Readings:
         Covariance of ``p_M`` [m^2].
     sigma_m : array, shape (n,), or None
         Isotropic standard uncertainty of ``p_M`` [m].
+    point : tuple of n str, or None
+        Names of fixed but unknown points that the ball's centre rests in, instead of ``p_M``, which is NaN in all rows.
+    distances : tuple of Distance
+        Known distances between such points.
     split : tuple of n (str or None), or None
         identify, train or validate.
     extras : dict
@@ -134,6 +151,8 @@ class Readings:
     dwell_s: _Floats | None = None
     covariance_M: _Floats | None = None
     sigma_m: _Floats | None = None
+    point: tuple[str | None, ...] | None = None
+    distances: tuple[Distance, ...] = ()
     split: tuple[str | None, ...] | None = None
     extras: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -170,11 +189,11 @@ class Readings:
             for entry in fields(self)
             if isinstance(getattr(self, entry.name), np.ndarray)
         }
-        split = self.split
         return replace(
             self,
             **arrays,
-            split=None if split is None else tuple(split[index] for index in chosen),
+            point=None if self.point is None else tuple(self.point[index] for index in chosen),
+            split=None if self.split is None else tuple(self.split[index] for index in chosen),
             extras={name: tuple(texts[index] for index in chosen) for name, texts in self.extras.items()},
         )
 

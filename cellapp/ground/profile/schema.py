@@ -153,6 +153,11 @@ class Arm(Section, defer_build=True):
     """Configuration before and after a job [rad]; planning needs it."""
     speed_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 0.5
 
+    @property
+    def joint_limits(self) -> tuple[tuple[float, float], ...]:
+        """Joint ranges [rad]: those of this cell, or of the type."""
+        return self.limits or tuple(joint.limit for joint in self.type.joints)
+
     @model_validator(mode="after")
     def _limits_fit_the_type(self) -> Self:
         if self.limits is not None:

@@ -25,6 +25,7 @@ from textual.screen import Screen
 from textual.widgets import Static
 
 from cellapp.cell.driving.requests.attaching import Detached
+from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import night
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.attached import LOOK_EVERY_S, JobsOfOthers
@@ -189,7 +190,7 @@ class CellApp(JobKeys):
         """Quit; with a job in progress or something that is not saved, ask first; stop the job and wait for its end."""
         unsaved = [words for screen in self._screens.values() if (words := screen.unsaved)]
         if self.jobs.running or unsaved:
-            if not self._leaving and isinstance(self.screen, DayScreen | Handbook | Reading):
+            if not self._leaving:
                 offer_to_quit(self, self._leave, unsaved)
         else:
             self.exit(return_code=self.code)
@@ -304,7 +305,8 @@ class CellApp(JobKeys):
     def offer_to_resume(self, event: ResumeOffered) -> None:
         """Ask whether to go on with an interrupted run, unless something else was begun meanwhile."""
         run = event.run
-        self.waits = f"{run.run} {'is in use' if run.in_use else f'waits with {run.stops_left} stops left'}"
+        left = counted(run.stops_left, "stop")
+        self.waits = f"{run.run} {'is in use' if run.in_use else f'waits with {left} left'}"
         self.draw_all()
         if not self.jobs.running and self.workspace.folder is None and isinstance(self.screen, DayScreen):
             offer_to_resume(self, event.run)

@@ -20,7 +20,14 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 
 Stored = Literal["no cell", "broken", "no run", "no plan", "planned", "part", "complete", "calibrated"]
 """What the run file holds: the farthest that is true."""
-_DRIVES: Mapping[str, Step] = {verb: step for verb, (step, _) in WAYS.items()} | {"verify": "targets", "run": "collect"}
+_DRIVES: Mapping[str, Step] = {
+    **{verb: step for verb, (step, _) in WAYS.items()},
+    "verify": "targets",
+    "run": "plan",
+    "compare": "plan",
+    "forecast": "plan",
+}
+"""What a job, or a part of a day, is called -> its step; planning ends with comparing designs."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +258,7 @@ def _job_now(record: JobRecord, running: Job | None) -> JobNow | None:
         record.name,
         record.state,
         None if running is None else running.folder,
-        _DRIVES.get(part, "plan" if part in ("forecast", "check plan") else None),
+        _DRIVES.get(part),
         record.attached,
         record.is_replay,
         None if collected is None or record.is_replay else collected.done,

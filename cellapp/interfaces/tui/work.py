@@ -90,7 +90,7 @@ def check_plan(folder: Path) -> Job:
 
         return check_plan_run(run, listener, control)
 
-    return _of_run("check", folder, work)
+    return _of_run("plan check", folder, work)
 
 
 def forecast_plan(folder: Path) -> Job:

@@ -140,8 +140,7 @@ def shift_column(
     index: int | None = None,
     wave: Wave | None = None,
     refines: bool = False,
-    prior_sd: float = math.inf,
 ) -> EffectColumn:
     """A column that shifts the SMR (n, 3) [m per unit, tracker frame]; the default block is what it acts on."""
     block = block or place_name(channel, index)
-    return EffectColumn(name, unit, block, lower, upper, channel, index, wave, refines, prior_sd, shift_M=shift_M)
+    return EffectColumn(name, unit, block, lower, upper, channel, index, wave, refines, shift_M=shift_M)

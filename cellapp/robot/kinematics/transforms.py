@@ -50,6 +50,12 @@ def zyx_angles(rotation: Array) -> tuple[float, float, float]:
     return z, y, math.atan2(-minus_sin_x, cos_x)
 
 
+def rpy_of(rotation: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw [rad] of a rotation (3, 3), as URDF and targets write them."""
+    yaw, pitch, roll = zyx_angles(rotation)
+    return roll, pitch, yaw
+
+
 def xyz_of(vector: Array) -> tuple[float, float, float]:
     """x, y, z of a vector (3,), as plain numbers."""
     x, y, z = vector.tolist()

@@ -121,15 +121,11 @@ class ArmModel:
         return displacement(self.effects, EFFECTS, replace(context, q_actual=q + moved.joints))
 
     def true_joints(
-        self,
-        q: Array,
-        approach: Signs | None = None,
-        payload_kg: Array | None = None,
-        conditions: MeasurementConditions | None = None,
+        self, q: Array, approach: Signs | None = None, conditions: MeasurementConditions | None = None
     ) -> Array:
         """True joint positions (n, N) [rad] where the controller reads ``q`` (n, N) [rad]; see ``context``."""
         q = configurations(q, self.geometry.joints)
-        return q if not self.effects else q + self.effect_displacement(q, approach, payload_kg, conditions).joints
+        return q if not self.effects else q + self.effect_displacement(q, approach, conditions=conditions).joints
 
     def predict(
         self,

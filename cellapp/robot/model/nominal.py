@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cellapp.ground.profile import Arm, Pose, Priors, Profile
+from cellapp.ground.profile.obstacles import Placement
 from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parameter_names, parameter_unit
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array, rotation_zyx, transform
@@ -27,7 +28,14 @@ def bodies_of(arm: Arm) -> Bodies:
     )
 
 
-def pose_matrix(pose: Pose) -> Array:
+def joint_rates(arm: Arm, share: float = 1.0) -> tuple[Array, Array]:
+    """Speeds (N,) [rad/s], at a share of the profile's speed, and accelerations (N,) [rad/s^2] of an arm's joints."""
+    joints = arm.type.joints
+    speeds = np.array([joint.speed for joint in joints]) * arm.speed_scale * share
+    return speeds, np.array([joint.acceleration for joint in joints]) * arm.speed_scale
+
+
+def pose_matrix(pose: Pose | Placement) -> Array:
     """``T_C_X`` (4, 4) of an object X at ``pose`` in the cell frame C."""
     roll, pitch, yaw = pose.rpy
     return transform(rotation_zyx(yaw, pitch, roll), pose.position)

@@ -25,7 +25,6 @@ from drivers.emulators.ur_controller.motion import FreeMotions, Motions, PacedCe
 from drivers.emulators.ur_controller.personality import ControllerConfig, PortName
 from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
 from drivers.emulators.ur_controller.script import Upload
-from drivers.plant import Plant, PlantConfig
 from drivers.priority import in_real_time, run_first
 
 _LONGEST_LINE = 4096
@@ -354,11 +353,7 @@ class EmulatorProcess:
         self._process.close()
 
 
-def start_in_process(
-    arms: Sequence[ControllerConfig],
-    plant: PlantConfig | None = None,
-    pace: float = 1.0,
-) -> EmulatorProcess:
+def start_in_process(arms: Sequence[ControllerConfig], pace: float = 1.0) -> EmulatorProcess:
     """Start controllers in a separate process and return when all ports are open.
 
     Raises ``OSError`` if a port is in use, ``ValueError`` like ``UrControllerServer`` and ``Plant``, ``TimeoutError``
@@ -367,7 +362,7 @@ def start_in_process(
     context = multiprocessing.get_context("spawn")
     parent_end, child_end = context.Pipe()
     process = context.Process(
-        target=_serve_in_process, args=(child_end, tuple(arms), plant, pace), name="UR controllers", daemon=True
+        target=_serve_in_process, args=(child_end, tuple(arms), pace), name="UR controllers", daemon=True
     )
     process.start()
     child_end.close()
@@ -387,13 +382,11 @@ def start_in_process(
     return EmulatorProcess(process, parent_end, answer)
 
 
-def _serve_in_process(
-    pipe: Connection, arms: Sequence[ControllerConfig], plant: PlantConfig | None, pace: float
-) -> None:
+def _serve_in_process(pipe: Connection, arms: Sequence[ControllerConfig], pace: float) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it ends when the parent closes the pipe
     run_first(_NICENESS)
     try:
-        server = UrControllerServer(arms, None if plant is None else Plant(plant), pace)
+        server = UrControllerServer(arms, None, pace)
         addresses = server.open()
     except (OSError, ValueError) as error:
         pipe.send(error)

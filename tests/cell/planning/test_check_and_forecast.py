@@ -78,7 +78,7 @@ def test_every_refused_stop_and_way_is_named(planned: Path, tmp_path: Path) -> N
 
 
 def test_a_way_that_goes_home_first_is_safe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from cellapp.cell.planning import check
+    from cellapp.cell.planning import planned_stops
     from cellapp.cell.safety.cell_bodies import home_positions
 
     straight = new_planned_run(small_twin(4, plan={"method": "random"}), tmp_path / "run")
@@ -92,7 +92,7 @@ def test_a_way_that_goes_home_first_is_safe(tmp_path: Path, monkeypatch: pytest.
             )
             return "a column stands there" if away and into_second else ""
 
-        monkeypatch.setattr(check, "refuse_motion", refuse)
+        monkeypatch.setattr(planned_stops, "refuse_motion", refuse)
         result = check_plan_run(run)
     (one,) = result.refused
     assert (one.configuration, one.what, one.via_home) == (1, "way", True)

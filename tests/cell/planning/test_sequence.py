@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from cellapp.cell.planning.factor_correlations import correlations, travel_time
-from cellapp.cell.planning.plan import all_smrs_visible, draw_stops
+from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.sequence import Sequenced, distinct_stops, nearest_turns, sequenced
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import visible_stops
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken
@@ -44,7 +45,9 @@ def test_the_gate_accepts_every_motion_of_a_plan() -> None:
     cell, homes = cell_bodies(profile), home_positions(profile)
     assert len(stops) == 100
     assert refusals(cell, stops, homes, homes) == []
-    assert all(all_smrs_visible(cell, stops.targets(stop)) for stop in range(100))
+    assert all(
+        visible_stops(cell, {name: q[None] for name, q in stops.targets(stop).items()})[0] for stop in range(100)
+    )
 
 
 @pytest.mark.parametrize(

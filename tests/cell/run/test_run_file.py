@@ -505,6 +505,7 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
         connection.execute("ALTER TABLE reading DROP COLUMN step")
         connection.execute("ALTER TABLE reading DROP COLUMN dwell_s")
         connection.execute("ALTER TABLE reading DROP COLUMN sequence")
+        connection.execute("ALTER TABLE reading DROP COLUMN point")
         for table in ("stage", "session", "request", "outcome", "reference", "recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
         connection.execute("UPDATE meta SET value = '1' WHERE key = 'version'")
@@ -534,6 +535,7 @@ def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_
         for table in ("session", "request", "outcome", "reference", "recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
         connection.execute("ALTER TABLE reading DROP COLUMN sequence")
+        connection.execute("ALTER TABLE reading DROP COLUMN point")
         connection.execute("PRAGMA user_version=3")
         connection.commit()
     with RunFile.open(folder) as run:
@@ -557,6 +559,7 @@ def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Prof
         connection.execute("ALTER TABLE reading DROP COLUMN sequence")
         for table in ("recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
+        connection.execute("ALTER TABLE reading DROP COLUMN point")
         connection.execute("PRAGMA user_version=4")
         connection.commit()
     with RunFile.open(folder) as run:

@@ -135,6 +135,18 @@ def test_steps_and_resets_of_either_clock_are_found_and_named(case):
     assert fit.heldout_rms_mm < 0.1
 
 
+def test_small_steps_are_told_from_gaps(case):
+    recording = case[2]
+    time = recording.joints.time_s.copy()
+    time[7000:] += 0.12
+    kept = np.concatenate([np.arange(4000), np.arange(4015, len(time))])
+    joints = JointStream(time_s=time[kept], q=recording.joints.q[kept])
+    clock = fit_of(replace(recording, joints=joints)).clocks["sweep"]
+    (step,) = clock.steps_of_joints
+    assert step.step_s == pytest.approx(0.12, abs=1e-3)
+    assert all(abs(segment.offset_s - 0.0178) < 5e-4 for segment in clock.segments)
+
+
 def test_gross_points_do_not_count(case):
     recording = case[2]
     rng = np.random.default_rng(12)

@@ -99,7 +99,7 @@ def test_an_older_file_without_the_column_gets_it_with_the_first_change(tmp_path
     with RunFile.create(tmp_path / "run", two_arms()) as run:
         run.log("info", "made")
     with contextlib.closing(sqlite3.connect(tmp_path / "run" / "run.sqlite")) as connection:
-        for name in ("torque_nm", "step", "dwell_s", "sequence"):
+        for name in ("torque_nm", "step", "dwell_s", "sequence", "point"):
             connection.execute(f"ALTER TABLE reading DROP COLUMN {name}")
         for table in ("stage", "session", "request", "outcome", "reference", "recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
@@ -113,7 +113,7 @@ def test_an_older_file_without_the_column_gets_it_with_the_first_change(tmp_path
 
 def test_every_column_is_an_attribute_and_no_attribute_is_forgotten() -> None:
     names = {column.name for column in COLUMNS}
-    assert names == set(Readings.__dataclass_fields__) - {"extras"}
+    assert names == set(Readings.__dataclass_fields__) - {"extras", "distances"}
     assert names - {"configuration"} == set(Reading.__dataclass_fields__) - {"extras"}
     csv_names = [name for column in COLUMNS for name in column.csv_names(7)]
     assert len(csv_names) == len(set(csv_names))

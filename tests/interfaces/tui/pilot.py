@@ -75,6 +75,7 @@ class HeldJob:
     events: tuple[Progress, ...] = (Progress("plan", 30, 30, "done"), Progress("collect", 7, 30, "stop 8"))
     error: BaseException | None = None
     result: Result | None = None
+    patience_s: float = WAIT_S
     reached: threading.Event = field(default_factory=threading.Event)
     go_on: threading.Event = field(default_factory=threading.Event)
     thread: threading.Thread | None = None
@@ -91,7 +92,7 @@ class HeldJob:
         for event in self.events:
             listener(event)
         self.reached.set()
-        assert self.go_on.wait(WAIT_S)
+        assert self.go_on.wait(self.patience_s)
         control.check()
         if self.error is not None:
             raise self.error

@@ -139,8 +139,8 @@ async def test_the_verdict_what_comes_next_and_the_report(finished_copy: Path, m
         assert decision(app).startswith("Cannot say")
         await until(pilot, lambda: "Errors against their tolerances [mm]" in shown_text(app), "the judgements")
         assert not app.day_screen.query_one("#outdated").display
-        await pilot.press(*["pagedown"] * 5)
-        await until(pilot, lambda: "keys 7, k" in shown_text(app), "what comes next")
+        await pilot.press(*["pagedown"] * 9)
+        await until(pilot, lambda: "keys 7, k" in " ".join(shown_text(app).split()), "what comes next")
         for name, says in (("check", "k measures"), ("iso9283", "m measures"), ("certificate", "e writes")):
             await pilot.press("t")
             await until(pilot, lambda name=name: tab(app) == f"{name}-pane", "the tab")  # type: ignore[misc]
@@ -272,6 +272,9 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
             "cycles": ("a whole number", ("2.5", "nan", "")),
             "speed": ("above 0 % and up to 100 %", ("101", "0", "nan")),
             "drift-minutes": ("above 0 and up to 960, got 0", ("0",)),
+            "also-speeds": ("expected shares", ("0", "50, 101")),
+            "also-loads": ("expected loads", ("-1",)),
+            "forces": ("at least one force", ("", ",")),
         }
         for name, (says, texts) in wrong.items():
             right = app.screen.query_one(f"#{name}", Input).value
@@ -280,13 +283,20 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
                 await pilot.press("b")
                 assert says in shown_text(app)
             fill(app, **{name: right})
-        fill(app, cycles="4", speed="50")
+        fill(app, cycles="4", speed="50", forces="20, 40", **{"also-speeds": "50, 10"})
         app.screen.query_one("#arms-left", Checkbox).value = True
         await pilot.press("b")
         await until(pilot, lambda: "cycle 3 of 4" in shown_text(app), "the progress")
         assert tab(app) == "iso9283-pane"
         assert driving.asked["request"] == Iso9283Request(
-            folder=finished_copy, tests=("distance",), cycles=4, speed=50.0, arms=("left",), commands=("calibrated",)
+            folder=finished_copy,
+            tests=("distance",),
+            cycles=4,
+            speed=50.0,
+            also_speeds=(50.0, 10.0),
+            forces=(20.0, 40.0),
+            arms=("left",),
+            commands=("calibrated",),
         )
         driving.go_on.set()
         await ended(pilot, app)

@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 
 import pytest
@@ -79,25 +80,23 @@ def shows(app: CellApp, words: str) -> bool:
 async def test_every_screen_shows_the_job_with_its_newest_line(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     monkeypatch.setattr(CellApp, "tell", lambda app, sequence: told.append(sequence))
-    for name in ("plan", "calibrate", "discover", "verify", "iso9283"):
-        held = HeldJob((Progress(name, 3, 40, "what it does", 240.0),))
-        app = CellApp(PROFILES)
-        async with app.run_test(size=SMALL) as pilot:
-            await opened(pilot, app)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        for entry, name in zip(SCREENS, cycle(("plan", "calibrate", "discover", "verify", "iso9283")), strict=False):
+            held = HeldJob((Progress(name, 3, 40, "what it does", 240.0),))
+            await pilot.press(entry.key)
             app.start_job(held.job(name))
-            await until(pilot, held.reached.is_set, "the job")
             app.say("the newest line")
-            for entry in SCREENS:
-                await pilot.press(entry.key)
-                await until(pilot, partial(shows, app, "what it does"), f"the job on {entry.step}")
-                text = shown_text(app)
-                assert "3/40" in text
-                assert re.search(r"\d (min|s) left, at \d", text)
-                assert "the newest line" in text
+            await until(pilot, partial(shows, app, "what it does"), f"the job on {entry.step}")
+            text = shown_text(app)
+            assert "3/40" in text
+            assert re.search(r"\d (min|s) left, at \d", text)
+            assert "the newest line" in text
+            told.clear()
             held.go_on.set()
             await ended(pilot, app)
             assert any("done" in one and "\x1b]9;" in one for one in told), "its end is told"
-        told.clear()
 
 
 async def test_a_stop_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:

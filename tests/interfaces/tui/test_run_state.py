@@ -27,7 +27,7 @@ from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.collect import CollectScreen
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.cell.run.small_runs import collected_run, planned_run
-from tests.interfaces.tui.pilot import PROFILES, HeldJob, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, WAIT_S, HeldJob, ended, opened, shown_text, until
 
 RUN = Path("logs/day")
 SIZE = (120, 40)
@@ -125,7 +125,7 @@ async def test_no_sentence_contradicts_the_state(
         monkeypatch.setattr("cellapp.interfaces.tui.workspace.os.access", lambda path, mode: False)
     case.make()
     app = CellApp(PROFILES)
-    held = HeldJob((Progress("collect", 3, 4, "stop 4", 60.0),), result=None)
+    held = HeldJob((Progress("collect", 3, 4, "stop 4", 60.0),), patience_s=10 * WAIT_S)
     if case.job not in (None, "running"):
         held.events += (Progress("collect", 3, 4, detail=StateChange(case.job, "link lost")),)
     async with app.run_test(size=SIZE) as pilot:

@@ -12,7 +12,7 @@ from cellapp.cell.driving.iso9283.reach import CubeSearch, FoundCube, Region
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.estimation.iso9283.cube import CYCLE, DIRECTIONAL_POSES, DIRECTIONS, PLANES, plane_name, pose_positions
 from cellapp.estimation.iso9283.records import IsoCube, IsoPose
-from cellapp.robot.kinematics.transforms import Array, rotation_zyx, xyz_of, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, rotation_zyx, rpy_of, xyz_of
 
 LEAST_EDGE_M = 0.05
 """A smaller cube tells nothing of an arm's working space."""
@@ -55,8 +55,7 @@ class ChosenCube:
         poses = [name for name in self.q if " " not in name]
         rpy = None
         if np.isfinite(self.rotation_B).all():
-            yaw, pitch, roll = zyx_angles(self.rotation_B)
-            rpy = (roll, pitch, yaw)
+            rpy = rpy_of(self.rotation_B)
         return IsoCube(
             edge_mm=self.edge * 1e3,
             centre_B=xyz_of(self.centre_B),

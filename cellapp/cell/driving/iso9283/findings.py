@@ -33,6 +33,7 @@ from cellapp.estimation.iso9283.records import (
     PathCharacteristics,
     PersonStep,
     SpeedSeries,
+    WeavingCharacteristics,
 )
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
@@ -163,14 +164,7 @@ def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.
         ),
         series=tuple(one for one in series if one.pose or one.path),
         loads=tuple(one for one in loads if one.pose),
-        weaving=next(
-            (
-                one
-                for runs in found.weaving
-                if (runs.arm, runs.commands) == (name, kind) and (one := weaving_characteristics(runs)) is not None
-            ),
-            None,
-        ),
+        weaving=_weaving(found, name, kind),
         compliance=compliance_characteristics(arm, measured, base_M),
     )
 
@@ -180,6 +174,11 @@ def _paths(
 ) -> tuple[PathCharacteristics, ...]:
     own = [runs for runs in found.paths if (runs.arm, runs.commands, runs.series) == (name, kind, series)]
     return tuple(one for runs in own if (one := path_characteristics(runs, rng)) is not None)
+
+
+def _weaving(found: IsoFindings, name: str, kind: IsoCommands) -> WeavingCharacteristics | None:
+    own = [runs for runs in found.weaving if (runs.arm, runs.commands) == (name, kind)]
+    return weaving_characteristics(own[0]) if own else None
 
 
 def _base_rotation(found: IsoFindings, name: str, kind: IsoCommands) -> Array:

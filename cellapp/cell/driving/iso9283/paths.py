@@ -17,7 +17,7 @@ from cellapp.estimation.iso9283.cube import (
     rectangle_positions,
 )
 from cellapp.estimation.iso9283.norm import REORIENTED_LINE
-from cellapp.robot.kinematics.transforms import Array, rotation_zyx, xyz_of, zyx_angles
+from cellapp.robot.kinematics.transforms import Array, rotation_zyx, rpy_of, xyz_of
 from cellapp.robot.paths.cartesian import CartesianPath
 
 PATH_SPEED = 0.25
@@ -52,8 +52,7 @@ def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec
     """The test paths of an arm in its base, or why it cannot drive them."""
     if not np.isfinite(cube.rotation_B).all():
         return "paths need an arm that can hold its rotation, with six joints or more"
-    yaw, pitch, roll = zyx_angles(cube.rotation_B)
-    rpy = (roll, pitch, yaw)
+    rpy = rpy_of(cube.rotation_B)
     at = {pose: p_B for pose, p_B in cube.position_B.items() if " " not in pose}
     sides = rectangle_positions(at)
     blend = _BLEND_SHARE * _shorter_side(sides)
@@ -73,7 +72,6 @@ def path_specs(name: str, cube: ChosenCube, speed_share: float) -> list[PathSpec
 
 def weaving_spec(name: str, cube: ChosenCube, speed_share: float) -> PathSpec:
     """A line with weaving about P1 in the plane of the poses, from P2 towards P4."""
-    yaw, pitch, roll = zyx_angles(cube.rotation_B)
     along, across = weaving_axes(cube)
     half = 0.5 * _WAVE_SHARE * cube.edge
     legs = np.arange(2 * _WAVES + 1)
@@ -88,7 +86,7 @@ def weaving_spec(name: str, cube: ChosenCube, speed_share: float) -> PathSpec:
         arm=name,
         tolerance=_TOLERANCE_M,
         speed=_WEAVING_SPEED * speed_share,
-        poses=_straight(points, (roll, pitch, yaw), blend),
+        poses=_straight(points, rpy_of(cube.rotation_B), blend),
     )
 
 
@@ -149,8 +147,7 @@ def _reoriented(start: Array, end: Array, rotation_B: Array) -> tuple[PathPose, 
     turned = rotation_B @ rotation_zyx(_REORIENTED_RAD, 0.0, 0.0)
     poses = []
     for position, rotation in ((start, rotation_B), (end, turned)):
-        yaw, pitch, roll = zyx_angles(rotation)
-        poses.append(PathPose(position=xyz_of(position), rpy=(roll, pitch, yaw)))
+        poses.append(PathPose(position=xyz_of(position), rpy=rpy_of(rotation)))
     return tuple(poses)
 
 

@@ -50,6 +50,7 @@ from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Notice, Progress, ignore
 from cellapp.robot.model import CellModel
+from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import NotReady, Point, TrackerError
 
 DWELL_S = 1.0
@@ -174,7 +175,7 @@ class _Session:
                 self.listener(Progress("find base", done, len(q), f"arm {name}"))
                 self._hold()
                 try:
-                    state = self.driver.to([name], lambda name, start, target=target: target, {})[name]
+                    state = self._drive({name: target})[name]
                     points.append(self._at_rest(name, state.q).p_M)
                     reached.append(state.q)
                 except (MotionRefused, TrackerError) as error:
@@ -244,8 +245,9 @@ class _Session:
         self.findings.also_speeds, self.findings.also_loads = self.task.also_speeds, self.task.also_loads
         visits = self._visits()
         series = {share: self._poses_at(share) for share in self.task.also_speeds}
-        loads = [(load, name, self._poses_with(load, name)) for load in self.task.also_loads for name in self._tested()]
-        self.total = max(len(visits) + sum(map(len, series.values())) + sum(len(own) for *_, own in loads), 1)
+        loads = [(load, name) for load in self.task.also_loads for name in self.findings.cubes]
+        by_hand = [(load, name, self._poses_with(load, name)) for load, name in loads]
+        self.total = max(len(visits) + sum(map(len, series.values())) + sum(len(own) for *_, own in by_hand), 1)
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
@@ -260,7 +262,7 @@ class _Session:
             if "path" in tests:
                 self._paths(share, share)
         self.mover.speed = self.task.speed
-        self._by_hand(loads)
+        self._by_hand(by_hand)
 
     def _by_hand(self, loads: Sequence[tuple[float, str, Sequence[Visit]]]) -> None:
         """The tests for which a person does something at an arm: other loads, forces on the flange."""
@@ -272,20 +274,15 @@ class _Session:
                 self._visit_all(visits)
         if loads:
             self.mover.go_home()
-            for name in self._tested():
+            for name in self.findings.cubes:
                 hands.hang(name, self.task.profile.arms[name].payload.mass)
-        for name in self._tested() if "compliance" in self.task.tests else ():
+        for name in self.findings.cubes if "compliance" in self.task.tests else ():
             self.mover.go_home()
-            programme = self._last_programme(name)
-            if programme is None:
+            if (programme := self._last_programme(name)) is None:
                 continue
             self._visit(Visit({name: programme.q[POSE, "P2"]}, None, 0))
             hands.under_forces(programme, self.task.forces, self._measure_here)
             self.mover.go_home([name])
-
-    def _tested(self) -> list[str]:
-        """The arms with a cube."""
-        return list(self.findings.cubes)
 
     def _last_programme(self, name: str) -> ArmProgramme | None:
         """The commands of an arm by the calibrated model where there are some."""
@@ -418,7 +415,7 @@ class _Session:
         self._hold()
         names = list(visit.targets)
         try:
-            states = self.driver.to(names, lambda name, start: visit.targets[name], {})
+            states = self._drive(visit.targets)
             if visit.place is None:
                 return
             points = {name: self._at_rest(name, states[name].q) for name in names}
@@ -455,6 +452,9 @@ class _Session:
             self._miss(Visit({}, place, cycle), str(error))
             return
         self._keep(Visit({}, place, cycle), points, group)
+
+    def _drive(self, targets: Mapping[str, Vector]) -> Mapping[str, ArmState]:
+        return self.driver.to(list(targets), lambda name, start: targets[name], {})
 
     def _at_rest(self, name: str, q: Vector) -> Point:
         self.mover.rest(name, DWELL_S, self.control)

@@ -161,7 +161,7 @@ class ArmHypotheses:
         approaches = approaches.needed_for(frozenset[DriverVariable]().union(*(one.variables for one in hypotheses)))
         columns = sum(one.columns_a_candidate for one in hypotheses)
         most = min(int(_MEMORY_BYTES / max(columns * _BYTES_A_COLUMN, 1)), effort.candidates) // len(approaches)
-        limits = np.array(arm.limits or tuple(joint.limit for joint in arm.type.joints))
+        limits = np.array(arm.joint_limits)
         return cls(run, hypotheses, approaches, limits, max(_LEAST_POSES, most))
 
     @property

@@ -8,18 +8,17 @@ Stops that fit nowhere in that order are replaced.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.plan import all_smrs_visible
+from cellapp.cell.planning.planned_stops import can_go
 from cellapp.cell.planning.proposal.arm_candidates import ArmCandidates
 from cellapp.cell.planning.proposal.candidate_poses import CandidatePoses, alone
 from cellapp.cell.planning.stop_conditions import StopConditions
-from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.cell.safety.gate import refuse_motion, visible_stops
 from cellapp.ground.progress import CancelToken, Listener, Progress
 from cellapp.robot.kinematics.transforms import Array
 
@@ -168,7 +167,7 @@ class StopSelection:
         if gate is None:
             return False
         target = self.target(stop)
-        if not self.paired and not all_smrs_visible(gate, target):
+        if not self.paired and not visible_stops(gate, {name: q[None] for name, q in target.items()})[0]:
             return True
         return bool(refuse_motion(gate, self._start(stop), target))
 
@@ -206,24 +205,8 @@ class StopSelection:
             assert gate is not None
             here = self.poses.homes if before is None else self.target(before)
             there = self.poses.homes if after is None else self._start(after)
-            self.reachable[before, after] = _can_move(gate, here, there)
+            self.reachable[before, after] = can_go(gate, here, there)
         return self.reachable[before, after]
-
-
-def _can_move(gate: CellBodies, here: Mapping[str, Array], there: Mapping[str, Array]) -> bool:
-    """Whether the arms may move all at once, or one after the other in some order, as the collection does."""
-    if not refuse_motion(gate, here, there):
-        return True
-    for order in permutations(there):
-        now = dict(here)
-        for name in order:
-            then = {**now, name: there[name]}
-            if refuse_motion(gate, now, then):
-                break
-            now = then
-        else:
-            return True
-    return False
 
 
 def _least_loss(gains: Sequence[Array], stop: ChosenStop) -> int:

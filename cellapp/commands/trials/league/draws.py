@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -80,9 +79,7 @@ def run_draw(entrant: Entrant, task: DrawTask) -> LeagueDraw:
     """Learn from the drawn rows, and judge on the held-out ones. Raises ``InputError`` if there are too few rows."""
     rows = draw_rows(entrant, task.rows, task.seed, task.learnable)
     profile = entrant.profile.model_copy(update={"seed": task.seed})
-    words = np.full(len(entrant.readings), None, dtype=object)
-    words[rows.learned], words[rows.judged] = "identify", "validate"
-    readings = replace(entrant.readings, split=tuple(words.tolist()))
+    readings = rows.split(entrant.readings)
     conditions = measurement_conditions(readings)
     arm, _ = calibrate_arm(profile, entrant.arm, readings)
     began = time.perf_counter()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
@@ -90,6 +90,12 @@ class DrawnRows:
     def judged(self) -> NDArray[np.intp]:
         """All held-out rows."""
         return next(iter(self.held_out.values()))
+
+    def split(self, readings: Readings) -> Readings:
+        """The readings, divided into those to learn from and the held-out ones."""
+        words = np.full(len(readings), None, dtype=object)
+        words[self.learned], words[self.judged] = "identify", "validate"
+        return replace(readings, split=tuple(words.tolist()))
 
 
 class SeriesText(Record):

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from cellapp.commands.trials.league.draws import DRAWS, DrawTask, LeagueDraw
-from cellapp.commands.trials.league.series import SERIES, Entrant, Group, Rows, draw_rows, parse_entrants, series_texts
+from cellapp.commands.trials.league.series import SERIES, Group, Rows, draw_rows, parse_entrants, series_texts
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -162,7 +162,9 @@ def league_trials(
     ]
     curve_tasks = _curve_tasks(seeds) if curve else []
     every = [*tasks, *curve_tasks]
-    _check_rows(parse_entrants(texts), every)
+    entrants = parse_entrants(texts)
+    for task in every:  # too few rows are said before hours of work
+        draw_rows(entrants[task.series], task.rows, task.seed, task.learnable)
     gathered = work.gather(DRAWS, "league", texts, every, "series {0.series}, {0.rows} rows, seed {0.seed}")
     draws = [draw for draw in gathered.results[: len(tasks)] if draw is not None]
     curve_draws = [draw for draw in gathered.results[len(tasks) :] if draw is not None]
@@ -191,12 +193,6 @@ def results_of(
         curve_draws=tuple(curve_draws),
         failed=failed,
     )
-
-
-def _check_rows(entrants: Mapping[str, Entrant], tasks: Sequence[DrawTask]) -> None:
-    """Too few rows are said before hours of work."""
-    for task in tasks:
-        draw_rows(entrants[task.series], task.rows, task.seed, task.learnable)
 
 
 def _curve_tasks(seeds: int) -> list[DrawTask]:

@@ -21,6 +21,7 @@ from cellapp.estimation.discovery.search.comparison import best_state, floor_rea
 from cellapp.estimation.discovery.search.contradiction import with_contradiction
 from cellapp.estimation.discovery.search.data_driven import in_place_of_names, with_data_driven_terms
 from cellapp.estimation.discovery.search.free_part import with_free_parts
+from cellapp.estimation.discovery.search.in_sockets import with_effects_in_sockets
 from cellapp.estimation.discovery.search.refinement import refinement
 from cellapp.estimation.discovery.search.review import review, reviewed
 from cellapp.estimation.discovery.search.scan import LawScan
@@ -110,6 +111,8 @@ class _SearchProgress:
 
 def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progress: _SearchProgress) -> SearchState:
     """The best of the reviewed models: named effects alone, extended by what the library lacks, or the reverse."""
+    if start.data.points is not None:
+        return reviewed(problem, with_effects_in_sockets(problem, start, scan))
     named = reviewed(problem, _with_library_effects(problem, start, scan))
     progress.step("beyond the library")
     if not floor_reached(named):

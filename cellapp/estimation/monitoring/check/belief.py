@@ -12,7 +12,7 @@ from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.weights import excess_variance, with_excess
 from cellapp.estimation.discovery.joint_fit import mean_variance
 from cellapp.estimation.monitoring.check.model import ArmBelief, CheckBelief
-from cellapp.estimation.prior.belief import Belief, is_smooth
+from cellapp.estimation.prior.belief import is_smooth
 from cellapp.estimation.prior.earlier import calibration_posterior
 from cellapp.estimation.prior.linear_model import Measured, design
 from cellapp.estimation.prior.posterior import Posterior
@@ -35,7 +35,6 @@ def check_belief(
     *,
     station_free: bool = False,
     T_new_old: Array | None = None,
-    before: Mapping[str, Belief] | None = None,
 ) -> CheckBelief:
     """What a calibration says of a cell.
 
@@ -50,8 +49,6 @@ def check_belief(
         The tracker was set up anew since, so that its pose is unknown.
     T_new_old : array, shape (4, 4), optional
         About where it stands then: maps coordinates in its earlier frame into the present one.
-    before : mapping, optional
-        Arm -> what it was calibrated with as prior, where there was an earlier calibration.
 
     Raises
     ------
@@ -63,8 +60,7 @@ def check_belief(
             raise InputError(f"arm '{name}': the calibration has no readings of it; a check needs them")
     own = {name: readings[name] for name in model.arms}
     bare = {name: _without_network(model.arms[name], its) for name, its in own.items()}
-    earlier = before or {}
-    found = {name: calibration_posterior(profile, name, model.arms, bare, earlier.get(name)) for name in own}
+    found = {name: calibration_posterior(profile, name, model.arms, bare) for name in own}
     arms = {name: arm_belief(model.arms[name], *found[name]) for name in own}
     if T_new_old is None:
         return CheckBelief(arms, station_free)

@@ -26,6 +26,7 @@ class Question(ModalScreen[A]):
     F10 closes it without an answer; so does Escape while no job runs, else Escape stops the job.
     """
 
+    VERTICAL_BREAKPOINTS = [(0, "-low"), (30, "-tall")]  # noqa: RUF012 - as Textual declares it
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,f10", "dismiss(None)", "Close", show=False)]
 
     @property

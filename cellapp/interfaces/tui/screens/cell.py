@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -47,6 +48,7 @@ _REFRESH_S = 5.0
 """Time between two questions to the devices: slow enough for any controller, fast enough to see a stop released."""
 _TODAY_AFTER_S = 0.6
 """The first screen is drawn before."""
+_READING = "reading the folder of runs ..."
 _NO_RUNS = "No run is there yet: the day begins with a profile and a plan (key 2)."
 _OLD = timedelta(minutes=10)
 """Age from which the doctor's findings are shown as old: in that time somebody may have pressed a stop."""
@@ -129,9 +131,9 @@ class CellScreen(DayScreen):
             yield _tipped(OptionList(id="profiles", markup=False, compact=True), "Profiles of the folder; Enter opens")
             with Vertical(id="cell-middle"):
                 yield Static("", id="cell-verdict", markup=False)
-                with TabbedContent(id="cell-tabs", initial="tab-profile"):
+                with TabbedContent(id="cell-tabs", initial="tab-today" if self._has_runs else "tab-profile"):
                     with TabPane("Today", id="tab-today"):
-                        yield WrappedTables(_NO_RUNS, id="today")
+                        yield WrappedTables(_READING if self._has_runs else _NO_RUNS, id="today")
                     with TabPane("Profile", id="tab-profile"):
                         yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
                     with TabPane("Devices", id="tab-devices"):
@@ -223,6 +225,13 @@ class CellScreen(DayScreen):
 
         take_own_readings(self.cell_app)
 
+    @property
+    def _has_runs(self) -> bool:
+        """Whether something is in the folder of runs: what waits is shown first then."""
+        with suppress(OSError):
+            return any(self.cell_app.logs.iterdir())
+        return False
+
     @work(thread=True, exclusive=True, group="today")
     def _read_today(self) -> None:
         from cellapp.commands.runs.history import list_runs
@@ -236,15 +245,13 @@ class CellScreen(DayScreen):
 
     @on(TodayRead)
     def show_today(self, event: TodayRead) -> None:
-        """Draw what waits; at the start it is what is shown, unless something else was chosen meanwhile."""
+        """Draw what waits."""
         from cellapp.commands.runs.today import today_sentences, today_tables
 
-        now, tabs = datetime.now(UTC), self.query_one("#cell-tabs", TabbedContent)
+        now = datetime.now(UTC)
         self.query_one("#today", WrappedTables).show(
             today_tables(event.found, now), after=today_sentences(event.found, now)
         )
-        if event.found.runs and not self._today and tabs.active == "tab-profile" and self.workspace.folder is None:
-            tabs.active = "tab-today"
         self._today = True
 
     def action_map(self) -> None:

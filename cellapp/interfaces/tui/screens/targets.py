@@ -162,7 +162,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
     @property
     def unsaved(self) -> str:
         """The edits of the list."""
-        return f"{len(self._edits.targets)} targets with edits" if self._edits.edited else ""
+        return f"{counted(len(self._edits.targets), 'target')} with edits" if self._edits.edited else ""
 
     @property
     def _grid(self) -> TargetGrid:

@@ -74,6 +74,7 @@ class ProgressBars(Widget):
 
     def __init__(self) -> None:
         super().__init__(classes="parts")
+        self._words = ""
         self.tooltip = "The parts of the job: steps done, what is done now, the time that is left, when it will end."
 
     def on_mount(self) -> None:
@@ -81,7 +82,8 @@ class ProgressBars(Widget):
         self.set_interval(1.0, self._tick)
 
     def _tick(self) -> None:
-        if self.parts:
+        """Draw again where the words have changed: a terminal at the end of a slow line gets nothing else."""
+        if self.parts and self._bars().plain != self._words:
             self.refresh()
 
     def watch_parts(self, before: tuple[Part, ...], now: tuple[Part, ...]) -> None:
@@ -91,6 +93,11 @@ class ProgressBars(Widget):
 
     def render(self) -> Content:
         """The bars."""
+        drawn = self._bars()
+        self._words = drawn.plain
+        return drawn
+
+    def _bars(self) -> Content:
         width, now = self.content_size.width, datetime.now()
         begun = [part for part in self.parts if part.progress is not None]
         if not self.parts:

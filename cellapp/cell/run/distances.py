@@ -1,0 +1,131 @@
+"""Known distances between points in sockets: from a CSV file, checked against the readings, and stored in the run."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import sqlite3
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short
+from cellapp.estimation.readings import Distance, Readings
+from cellapp.estimation.sockets import in_sockets
+from cellapp.estimation.sockets.plausibility import misplaced_readings, with_ball, wrong_distances
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.model.nominal import nominal_arm
+
+DISTANCES_RESULT = "distances"
+"""Name of the document in which a run keeps known distances; it is part of the file format."""
+_COLUMNS = ("point_a", "point_b", "distance_m", "sigma_m")
+_LONGEST_M = 20.0
+"""No arm reaches over more between two sockets."""
+_LARGEST_SIGMA_M = 0.1
+
+
+def read_distances_csv(path: Path, profile: Profile, readings: Mapping[str, Readings]) -> dict[str, Readings]:
+    """The readings of each arm with the known distances of a file, both checked against the published arms.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column of what is missing, no number, repeated, unknown or contradicts the arm.
+    """
+    if not any(in_sockets(its) for its in readings.values()):
+        raise InputError(f"{path}: known distances are between points; no reading names one: add the column 'point'")
+    table = read_csv_table(Path(path), "known distances", "a row per distance")
+    problems = Problems(table.place)
+    check_names(table, problems)
+    for name in _COLUMNS:
+        if name not in table.names:
+            problems.add(1, name, f"the column is missing; expected {', '.join(_COLUMNS)}")
+    problems.check()
+    if not table.lines:
+        raise InputError(f"{table.place(1)}: there is a header row but no distance; expected a row per distance")
+    rows = _checked_rows(table, problems, readings)
+    problems.check()
+    found = {}
+    for arm, its in readings.items():
+        own = tuple(one for one in rows.values() if one.point_a in (its.point or ()))
+        found[arm] = its = replace(its, distances=own)
+        if not own:
+            continue
+        lines = {(one.point_a, one.point_b): line for line, one in rows.items()}
+        for pair, text in wrong_distances(published_arm(profile, arm, its), its):
+            problems.add(lines[pair], "distance_m", text)
+    problems.check()
+    return found
+
+
+def published_arm(profile: Profile, name: str, readings: Readings) -> Geometry:
+    """The published chain of an arm, with the ball where most readings want it if its offset is unknown."""
+    arm = profile.arms[name]
+    return with_ball(nominal_arm(arm), readings, unknown=arm.smr.offset == "unknown")
+
+
+def swapped_points(profile: Profile, name: str, readings: Readings) -> list[tuple[int, str]]:
+    """Rows of one arm whose point is another one by the published arm, with what is wrong."""
+    return list(misplaced_readings(published_arm(profile, name, readings), readings))
+
+
+def _checked_rows(table: CsvTable, problems: Problems, readings: Mapping[str, Readings]) -> dict[int, Distance]:
+    """The distances by line; what is wrong is noted."""
+    arms_of: dict[str, list[str]] = {}
+    for arm, its in readings.items():
+        for point in dict.fromkeys(its.point or ()):
+            arms_of.setdefault(point or "", []).append(arm)
+    rows: dict[int, Distance] = {}
+    seen: dict[frozenset[str], int] = {}
+    cells = zip(table.lines, *(table.cells[name] for name in _COLUMNS), strict=True)
+    for line, *texts in cells:
+        a, b, distance, sigma = (text.strip() for text in texts)
+        before = problems.count
+        for column, point in (("point_a", a), ("point_b", b)):
+            if point not in arms_of:
+                close = difflib.get_close_matches(point, arms_of, n=1, cutoff=0.6)
+                hint = f"; is '{close[0]}' meant?" if close else ""
+                problems.add(line, column, f"no reading is of a point '{short(point)}'{hint}")
+        if problems.count > before:
+            continue
+        if a == b:
+            problems.add(line, "point_b", f"'{short(b)}' is both points; a distance has two")
+        elif set(arms_of[a]).isdisjoint(arms_of[b]):
+            problems.add(line, "point_b", f"'{a}' and '{b}' are points of different arms; distances are within one arm")
+        elif (first := seen.setdefault(frozenset((a, b)), line)) != line:
+            problems.add(line, "point_a", f"the distance is in line {first} already; give the mean of both")
+        values = [
+            _number(problems, line, column, text, most)
+            for column, text, most in (("distance_m", distance, _LONGEST_M), ("sigma_m", sigma, _LARGEST_SIGMA_M))
+        ]
+        if problems.count == before:
+            rows[line] = Distance(a, b, *values)
+    return rows
+
+
+def _number(problems: Problems, line: int, column: str, text: str, most: float) -> float:
+    value = float(text) if NUMBER.fullmatch(text) else math.nan
+    if not 0.0 < value <= most:
+        problems.add(line, column, f"expected metres above 0 and up to {most:g}, got '{short(text)}'")
+    return value
+
+
+def distances_text(readings: Mapping[str, Readings]) -> str:
+    """The document that a run keeps."""
+    return json.dumps([asdict(one) for one in dict.fromkeys(d for its in readings.values() for d in its.distances)])
+
+
+def with_distances(connection: sqlite3.Connection, readings: Readings) -> Readings:
+    """The readings of one arm with the stored distances between their points."""
+    if readings.point is None:
+        return readings
+    row = connection.execute("SELECT text FROM result WHERE name = ?", (DISTANCES_RESULT,)).fetchone()
+    if row is None:
+        return readings
+    return replace(
+        readings,
+        distances=tuple(one for one in (Distance(**d) for d in json.loads(row[0])) if one.point_a in readings.point),
+    )

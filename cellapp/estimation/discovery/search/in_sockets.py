@@ -1,0 +1,86 @@
+"""Search for effects from a ball in sockets: with few places, laws of any form fit what was learnt from.
+
+Elastic joints come first where they hold: every arm with gears has them, and at few places bending links and the base
+look alike. Another effect is added only if it predicts places that were left out, and most of them: with g the decrease
+of the sum of squares at each left-out placement, sum g > t (sum g^2)^1/2. The sum over m placements that gain alike is
+m^1/2 times the root, that of one placement alone is equal to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cellapp.estimation.calibration.identification import TooFewReadings
+from cellapp.estimation.discovery.candidates import LawScore
+from cellapp.estimation.discovery.cross_validation import may_leave_placements_out, placement_gains
+from cellapp.estimation.discovery.search.addition import addition
+from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.search.state import SearchProblem, SearchState, SearchStep
+from cellapp.estimation.discovery.search.tuning import apply_step
+from cellapp.robot.effects.joint_compliance import JointCompliance
+
+_FIRST = JointCompliance.slug
+_MOST_EFFECTS = 3
+"""Effects in one model: the issue of more at some ten places is chance."""
+_MOST_TRIED = 12
+"""Laws, the best first, that are tried in one step."""
+_CLEAR = 1.5
+"""t above: between one placement alone and four that gain alike (2)."""
+
+
+def with_effects_in_sockets(problem: SearchProblem, start: SearchState, scan: LawScan) -> SearchState:
+    """The model with elastic joints if they hold, and with what else predicts the places that are left out."""
+    ranked = scan.ranked(start.fit.projected_residual)
+    elastic = [score for score in ranked if score.slug == _FIRST]
+    state = _first_that_holds(problem, start, elastic) or start
+    while may_leave_placements_out(start.data) and len(state.fit.terms) < _MOST_EFFECTS:
+        problem.cancel.check()
+        problem.say(f"model with {len(state.fit.terms)} effects")
+        left = [slug for slug in problem.slugs if slug not in state.slugs]
+        scores = LawScan.of(state.fit.candidates(state.data, left), state.fit.projector).ranked(
+            state.fit.projected_residual
+        )
+        after = _best_elsewhere(problem, state, scores)
+        if after is None:
+            break
+        state = after
+    return state
+
+
+def _first_that_holds(problem: SearchProblem, state: SearchState, scores: Sequence[LawScore]) -> SearchState | None:
+    """The state with the best law that passes threshold, bounds and cross-validation."""
+    for score in scores:
+        if score.value <= problem.threshold:
+            return None
+        step = addition(problem, state, score)
+        if step is not None:
+            return _applied(problem, state, step)
+    return None
+
+
+def _best_elsewhere(problem: SearchProblem, state: SearchState, scores: Sequence[LawScore]) -> SearchState | None:
+    """The state with the law that predicts left-out placements best, if it does so at most of them."""
+    found: list[tuple[float, SearchStep]] = []
+    for score in scores[:_MOST_TRIED]:
+        if score.value <= problem.threshold:
+            break
+        step = addition(problem, state, score)
+        if step is None:
+            continue
+        term = step.terms[-1]
+        columns = state.data.columns(term.slug, term.law, term.names)
+        gains = placement_gains(state.data, state.fit, state.fit.displacements(columns))
+        if gains.sum() > _CLEAR * np.linalg.norm(gains):
+            found.append((float(gains.sum()), step))
+    if not found:
+        return None
+    return _applied(problem, state, max(found, key=lambda one: one[0])[1])
+
+
+def _applied(problem: SearchProblem, state: SearchState, step: SearchStep) -> SearchState | None:
+    try:
+        return apply_step(problem, state, step)
+    except TooFewReadings:  # for all that the step brings
+        return None

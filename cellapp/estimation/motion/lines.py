@@ -1,0 +1,70 @@
+"""Lines of the spectrum of joints: the power of every cycle count of every joint in the residuals of recordings."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.signal import lfilter
+
+from cellapp.estimation.motion.fit import Problem, Solution
+from cellapp.estimation.motion.observe import residuals
+from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
+from cellapp.robot.kinematics.transforms import Array
+
+_MOST_CYCLES = 210
+"""Largest cycle count: twice the ratio of a 1:100 strain-wave gear, and a margin."""
+_COUNTS = np.arange(_MOST_CYCLES + 1)
+_RESPONSE = 1024
+"""Frequencies at which the response of a filter is tabulated."""
+_CHUNK = 4096
+_NEIGHBOURS = 31
+"""Cycle counts whose median power is the level of the noise."""
+_LOG_2 = math.log(2.0)
+"""Median of the power of noise over its mean: powers of cosine and sine together are exponential."""
+
+
+def line_powers(problem: Problem, solution: Solution) -> tuple[Array, Array]:
+    """Power of each cycle count of each joint in the residuals, (N, counts + 1), in units of the noise there: above
+    ``ln(1 / p)`` by chance with probability p. And the turns (N,) that each joint's range spans.
+
+    A line of c cycles has the frequency ``c qd / 2 pi``, slowly changing: whitening multiplies it by the filter's
+    response there.
+    """
+    joints, model = problem.layout.parameters.joints, problem.model(solution.values)
+    sums, energy = np.zeros((joints, _MOST_CYCLES + 1), dtype=np.complex128), np.zeros((joints, _MOST_CYCLES + 1))
+    low, high = np.full(joints, np.inf), np.full(joints, -np.inf)
+    for number, (track, source) in enumerate(zip(problem.tracks, solution.sources)):
+        whitening = np.ones(1) if problem.whitening is None else problem.whitening[number]
+        left = lfilter(whitening, [1.0], residuals(model, track, number, source.rows), axis=0)
+        response = np.conj(np.fft.fft(whitening, _RESPONSE))
+        scale, step = 1.0 / float(np.mean(left**2)), track.stamps.period_s * _RESPONSE / (2.0 * math.pi)
+        for first in range(0, len(left), _CHUNK):
+            part = slice(first, first + _CHUNK)
+            u = track.controller_times(source.rows[part], *model.clock(number))
+            q, qd = track.path.at(u)
+            _, J = joint_jacobian(model.geometry, JointAngles.of(q))
+            turned, weight = np.einsum("ajn,na->nj", J, left[part]) * scale, np.einsum("ajn,ajn->nj", J, J) * scale
+            low, high = np.minimum(low, q.min(axis=0)), np.maximum(high, q.max(axis=0))
+            for joint in range(joints):
+                place = np.rint(np.outer(_COUNTS, qd[:, joint] * step)).astype(np.intp) % _RESPONSE
+                gain = response[place]
+                sums[joint] += np.einsum("cn,cn,n->c", np.conj(_powers(q[:, joint])), gain, turned[:, joint])
+                energy[joint] += (gain.real**2 + gain.imag**2) @ weight[:, joint]
+    raw = np.abs(sums) ** 2 / np.maximum(energy, 1e-300)
+    floor = median_filter(raw, (1, _NEIGHBOURS), mode="nearest") / _LOG_2
+    return raw / np.maximum(floor, 1e-300), (high - low) / (2.0 * math.pi)
+
+
+def _powers(angle: Array) -> NDArray[np.complex128]:
+    """``exp(i c angle)`` for counts c from 0 to the largest, (counts + 1, n), by doubling."""
+    powers = np.empty((_MOST_CYCLES + 1, len(angle)), dtype=np.complex128)
+    powers[0], powers[1] = 1.0, np.cos(angle) + 1j * np.sin(angle)
+    have = 1
+    while have < _MOST_CYCLES:
+        more = min(have, _MOST_CYCLES - have)
+        np.multiply(powers[1 : more + 1], powers[have], out=powers[have + 1 : have + more + 1])
+        have += more
+    return powers

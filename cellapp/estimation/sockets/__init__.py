@@ -1,0 +1,5 @@
+"""Ball in a socket: readings whose measured point is fixed and unknown, which rows of one name share."""
+
+from cellapp.estimation.sockets.contacts import Contacts, gauge_errors, in_sockets, measured_positions, placed
+
+__all__ = ["Contacts", "gauge_errors", "in_sockets", "measured_positions", "placed"]

@@ -1,0 +1,83 @@
+"""Readings and distances that contradict the published arm: swapped sockets, distances in another unit.
+
+A published arm places a ball within some 15 mm. Names of points and distances that are off by much more are mistakes of
+the person who wrote them down. The ball is fitted first where its offset is not known, with weights 1 / |r| that a
+minority of wrong rows does not pull.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.estimation.readings import Readings
+from cellapp.estimation.sockets.contacts import Contacts, gauge_errors
+from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
+from cellapp.robot.kinematics.transforms import Array
+
+_ROUNDS = 25
+"""Rounds of the robust fit of the ball; its weights settle to a few per cent."""
+_LEAST_M = 1e-3
+"""Residuals below this weigh alike [m]."""
+_OWN_M = 0.02
+"""Distance from its own point from which a reading is mistaken [m]: a published arm is off by less."""
+_OTHER = 0.5
+"""Share of that distance within which it must lie at another point to belong there."""
+_DISTANCE_M, _DISTANCE_SHARE = 0.02, 0.05
+"""Error of a known distance by a published arm [m], and in proportion to it, from which it is mistaken."""
+
+
+def with_ball(geometry: Geometry, readings: Readings, *, unknown: bool) -> Geometry:
+    """The geometry with the ball where most readings want it, if its offset is ``unknown``."""
+    if not unknown:
+        return geometry
+    contacts = Contacts.of(readings)
+    rotations, origins = flange_poses(replace(geometry, tool=np.zeros(3)), readings.q)
+    tool: Array = np.zeros(3)
+    weights: Array = np.ones(len(readings))
+    for _ in range(_ROUNDS):
+        columns = np.stack([_from_centres(contacts, rotations[:, :, axis], weights) for axis in range(3)], axis=2)
+        off = _from_centres(contacts, origins, weights)
+        root = np.sqrt(weights)[:, None]
+        rows, left = (columns * root[:, :, None]).reshape(-1, 3), -(off * root).ravel()
+        tool = np.asarray(np.linalg.lstsq(rows, left, rcond=None)[0], dtype=np.float64)
+        weights = 1.0 / np.maximum(np.linalg.norm(off + columns @ tool, axis=1), _LEAST_M)
+    return replace(geometry, tool=tool)
+
+
+def misplaced_readings(geometry: Geometry, readings: Readings) -> Iterator[tuple[int, str]]:
+    """Rows that lie far from the others of their point and near those of another one, with what is wrong."""
+    contacts = Contacts.of(readings)
+    computed = smr_positions(geometry, readings.q)
+    places = range(len(contacts.names))
+    centres = np.array([np.median(computed[contacts.index == place], axis=0) for place in places])
+    away = np.linalg.norm(computed[:, None] - centres, axis=2)
+    own = away[np.arange(len(computed)), contacts.index]
+    nearest = np.argmin(away, axis=1)
+    for row in np.flatnonzero((own > _OWN_M) & (away.min(axis=1) < _OTHER * own)).tolist():
+        yield (
+            row,
+            f"'{contacts.names[contacts.index[row]]}' is {own[row] * 1e3:.0f} mm from the ball's place by the published"
+            f" arm, '{contacts.names[nearest[row]]}' {away[row, nearest[row]] * 1e3:.0f} mm; are the two swapped?",
+        )
+
+
+def wrong_distances(geometry: Geometry, readings: Readings) -> Iterator[tuple[tuple[str, str], str]]:
+    """Pairs of points whose known distance the published arm contradicts, with what is wrong."""
+    contacts = Contacts.of(readings)
+    errors = gauge_errors(readings, smr_positions(geometry, readings.q))
+    for (a, b), known, error in zip(contacts.pairs.tolist(), contacts.distance_m.tolist(), errors.tolist()):
+        computed = known + error
+        if abs(error) > _DISTANCE_M + _DISTANCE_SHARE * min(known, computed):
+            yield (
+                (contacts.names[a], contacts.names[b]),
+                f"{known:g} m from '{contacts.names[a]}' to '{contacts.names[b]}', but the published arm finds"
+                f" {computed:.3f} m; check the unit, and whether the names of sockets are swapped",
+            )
+
+
+def _from_centres(contacts: Contacts, vectors: Array, weights: Array) -> Array:
+    """Vectors (n, 3) less the weighted mean of those of the same point."""
+    return np.asarray(vectors - contacts.centres(vectors, weights)[contacts.index])

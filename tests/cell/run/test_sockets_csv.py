@@ -1,0 +1,133 @@
+"""Readings of a ball in sockets through the one door: stored, exported, and bad inputs named by row."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile, import_csv, write_readings_csv
+from cellapp.estimation.readings import Distance
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+
+pytestmark = pytest.mark.fast
+TESTS = Path(__file__).parents[2]
+DATA = TESTS / "fixtures" / "panda-sockets"
+PROFILE = TESTS.parent / "profiles" / "panda-sockets.yaml"
+
+
+@pytest.fixture(scope="module")
+def profile() -> Profile:
+    return load_profile(PROFILE)
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def written(path: Path, rows: list[dict[str, str]]) -> Path:
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def test_points_and_distances_are_stored_and_exported(profile: Profile, tmp_path: Path) -> None:
+    with import_csv(profile, DATA / "readings.csv", tmp_path / "run", distances=DATA / "distances.csv"):
+        pass
+    with RunFile.open(tmp_path / "run") as run:
+        readings = run.readings("left")
+        write_readings_csv(run, tmp_path / "out.csv")
+    assert readings.point is not None
+    assert readings.point[0] == "back-high_0"
+    assert np.isnan(readings.p_M).all()
+    assert readings.distances[0] == Distance("back-high_0", "back-high_1", 0.05, 5e-5)
+    assert len(readings.distances) == 3
+    assert readings.take([3, 5]).point == (readings.point[3], readings.point[5])
+    with import_csv(profile, tmp_path / "out.csv", tmp_path / "again") as again:
+        assert again.readings("left").point == readings.point
+        np.testing.assert_array_equal(again.readings("left").q, readings.q)
+
+
+def test_a_point_that_was_touched_once_is_named(profile: Profile, tmp_path: Path) -> None:
+    rows = rows_of(DATA / "readings.csv")
+    rows[7]["point"] = "alone"
+    with pytest.raises(InputError, match=r"readings\.csv:9: point: 'alone' is there once"):
+        import_csv(profile, written(tmp_path / "readings.csv", rows), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_row_without_point_and_one_with_both_are_named(profile: Profile, tmp_path: Path) -> None:
+    rows = [row | {"x_m": "", "y_m": "", "z_m": ""} for row in rows_of(DATA / "readings.csv")]
+    rows[4]["point"] = ""
+    with pytest.raises(InputError, match=r":6: point: the value is missing"):
+        import_csv(profile, written(tmp_path / "missing.csv", rows), tmp_path / "run")
+    rows[4] |= {"point": "back-high_0", "x_m": "1.0", "y_m": "0.0", "z_m": "0.5"}
+    with pytest.raises(InputError, match=r":6: point: there is a measured position too"):
+        import_csv(profile, written(tmp_path / "both.csv", rows), tmp_path / "run")
+
+
+def test_swapped_sockets_are_named_by_row(profile: Profile, tmp_path: Path) -> None:
+    rows = rows_of(DATA / "readings.csv")
+    swapped = {"front_0": "front_1", "front_1": "front_0"}
+    of_front = [place for place, row in enumerate(rows) if row["point"] in swapped]
+    for place in (wrong := of_front[:3]):
+        rows[place]["point"] = swapped[rows[place]["point"]]
+    with pytest.raises(InputError) as caught:
+        import_csv(profile, written(tmp_path / "readings.csv", rows), tmp_path / "run")
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 3
+    for place, line in zip(wrong, lines, strict=True):
+        assert f"readings.csv:{place + 2}: point: " in line
+        assert "are the two swapped?" in line
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"distance_m": "0.5"}, r":2: distance_m: 0\.5 m from 'back-high_0' to 'back-high_1'.* finds 0\.0"),
+        ({"distance_m": "-0.05"}, r":2: distance_m: expected metres above 0"),
+        ({"distance_m": "fifty"}, r":2: distance_m: expected metres above 0 .* got 'fifty'"),
+        ({"sigma_m": "0"}, r":2: sigma_m: expected metres above 0"),
+        ({"point_b": "back-hihg_1"}, r":2: point_b: no reading is of a point 'back-hihg_1'; is 'back-high_1' meant"),
+        ({"point_b": "back-high_0"}, r":2: point_b: 'back-high_0' is both points"),
+        ({"point_a": "front_1", "point_b": "front_0"}, r":3: point_a: the distance is in line 2 already"),
+    ],
+)
+def test_wrong_distances_are_named_by_row(
+    profile: Profile, tmp_path: Path, change: dict[str, str], message: str
+) -> None:
+    rows = rows_of(DATA / "distances.csv")
+    rows[0] |= change
+    path = written(tmp_path / "distances.csv", rows)
+    with pytest.raises(InputError, match=message):
+        import_csv(profile, DATA / "readings.csv", tmp_path / "run", distances=path)
+    assert not (tmp_path / "run").exists()
+
+
+def test_placements_whose_names_were_exchanged_show_by_their_distances(profile: Profile, tmp_path: Path) -> None:
+    rows = rows_of(DATA / "readings.csv")
+    exchanged = {"front_0": "right_0", "right_0": "front_0"}
+    for row in rows:
+        row["point"] = exchanged.get(row["point"], row["point"])
+    path = written(tmp_path / "readings.csv", rows)
+    with pytest.raises(InputError, match=r"distances\.csv:3: distance_m: .*swapped") as caught:
+        import_csv(profile, path, tmp_path / "run", distances=DATA / "distances.csv")
+    assert "distances.csv:4" in str(caught.value)
+
+
+def test_distances_without_points_are_refused(tmp_path: Path) -> None:
+    profile = load_profile(TESTS.parent / "profiles" / "ur5-real.yaml")
+    with pytest.raises(InputError, match="no reading names one"):
+        import_csv(
+            profile,
+            TESTS / "fixtures" / "ur5-real" / "readings.csv",
+            tmp_path / "run",
+            distances=DATA / "distances.csv",
+        )
