@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from textual import on
+from textual.app import ScreenStackError
 from textual.screen import ModalScreen
 from textual.widgets import Input
 
@@ -19,9 +22,11 @@ class JobKeys(Host):
     @property
     def escape_closes(self) -> bool:
         """Whether Escape closes a dialog or leaves a field: one is open, and nothing can move."""
-        if self.jobs.moves:
-            return False
-        return isinstance(self.screen, ModalScreen) or isinstance(self.screen.focused, Input)
+        if self.jobs.moves or not self.jobs.running:
+            return False  # a stop first, or nothing to stop: Escape closes by itself
+        with suppress(ScreenStackError):  # asked by the thread that reads keys, also while the screens go away
+            return isinstance(self.screen, ModalScreen) or isinstance(self.screen.focused, Input)
+        return False
 
     def action_stop_job(self) -> None:
         """Brake all arms now, whatever is open: Ctrl-C."""

@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from cellapp.estimation.calibration.calibrate import calibrate_arm
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.cross_validation import may_leave_placements_out, placement_gains
 from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.discovery.joint_fit import fit_terms
 from tests.estimation.sockets.led_arm import ELASTIC, led, panda
 
 
@@ -37,3 +41,18 @@ def test_a_stiff_arm_gets_no_names_and_no_tracker_is_blamed() -> None:
     assert found.result.verdict == "nothing missing"
     blind = {one.effect: one.reason for one in found.result.invisible}
     assert all("no tracker" in blind[slug] for slug in OF_THE_TRACKER)
+
+
+def test_left_out_placements_count_by_their_scatter_about_their_own_points() -> None:
+    arm = led(1, gauge_m=0.1)
+    calibrated, _ = calibrate_arm(panda(), "left", arm.readings)
+    learn = arm.readings.take(arm.readings.in_split("identify"))
+    data = ArmData.of(panda(), calibrated.model, learn, measurement_conditions(learn))
+    fit = fit_terms(data, ())
+    assert may_leave_placements_out(data)
+    # a shift that is the same at both points of a block is no more than another place of the block
+    of_block = np.array([float(str(name).startswith("place0")) for name in learn.point or ()])
+    shift = np.concatenate([of_block, np.zeros(2 * len(learn))])[None]
+    gains = placement_gains(data, fit, shift)
+    assert gains.shape == (4,)
+    np.testing.assert_allclose(gains, 0.0, atol=1e-6)

@@ -227,7 +227,11 @@ def test_the_list_has_the_state_of_every_target() -> None:
     assert needing == [False, True, True]
     predicted = RunResults(run="run", compensate=COMPENSATED)
     assert [row[3] for row in target_list((ONE, BOTH), predicted).rows] == ["in, predicted", "out, predicted"]
-    assert target_words(ONE.model_copy(update={"tolerance": 1e-3}), RESULTS).startswith("one: not compensated yet")
+    edited = target_words(ONE.model_copy(update={"tolerance": 1e-5}), RESULTS)
+    assert edited.startswith("one: measured 0.0200 mm from the target")
+    assert "out of tolerance" in edited
+    moved = target_words(ONE.model_copy(update={"position": (0.1, 0.2, 0.31)}), RESULTS)
+    assert moved.startswith("one: not compensated yet")
     assert "distance of both SMRs off by 0.0600 mm; out of tolerance" in target_words(BOTH, RESULTS)
 
 

@@ -297,7 +297,7 @@ async def test_an_unsaved_list_is_compensated_and_verified(finished_copy: Path, 
         await pilot.press("enter")
         await until(pilot, lambda: column(app, 3)[0].endswith(", measured"), "judged anew by another tolerance")
         assert column(app, 3)[0] != "in, measured"
-        await fill_form(pilot, app, "enter", x="0.0")
+        await fill_form(pilot, app, "enter", position="0.3, 0, 0.5")
         await pilot.press("enter")
         await until(pilot, lambda: column(app, 3)[0] == "", "a target that is elsewhere now")
         assert about(app).startswith("left-01: not compensated yet as it is now.\n")
