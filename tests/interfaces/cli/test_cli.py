@@ -552,7 +552,7 @@ BAD = [
     (None, "export done --as jpeg --out out.urdf", ["no format 'jpeg'; --as takes ur-calibration, ur-description, "]),
     (None, "export done --as urdf", ["--as FORMAT and --out FILE belong together"]),
     (None, "export done --out out.urdf", ["--as FORMAT and --out FILE belong together"]),
-    (None, "export done --as urdf --out out.urdf --csv out.csv", ["without --csv, --plan and --geometry"]),
+    (None, "export done --as urdf --out out.urdf --csv out.csv", ["without the options of single files"]),
     (None, "export done --as urdf --out out.urdf --arm third", ["no calibrated arm 'third'; arms are left, right"]),
     (None, "export done --as urdf --out targets", ["--out targets is a folder; give the path of a file"]),
     (None, "export done --as urdf --out .", ["--out . is a folder; give the path of a file"]),

@@ -122,20 +122,25 @@ def test_when_json_is_wanted(arguments: str, expected: bool) -> None:
 def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
     """Profile and run go below the folder; a profile that is there is used as it is. The run itself is tested apart."""
     started: list[tuple[Path, Path]] = []
+    swept: list[int | None] = []
 
-    def run_whole(profile: Path, folder: Path, *more: object, ask: object) -> WholeRunResult:
+    def run_whole(profile: Path, folder: Path, *more: object, ask: object, sweeps: int | None) -> WholeRunResult:
         assert ask is None
         started.append((profile, folder))
+        swept.append(sweeps)
         return WholeRunResult(run=str(folder))
 
     monkeypatch.setattr("cellapp.commands.run.run.run_whole", run_whole)
     assert "written: " in call("demo", "here").out
     assert "is used as it is" in call("demo", "here").out
     call("demo", "--full")
+    call("demo", "here", "--sweeps")
+    assert swept == [None, None, None, 20]
     assert [profile for profile, _ in started] == [
         Path("here/profiles/twin-small.yaml"),
         Path("here/profiles/twin-small.yaml"),
         Path("profiles/twin.yaml"),
+        Path("here/profiles/twin-small.yaml"),
     ]
     assert started[0][1].parent == Path("here/logs")
     assert all(profile.is_file() for profile, _ in started)
