@@ -76,7 +76,7 @@ async def test_failed_checks_come_first_and_are_read_in_full() -> None:
         cell_screen(app).show_result(found)
         app.draw_all()
         await pilot.pause()
-        assert line(app, "cell-verdict") == "1 check failed (1 warnings): arm left: link."
+        assert line(app, "cell-verdict") == "1 check failed (1 warning): arm left: link."
         await until(pilot, lambda: line(app, "cell-detail") == f"arm left: link: {long}", "the sentence in full")
         left, right, tracker = device_rows(app)
         assert left[1] == "✗ failed"
@@ -154,7 +154,7 @@ async def test_a_broken_profile_and_none_at_all_are_told(tmp_path: Path) -> None
         await until(pilot, lambda: isinstance(app.screen, Question), "the offer of a first start")
         await pilot.press("escape")
         await until(pilot, lambda: app.screen is app.day_screen, "the screen")
-        for key in ("d", "r"):
+        for key in ("b", "r"):
             await pilot.press(key)
             assert "No profile is open" in app.message
     (tmp_path / "bad.yaml").write_text(BROKEN)
