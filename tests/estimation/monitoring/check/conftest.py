@@ -104,9 +104,14 @@ def pair() -> SimulatedCell:
     return cell_of({"left": at_station(UR10, OFF_AXIS), "right": at_station(UR5, OFF_AXIS, BESIDE)}, 3)
 
 
+def one_ur5() -> SimulatedCell:
+    """A UR5 alone; its base is off the tracker's axis."""
+    return cell_of({"only": at_station(UR5, OFF_AXIS)}, 4)
+
+
 @pytest.fixture(scope="session")
 def single() -> SimulatedCell:
-    return cell_of({"only": at_station(UR5, OFF_AXIS)}, 4)
+    return one_ur5()
 
 
 @pytest.fixture(scope="session")
