@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cellapp.cell.driving import motion
 from cellapp.cell.driving.attendance import SimulatedPerson, by_person
 from cellapp.cell.driving.iso9283.findings import missing_words
 from cellapp.estimation.iso9283.coverage import coverage
@@ -17,7 +18,7 @@ from cellapp.estimation.iso9283.evaluate_paths import PathTrack
 from cellapp.estimation.iso9283.evaluate_weaving import WeavingRuns, weaving_characteristics
 from cellapp.estimation.iso9283.records import IsoConditions
 from cellapp.ground.control import JobControl
-from cellapp.ground.profile import Profile
+from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import Progress, StateChange
 from drivers.arms.simulated import SimulatedArm
 from tests.cell.planning.planned_cells import one_arm
@@ -88,6 +89,30 @@ def test_an_arm_whose_controller_does_not_know_its_load_is_not_driven(monkeypatc
     assert tests.tests["nominal"].loads == ()
     assert "not with 4 kg: the payload of its controller is set to 0.500 kg" in tests.refused["pose"]
     assert any("with 4 kg: 0 of 2 cycles" in words for words in missing_words(findings, task.tests))
+
+
+def test_the_first_motions_with_another_load_are_slow_where_real_arms_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[str | float] = []
+    rates, hang = motion.joint_rates, SimulatedPerson.hang
+
+    def listened(arm: Arm, speed: float) -> Any:
+        heard.append(speed)
+        return rates(arm, speed)
+
+    def hung(person: SimulatedPerson, name: str, load_kg: float) -> None:
+        heard.append(f"{load_kg:g} kg")
+        hang(person, name, load_kg)
+
+    task = task_of(cell_of(one_arm()), "pose", also_loads=(4.0,))
+    monkeypatch.setattr(motion, "joint_rates", listened)
+    monkeypatch.setattr(SimulatedPerson, "hang", hung)
+    monkeypatch.setattr(Profile, "moves_hardware", property(lambda _: True))
+    findings, _ = driven(task)
+    assert missing_words(findings, task.tests) == ()
+    slow = task.profile.collection.slow_start.speed
+    after = heard[heard.index("4 kg") + 1 :]
+    assert after[:5] == [slow] * 5, "each pose once"
+    assert 1.0 in after, "then at the speed of the test"
 
 
 @pytest.mark.fast

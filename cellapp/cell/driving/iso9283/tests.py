@@ -239,9 +239,8 @@ class _Session:
     def run(self) -> None:
         """All tests that were asked for; drift first, while the arms are as cold as they will be."""
         tests = self.task.tests
-        if self.task.profile.moves_hardware:
-            self._rehearse()
-        self.mover.speed = self.task.speed
+        programmes = self.findings.programmes.values()
+        self._rehearse([one for own in programmes for one in (*pose_visits(own, 1), *directional_visits(own, 1))])
         self.findings.also_speeds, self.findings.also_loads = self.task.also_speeds, self.task.also_loads
         visits = self._visits()
         series = {share: self._poses_at(share) for share in self.task.also_speeds}
@@ -271,6 +270,7 @@ class _Session:
         for load, name, visits in loads:
             self.mover.go_home()
             if hands.hang(name, load):
+                self._rehearse([visit for visit in visits if visit.cycle == 0])
                 self._visit_all(visits)
         if loads:
             self.mover.go_home()
@@ -367,9 +367,7 @@ class _Session:
                     found += visits(programme, self.task.cycles)
         if "cooperative" in self.task.tests:
             found += self._cooperative()
-        for visit in found:
-            if visit.place is not None:
-                self.findings.wanted[visit.place] = self.task.cycles
+        self.findings.wanted |= {visit.place: self.task.cycles for visit in found if visit.place is not None}
         return found
 
     def _cooperative(self) -> Sequence[Visit]:
@@ -381,11 +379,13 @@ class _Session:
                     found += paired_visits(both[0], both[1], pairs, self.task.cycles)
         return found
 
-    def _rehearse(self) -> None:
-        """Every position once, slowly and without measuring: the first motions of real arms are watched."""
-        for programme in self.findings.programmes.values():
-            for visit in (*pose_visits(programme, 1), *directional_visits(programme, 1)):
+    def _rehearse(self, visits: Sequence[Visit]) -> None:
+        """First motions of real arms, or of those with another load: slowly and without measuring, to be watched."""
+        if self.task.profile.moves_hardware:
+            self.mover.speed = min(self.task.profile.collection.slow_start.speed, self.task.speed)
+            for visit in visits:
                 self._visit(replace(visit, place=None))
+        self.mover.speed = self.task.speed
 
     def _drift(self, name: str) -> None:
         """Groups of cycles over the time asked for; in between the arm moves as in the cycles."""
