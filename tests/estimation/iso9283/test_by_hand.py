@@ -20,6 +20,7 @@ from cellapp.estimation.iso9283.records import IsoConditions
 from cellapp.ground.control import JobControl
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import Progress, StateChange
+from cellapp.robot.model.nominal import joint_rates
 from drivers.arms.simulated import SimulatedArm
 from tests.cell.planning.planned_cells import one_arm
 from tests.estimation.iso9283.test_driving import cell_of, driven, results, task_of
@@ -93,11 +94,11 @@ def test_an_arm_whose_controller_does_not_know_its_load_is_not_driven(monkeypatc
 
 def test_the_first_motions_with_another_load_are_slow_where_real_arms_move(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[str | float] = []
-    rates, hang = motion.joint_rates, SimulatedPerson.hang
+    hang = SimulatedPerson.hang
 
     def listened(arm: Arm, speed: float) -> Any:
         heard.append(speed)
-        return rates(arm, speed)
+        return joint_rates(arm, speed)
 
     def hung(person: SimulatedPerson, name: str, load_kg: float) -> None:
         heard.append(f"{load_kg:g} kg")
