@@ -240,3 +240,26 @@ def test_recordings_that_tell_nothing_are_refused(case):
     other = record(rng, arm, sweep(rng, 6))
     with pytest.raises(InputError, match="of another time"):
         fit_of(replace(recording, points=other.points))
+
+
+@pytest.mark.parametrize("seed", [21, 22, 23])
+def test_short_recordings_of_one_arm_with_errors_of_their_own_fit_alike_beside_a_bad_one(seed):
+    """What the model lacks is the same for all: none is followed at the cost of the others."""
+    rng = np.random.default_rng(seed)
+    arm = replace(true_arm(rng, SEVEN), cycles=2.0, amplitude=np.full(7, 3e-4), phase=rng.uniform(-np.pi, np.pi, 7))
+    recordings = []
+    for number in range(10):
+        motion = sweep(rng, 7, base_hz=1.0 / 70.0, harmonics=12)
+        seconds, offset, hz = rng.uniform(10.0, 30.0), rng.uniform(-5.0, 5.0), rng.choice([60.0, 250.0])
+        recordings.append(
+            record(rng, arm, motion, seconds=seconds, point_hz=hz, offset=offset, name=f"{number}", with_speeds=False)
+        )
+    bad = recordings[4].points
+    phase = (bad.time_s - bad.time_s[0])[:, None] / np.array([3.0, 4.0, 5.0])
+    recordings[4] = replace(recordings[4], points=replace(bad, p_M=bad.p_M + 2e-3 * np.sin(phase)))
+    found = fit_of(*recordings, nominal=SEVEN).recordings
+    spoilt = found.pop("4")
+    scatter = np.array([one.scatter_m for one in found.values()])
+    assert scatter.max() < 2.5 * np.median(scatter)
+    assert spoilt.scatter_m > 5.0 * np.median(scatter)
+    assert sum(one.gross for one in found.values()) < 0.02 * sum(one.learnt for one in found.values())
