@@ -43,6 +43,7 @@ from cellapp.estimation.motion.observe import (
 )
 from cellapp.estimation.motion.terms import JointTerm, Law, Masses
 from cellapp.estimation.motion.tracks import Track
+from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
 
@@ -187,11 +188,14 @@ def _thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
     return rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
 
 
-def solve(problem: Problem, stop_rows: NDArray[np.intp], start: Array | None = None) -> Solution:
+def solve(
+    problem: Problem, stop_rows: NDArray[np.intp], start: Array | None = None, told: Told = ignore_words
+) -> Solution:
     """Fit a subset with robust weights, then all points but gross errors; from ``start`` without the subset."""
-    values, steps = _first_fit(problem, stop_rows) if start is None else (start, [])
+    values, steps = _first_fit(problem, stop_rows, told) if start is None else (start, [])
     precision, converged = problem.precision, False
-    for _ in range(_STEPS):
+    for number in range(_STEPS):
+        told(f"step {number + 1} with all points")
         model = problem.model(values)
         sources = _all_points(problem, model, stop_rows)
         sums = _sums(problem, model, sources, None)
@@ -253,12 +257,13 @@ def _with_clocks(noise: NoiseModel, of_clocks: NoiseModel, places: NDArray[np.in
     return replace(noise, covariance=covariance, freedom=freedom)
 
 
-def _first_fit(problem: Problem, stop_rows: NDArray[np.intp]) -> tuple[Array, list[float]]:
+def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tuple[Array, list[float]]:
     """Robust fit of a subset: values, and the sizes of the steps."""
     share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
     rows = [_thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
     values, steps = problem.mean.copy(), []
-    for _ in range(_FIRST_STEPS):
+    for number in range(_FIRST_STEPS):
+        told(f"step {number + 1} with some of the points")
         model = problem.model(values)
         sources, robust = _with_robust_weights(problem, model, rows, stop_rows)
         sums, most = _sums(problem, model, sources, robust), _seconds_per_worth(problem, sources)

@@ -19,6 +19,7 @@ from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError
+from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array
@@ -40,6 +41,7 @@ def identify_from_motion(
     parameter_set: SetName = "auto",
     prior_sigma: Mapping[str, float] | None = None,
     seed: int = 0,
+    told: Told = ignore_words,
 ) -> MotionFit:
     """Identify geometry, lost motion and clocks of one arm from recordings of its motion.
 
@@ -56,6 +58,8 @@ def identify_from_motion(
     parameter_set, prior_sigma
         As of ``calibration.identification.identify``.
     seed : int
+    told
+        Takes words about each step; what it raises ends the fit.
 
     Raises
     ------
@@ -71,8 +75,11 @@ def identify_from_motion(
         parameter_set=parameter_set,
         prior_sigma=prior_sigma,
         seed=seed,
+        told=told,
     )
-    return motion_fit(problem, free_clocks(problem, solve(problem, stop_rows)))
+    solution = solve(problem, stop_rows, told=told)
+    told("clocks")
+    return motion_fit(problem, free_clocks(problem, solution))
 
 
 def motion_problem(
@@ -85,6 +92,7 @@ def motion_problem(
     parameter_set: SetName,
     prior_sigma: Mapping[str, float] | None,
     seed: int,
+    told: Told,
     loads: tuple[Bodies, Array] | None = None,
 ) -> tuple[Problem, NDArray[np.intp]]:
     """The problem of ``identify_from_motion``, and the rows of the stops that it may use; ``loads`` are masses and the
@@ -97,7 +105,10 @@ def motion_problem(
     """
     if not recordings:
         raise InputError("no recordings of motion")
-    tracks = [_track(recording, nominal, tool_unknown, seed + number) for number, recording in enumerate(recordings)]
+    tracks = []
+    for number, recording in enumerate(recordings):
+        told(f"start of the clocks of recording '{recording.name}'")
+        tracks.append(_track(recording, nominal, tool_unknown, seed + number))
     stop_rows = np.arange(0 if stops is None else len(stops.q))
     if held_out_stops is not None:
         stop_rows = np.flatnonzero(~held_out_stops)
