@@ -24,7 +24,7 @@ from cellapp.commands.view.recordings import recording_tables
 from cellapp.commands.view.table import Table
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
-from cellapp.ground.progress import CancelToken, Cancelled, Listener, Progress
+from cellapp.ground.progress import Cancelled, CancelToken, Listener, Progress
 from cellapp.interfaces.page import write_page
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording

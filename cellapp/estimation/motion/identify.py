@@ -27,6 +27,8 @@ from cellapp.robot.kinematics.transforms import Array
 _LEAST_POINTS = 50
 _STILL_RAD = 0.02
 """Range of a joint below which a motion tells next to nothing of it."""
+_FEW_DETERMINED = 2.0 / 3.0
+"""Share of the parameters of the geometry below which a motion excites the arm little: a good one leaves a fifth open."""
 _RATE_UNKNOWN_PPM = 20.0
 """Standard error of a rate above which it is as uncertain as clocks themselves."""
 
@@ -329,6 +331,13 @@ def _undetermined(
             said.append(
                 f"joint {joint + 1} moved by {math.degrees(swing):.2f} deg only: neither its axis nor its errors show"
             )
+    determined, of = len(identification.names), len(identification.estimated.names)
+    if determined < _FEW_DETERMINED * of:
+        said.insert(
+            0,
+            f"these motions determine {determined} of {of} parameters of the geometry: predictions hold near them only;"
+            " record motions of all joints, each alone and together, through a larger part of their range",
+        )
     merged = identification.parameter_set.merged
     for name, into in merged.items():
         partners = ", ".join(sorted(into, key=lambda one: -abs(into[one]))[:4])
