@@ -28,7 +28,9 @@ _LEAST_POINTS = 50
 _STILL_RAD = 0.02
 """Range of a joint below which a motion tells next to nothing of it."""
 _FEW_DETERMINED = 2.0 / 3.0
-"""Share of the parameters of the geometry below which a motion excites the arm little: a good one leaves a fifth open."""
+"""Share of the parameters of the geometry below which motions excite the arm little: good ones leave a fifth open."""
+_BAD = 5.0
+"""Ratio of the scatter to that of the median recording from which a recording is named as bad."""
 _RATE_UNKNOWN_PPM = 20.0
 """Standard error of a rate above which it is as uncertain as clocks themselves."""
 
@@ -350,9 +352,28 @@ def _undetermined(
                 f" {', '.join(f'{other:.2f}' for other in others)} s would fit as well; the one with the longest"
                 " overlap was taken: begin recordings with a motion that does not come again"
             )
-        if one.clock.rate_standard_error_ppm > _RATE_UNKNOWN_PPM:
-            said.append(
-                f"recording '{name}': the rate between the clocks is known to"
-                f" {one.clock.rate_standard_error_ppm:.0f} ppm only; record longer"
-            )
-    return tuple(said)
+    return (*said, *_unsteady_rates(found), *_bad_recordings(found))
+
+
+def _unsteady_rates(found: Mapping[str, RecordingFit]) -> list[str]:
+    """A sentence about the recordings that do not tell the rate of their clocks."""
+    errors = {name: one.clock.rate_standard_error_ppm for name, one in found.items()}
+    errors = {name: error for name, error in errors.items() if error > _RATE_UNKNOWN_PPM}
+    if not errors:
+        return []
+    best, worst = f"{min(errors.values()):.0f}", f"{max(errors.values()):.0f}"
+    known = f"the rate between the clocks is known to {best if best == worst else f'{best} to {worst}'} ppm only"
+    names = ", ".join(f"'{name}'" for name in errors)
+    return [f"{'recording' if len(errors) == 1 else 'recordings'} {names}: {known}; record longer"]
+
+
+def _bad_recordings(found: Mapping[str, RecordingFit]) -> list[str]:
+    """Sentences about recordings that the arm of all others does not explain."""
+    usual = float(np.median([one.scatter_m for one in found.values()]))
+    return [
+        f"recording '{name}': its points lie {one.scatter_m * 1e3:.2f} mm from the arm on which the other recordings"
+        f" agree to {usual * 1e3:.2f} mm, so that it counts little and its clock is known badly; look for an SMR that"
+        " was loose or another one, an arm that slipped, a tracker that was moved"
+        for name, one in found.items()
+        if len(found) > 2 and one.scatter_m > _BAD * usual
+    ]

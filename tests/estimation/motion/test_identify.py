@@ -259,7 +259,11 @@ def test_short_recordings_of_one_arm_with_errors_of_their_own_fit_alike_beside_a
     bad = recordings[4].points
     phase = (bad.time_s - bad.time_s[0])[:, None] / np.array([3.0, 4.0, 5.0])
     recordings[4] = replace(recordings[4], points=replace(bad, p_M=bad.p_M + 2e-3 * np.sin(phase)))
-    found = fit_of(*recordings, nominal=SEVEN).recordings
+    fit = fit_of(*recordings, nominal=SEVEN)
+    found = dict(fit.recordings)
+    (of_the_bad_one,) = (sentence for sentence in fit.undetermined if "other recordings agree to" in sentence)
+    assert of_the_bad_one.startswith("recording '4': ")
+    assert sum("the rate between the clocks" in sentence for sentence in fit.undetermined) == 1
     spoilt = found.pop("4")
     scatter = np.array([one.scatter_m for one in found.values()])
     assert scatter.max() < 2.5 * np.median(scatter)
