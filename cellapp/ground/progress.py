@@ -279,8 +279,16 @@ Report = Callable[[int, str], None]
 """Takes the number of steps that a part of a job has done, and what it is doing, in a few words."""
 
 
+Told = Callable[[str], None]
+"""Takes what a part of a job is doing, in a few words, often enough to be where a request to cancel is raised."""
+
+
 def ignore(event: Progress) -> None:
     """A listener for those who do not look."""
+
+
+def ignore_words(words: str) -> None:
+    """Words that nobody reads."""
 
 
 def ignore_report(done: int, words: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
 from cellapp.commands.calibrate.request import VERB as CALIBRATE
 from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.discover.run import discover_run
 from cellapp.commands.export.run import export_as_run, export_run
 from cellapp.commands.import_.request import VERB as IMPORT
 from cellapp.commands.import_.run import import_new_run
@@ -22,6 +24,7 @@ from cellapp.commands.view.recordings import recording_tables
 from cellapp.commands.view.table import Table
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.ground.progress import Cancelled, CancelToken, Listener, Progress
 from cellapp.interfaces.page import write_page
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording
@@ -170,3 +173,36 @@ def test_the_page_of_a_run_shows_clocks_and_what_is_not_determined(tmp_path: Pat
     assert result.arms["left"].motion.undetermined
     for said in ("the tracker&#39;s against the controller&#39;s", "what their points are worth", "not determined"):
         assert said in page or said.replace("&#39;", "'") in page, said
+
+
+def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: Path) -> None:
+    profile = without_devices("left")
+    import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left", seconds=20.0))
+
+    def events_until(words: str, job: Callable[[RunFile, Listener, CancelToken], object]) -> list[Progress]:
+        """Events of a job that is asked to end as soon as it says ``words``."""
+        events: list[Progress] = []
+        cancel = CancelToken()
+
+        def listen(event: Progress) -> None:
+            events.append(event)
+            if words in event.note:
+                cancel.cancel()
+
+        with RunFile.open(tmp_path / "run", write=True) as run, pytest.raises(Cancelled):
+            job(run, listen, cancel)
+        return events
+
+    of_calibrate = events_until("with all points", calibrate_run)
+    assert [event.note for event in of_calibrate][:2] == [
+        "arm left: start of the clocks of recording 'left'",
+        "arm left: step 1 with some of the points",
+    ]
+    assert of_calibrate[-1].note == "arm left: step 1 with all points", "nothing is done after the request"
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        assert next_step(run, read_stages(run), arm_states(run))[0] == "calibrate"
+        seen: list[Progress] = []
+        calibrate_run(run, seen.append)
+    assert [(event.done, event.total) for event in seen if event.job == "recordings of motion"][-1] == (1, 1)
+    of_discover = events_until("with backlash: step 1", discover_run)
+    assert of_discover[-1].job == "recordings of motion"

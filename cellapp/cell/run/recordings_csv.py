@@ -243,8 +243,8 @@ def _notes(recorded: RecordedStreams) -> list[str]:
     first, second = recorded.joints.columns["time_s"], recorded.points.columns["time_s"]
     if first.max() < second.min() or second.max() < first.min():
         notes.append(
-            f"{where}: the stamps of joints and points share no time (joints {first.min():.6g} to {first.max():.6g} s,"
-            f" points {second.min():.6g} to {second.max():.6g} s); the clocks are aligned by the motion alone"
+            f"{where}: the stamps of joints and points share no time (joints {first.min():.2f} to {first.max():.2f} s,"
+            f" points {second.min():.2f} to {second.max():.2f} s); the clocks are aligned by the motion alone"
         )
     return notes
 

@@ -316,6 +316,8 @@ def _search_rows(
     found = search(searched, slugs, cancel, report)
     if len(some) == len(rows) or not found.fit.terms:
         return _Searched(found, found, with_posterior(found.data, found.fit), None)
+    cancel.check()
+    report(SEARCH_STEPS - 1, f"fit to all {counted(len(rows), 'reading')}")
     everything = ArmData.of(profile, model, readings, conditions, prior_sigma)
     if smoothness_of(found.fit.terms) is None:
         to_all = refit_to_all(found, everything)

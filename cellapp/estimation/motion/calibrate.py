@@ -19,7 +19,7 @@ from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import CancelToken, Listener, Progress, Told, ignore, ignore_words
 from cellapp.ground.results import ErrorSummary, Estimate, Stage, StageErrors
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, invert
@@ -61,10 +61,14 @@ def calibrate_with_motion(
     notes: list[str] = []
     moved = {name: its for name, its in recordings.items() if its}
     for number, (name, its) in enumerate(moved.items()):
-        listener(Progress("calibrate", number, len(moved) + 1, f"arm {name}: recordings of motion"))
-        cancel.check()
-        fit, known[name] = calibrate_arm_with_motion(profile, name, readings[name], its)
+
+        def told(words: str, done: int = number, arm: str = name) -> None:
+            cancel.check()
+            listener(Progress("recordings of motion", done, len(moved), f"arm {arm}: {words}"))
+
+        fit, known[name] = calibrate_arm_with_motion(profile, name, readings[name], its, told)
         samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
+    listener(Progress("recordings of motion", len(moved), len(moved), "done"))
     found = calibrate_readings(profile, readings, listener, cancel, known=known)
     if found.pair is None and len(known) == len(profile.arms) == 2:
         T_M_first, T_M_second = (arm.model.geometry.T_M_B() for arm in found.arms.values())
@@ -76,7 +80,7 @@ def calibrate_with_motion(
 
 
 def calibrate_arm_with_motion(
-    profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording]
+    profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording], told: Told = ignore_words
 ) -> tuple[MotionFit, ArmCalibration]:
     """One arm from its recordings and, where there are any, from the readings of its identify split."""
     arm, settings = profile.arms[name], profile.calibration
@@ -91,6 +95,7 @@ def calibrate_arm_with_motion(
         parameter_set=settings.parameter_set,
         prior_sigma=prior_sigmas(nominal, settings.priors),
         seed=profile.seed,
+        told=told,
     )
     found, some = fit.identification, samples_of(fit, len(arm.type.joints))
     start = start_from_nominal(nominal, some.q, some.p_M, tool_unknown=arm.smr.offset == "unknown")

@@ -28,7 +28,7 @@ from cellapp.estimation.motion.effects import MotionDiscovery, MotionEffect, eff
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import CancelToken, Listener, Progress, Told, ignore
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import ArmModel
@@ -44,6 +44,7 @@ def with_motion(
     readings: Mapping[str, Readings],
     stops: Mapping[str, Readings],
     recordings: Mapping[str, Sequence[Recording]],
+    listener: Listener = ignore,
     cancel: CancelToken | None = None,
 ) -> CellDiscovery:
     """The discovery of a cell with what recordings of its arms show.
@@ -58,11 +59,16 @@ def with_motion(
     """
     conditions = conditions_of_arms(calibrated, readings)
     arms = dict(found.arms)
-    for name, its in recordings.items():
-        if not its:
-            continue
+    cancel = cancel or CancelToken()
+    moved = {name: its for name, its in recordings.items() if its}
+    for number, (name, its) in enumerate(moved.items()):
+
+        def told(words: str, done: int = number, arm: str = name) -> None:
+            cancel.check()
+            listener(Progress("recordings of motion", done, len(moved), f"arm {arm}: {words}"))
+
         started = time.perf_counter()
-        motion = _search(profile, name, stops[name], its, cancel)
+        motion = _search(profile, name, stops[name], its, told)
         held_out = HeldOut.of(readings[name], conditions[name])
         if not len(stops[name].in_split("validate")):  # samples stand for poses at rest: without what only motion has
             joints = readings[name].joints
@@ -70,12 +76,13 @@ def with_motion(
             held_out = HeldOut.of(samples, measurement_conditions(samples))
         seconds = time.perf_counter() - started
         arms[name] = _with_effects(name, found.arms[name], calibrated[name], motion, held_out, seconds)
+    listener(Progress("recordings of motion", len(moved), len(moved), "done"))
     model = replace(found.model, arms={name: one.model for name, one in arms.items()})
     return replace(found, arms=arms, model=model)
 
 
 def _search(
-    profile: Profile, name: str, at_rest: Readings, recordings: Sequence[Recording], cancel: CancelToken | None
+    profile: Profile, name: str, at_rest: Readings, recordings: Sequence[Recording], told: Told
 ) -> MotionDiscovery:
     arm, settings = profile.arms[name], profile.calibration
     nominal = nominal_arm(arm)
@@ -91,7 +98,7 @@ def _search(
         parameter_set=settings.parameter_set,
         prior_sigma=prior_sigmas(nominal, settings.priors),
         seed=profile.seed,
-        cancel=cancel,
+        told=told,
     )
 
 

@@ -30,7 +30,7 @@ from cellapp.estimation.motion.observe import Stops, residuals
 from cellapp.estimation.motion.records import MotionFit
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import JointTerm, Law
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.statics import Bodies
@@ -142,7 +142,7 @@ def effects_in_motion(
     parameter_set: SetName = "auto",
     prior_sigma: Mapping[str, float] | None = None,
     seed: int = 0,
-    cancel: CancelToken | None = None,
+    told: Told = ignore_words,
 ) -> MotionDiscovery:
     """Search recordings of one arm for effects of its joints.
 
@@ -155,10 +155,7 @@ def effects_in_motion(
     ------
     InputError
         As ``identify_from_motion``.
-    Cancelled
-        On request.
     """
-    cancel = cancel or CancelToken()
     problem, stop_rows = motion_problem(
         nominal,
         recordings,
@@ -168,9 +165,10 @@ def effects_in_motion(
         parameter_set=parameter_set,
         prior_sigma=prior_sigma,
         seed=seed,
+        told=told,
         loads=None if bodies is None or up_M is None else (bodies, up_M),
     )
-    search = _Search(problem, stop_rows, cancel)
+    search = _Search(problem, stop_rows, told)
     return search.run()
 
 
@@ -199,7 +197,7 @@ class _State:
 class _Search:
     problem: Problem
     stop_rows: NDArray[np.intp]
-    cancel: CancelToken
+    told: Told
 
     def run(self) -> MotionDiscovery:
         """Laws of all joints and lines, until none is left that chance does not explain."""
@@ -208,7 +206,6 @@ class _Search:
         first_mm, steps = state.heldout_mm, list[_Step]()
         laws = [Law.PLAY, Law.LAG, *((Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ())]
         while True:
-            self.cancel.check()
             found = self._law(state, [law for law in laws if not _has(steps, law)]) or self._lines(state, steps)
             if found is None:
                 break
@@ -239,7 +236,7 @@ class _Search:
             for term in lines:
                 if (term.joint, term.cycles) in better:
                     continue
-                self.cancel.check()
+                self.told(f"cycles of lines of joint {term.joint + 1}")
                 near = _near(state, term, lines)
                 values = state.solution.values.copy()
                 values[_places(state, [t for line in near for t in _pair(line.joint, line.cycles)])] = 0.0
@@ -292,7 +289,9 @@ class _Search:
         return self._state(replace(problem, mean=mean, precision=precision), solution.values)
 
     def _state(self, problem: Problem, start: Array | None) -> _State:
-        solution = solve(problem, self.stop_rows, start)
+        laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
+        beginning = f"with {', '.join(laws)}: " if laws else ""
+        solution = solve(problem, self.stop_rows, start, lambda words: self.told(beginning + words))
         return _State(problem, solution, held_out_rms_mm(problem, solution))
 
     def _extended(self, state: _State, terms: tuple[JointTerm, ...]) -> _State:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from statistics import median_high, median_low
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,7 @@ from cellapp.estimation.motion.observe import (
 )
 from cellapp.estimation.motion.terms import JointTerm, Law, Masses
 from cellapp.estimation.motion.tracks import Track
+from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
 
@@ -64,6 +66,8 @@ _REWEIGHTED = 0.02
 """Relative change of a weight at which weights count as settled."""
 _WEAK = 0.01
 """Precision of a prior that only keeps what is not determined, in that of the solution."""
+_ALIKE = 4.0
+"""Ratio of variances up to which recordings of one arm weigh the same for each second."""
 _ROUNDS = 4
 """Rounds of step and weights: weights settle to a percent in two or three."""
 
@@ -184,15 +188,20 @@ def _thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
     return rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
 
 
-def solve(problem: Problem, stop_rows: NDArray[np.intp], start: Array | None = None) -> Solution:
+def solve(
+    problem: Problem, stop_rows: NDArray[np.intp], start: Array | None = None, told: Told = ignore_words
+) -> Solution:
     """Fit a subset with robust weights, then all points but gross errors; from ``start`` without the subset."""
-    values, steps = _first_fit(problem, stop_rows) if start is None else (start, [])
+    values, steps = _first_fit(problem, stop_rows, told) if start is None else (start, [])
     precision, converged = problem.precision, False
-    for _ in range(_STEPS):
+    for number in range(_STEPS):
+        told(f"step {number + 1} with all points")
         model = problem.model(values)
         sources = _all_points(problem, model, stop_rows)
         sums = _sums(problem, model, sources, None)
-        step, noise, worths, information, precision = _weighed_step(problem, values, sums)
+        step, noise, worths, information, precision = _weighed_step(
+            problem, values, sums, _seconds_per_worth(problem, sources)
+        )
         values = values + step
         steps.append(_size(step, information, problem.translation))
         converged = steps[-1] < _LAST_M
@@ -248,15 +257,17 @@ def _with_clocks(noise: NoiseModel, of_clocks: NoiseModel, places: NDArray[np.in
     return replace(noise, covariance=covariance, freedom=freedom)
 
 
-def _first_fit(problem: Problem, stop_rows: NDArray[np.intp]) -> tuple[Array, list[float]]:
+def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tuple[Array, list[float]]:
     """Robust fit of a subset: values, and the sizes of the steps."""
     share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
     rows = [_thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
     values, steps = problem.mean.copy(), []
-    for _ in range(_FIRST_STEPS):
+    for number in range(_FIRST_STEPS):
+        told(f"step {number + 1} with some of the points")
         model = problem.model(values)
         sources, robust = _with_robust_weights(problem, model, rows, stop_rows)
-        step, _, _, information, _ = _weighed_step(problem, values, _sums(problem, model, sources, robust))
+        sums, most = _sums(problem, model, sources, robust), _seconds_per_worth(problem, sources)
+        step, _, _, information, _ = _weighed_step(problem, values, sums, most)
         values = values + step
         steps.append(_size(step, information, problem.translation))
         if steps[-1] < _SETTLED_M:
@@ -265,11 +276,13 @@ def _first_fit(problem: Problem, stop_rows: NDArray[np.intp]) -> tuple[Array, li
 
 
 def _weighed_step(
-    problem: Problem, values: Array, sums: Sequence[Sums]
+    problem: Problem, values: Array, sums: Sequence[Sums], most: Array | None = None
 ) -> tuple[Array, NoiseModel, list[float], Array, Array]:
     """Gauss-Newton step with sources weighed by what they are worth and priors by what they leave: step, noise model,
-    worths, information and precision of the priors."""
+    worths, information and precision of the priors. ``most`` bounds the worths, see ``_bounded``."""
     worths, precision = [1.0] * len(sums), problem.precision
+    if most is not None:
+        worths = _bounded(worths, most)
     for _ in range(_ROUNDS):
         A, b = _normal(problem, sums, worths)
         precision = _with_spreads(problem, values, A, precision)
@@ -281,7 +294,31 @@ def _weighed_step(
         if max(abs(level - 1.0) for level in levels) < _REWEIGHTED:
             break
         worths = [worth / level for worth, level in zip(worths, levels, strict=True)]
+        if most is not None:
+            worths = _bounded(worths, most)
     return step, noise, worths, A, precision
+
+
+def _seconds_per_worth(problem: Problem, sources: Sequence[Source]) -> Array | None:
+    """Time of each recording over the sum of its weights at worth one (n,) [m^2 s]; None for fewer than three, of
+    which none is usual, or where filters of their own make recordings no more alike."""
+    if len(problem.tracks) < 3 or problem.whitening is not None:
+        return None
+    times = [np.count_nonzero(track.learnt) * track.stamps.period_s for track in problem.tracks]
+    return np.array([t * s.sigma_m**2 / max(len(s.rows), 1) for t, s in zip(times, sources)])
+
+
+def _bounded(worths: Sequence[float], seconds_per_worth: Array) -> list[float]:
+    """Worths of which no second of a recording weighs more than one of the median recording.
+
+    What a model of the arm lacks is the same for all recordings. One of a few seconds has too few residuals of its own
+    to tell its noise: where a fit follows it, it would weigh more, and the fit follow it the more. A recording that is
+    worse than others weighs less, without bound.
+    """
+    recordings = len(seconds_per_worth)
+    a_second = np.asarray(worths[:recordings]) / seconds_per_worth
+    bounded = np.minimum(_ALIKE * a_second, median_high(a_second.tolist())) * seconds_per_worth
+    return [*bounded.tolist(), *worths[recordings:]]
 
 
 def _normal(problem: Problem, sums: Sequence[Sums], worths: Sequence[float]) -> tuple[Array, Array]:
@@ -352,21 +389,27 @@ def _source(problem: Problem, number: int, rows: NDArray[np.intp], norm: Array) 
 def _with_robust_weights(
     problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]], stop_rows: NDArray[np.intp]
 ) -> tuple[list[Source], list[Array]]:
-    sources, weights = [], []
-    every = [*rows, stop_rows]
-    for number, left in enumerate(_misses(problem, model, rows, stop_rows)):
-        norm = np.linalg.norm(left, axis=1)
-        sources.append(_source(problem, number, every[number], norm))
-        weights.append(robust_weights(np.maximum(norm, _TRACKER_M), "tukey"))
+    norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows, stop_rows)]
+    usual, sources, weights = _usual(norms[: len(rows)]), [], []
+    for number, (norm, its) in enumerate(zip(norms, [*rows, stop_rows])):
+        sources.append(_source(problem, number, its, norm))
+        weights.append(robust_weights(np.maximum(norm, usual if number < len(rows) else _TRACKER_M), "tukey"))
     return sources, weights
+
+
+def _usual(norms: Sequence[Array]) -> float:
+    """Norm [m] of residuals of the median recording: one that the fit follows more than others has no more gross
+    errors than they."""
+    return max(median_low([float(np.median(norm)) for norm in norms]), _TRACKER_M)
 
 
 def _all_points(problem: Problem, model: Model, stop_rows: NDArray[np.intp]) -> tuple[Source, ...]:
     """All points of every source without gross errors."""
     rows = [np.flatnonzero(track.learnt) for track in problem.tracks]
-    every, found = [*rows, stop_rows], []
-    for number, left in enumerate(_misses(problem, model, rows, stop_rows)):
-        norm = np.linalg.norm(left, axis=1)
-        good = norm < GROSS * max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
-        found.append(_source(problem, number, every[number][good], norm[good]))
+    norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows, stop_rows)]
+    usual, found = _usual(norms[: len(rows)]), []
+    for number, (norm, its) in enumerate(zip(norms, [*rows, stop_rows])):
+        least = usual if number < len(rows) else 0.0
+        good = norm < GROSS * max(float(np.median(norm)) / MEDIAN_NORM, least / MEDIAN_NORM, _TRACKER_M)
+        found.append(_source(problem, number, its[good], norm[good]))
     return tuple(found)

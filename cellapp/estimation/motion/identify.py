@@ -19,6 +19,7 @@ from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError
+from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array
@@ -26,6 +27,10 @@ from cellapp.robot.kinematics.transforms import Array
 _LEAST_POINTS = 50
 _STILL_RAD = 0.02
 """Range of a joint below which a motion tells next to nothing of it."""
+_FEW_DETERMINED = 2.0 / 3.0
+"""Share of the parameters of the geometry below which motions excite the arm little: good ones leave a fifth open."""
+_BAD = 5.0
+"""Ratio of the scatter to that of the median recording from which a recording is named as bad."""
 _RATE_UNKNOWN_PPM = 20.0
 """Standard error of a rate above which it is as uncertain as clocks themselves."""
 
@@ -40,6 +45,7 @@ def identify_from_motion(
     parameter_set: SetName = "auto",
     prior_sigma: Mapping[str, float] | None = None,
     seed: int = 0,
+    told: Told = ignore_words,
 ) -> MotionFit:
     """Identify geometry, lost motion and clocks of one arm from recordings of its motion.
 
@@ -56,6 +62,8 @@ def identify_from_motion(
     parameter_set, prior_sigma
         As of ``calibration.identification.identify``.
     seed : int
+    told
+        Takes words about each step; what it raises ends the fit.
 
     Raises
     ------
@@ -71,8 +79,11 @@ def identify_from_motion(
         parameter_set=parameter_set,
         prior_sigma=prior_sigma,
         seed=seed,
+        told=told,
     )
-    return motion_fit(problem, free_clocks(problem, solve(problem, stop_rows)))
+    solution = solve(problem, stop_rows, told=told)
+    told("clocks")
+    return motion_fit(problem, free_clocks(problem, solution))
 
 
 def motion_problem(
@@ -85,6 +96,7 @@ def motion_problem(
     parameter_set: SetName,
     prior_sigma: Mapping[str, float] | None,
     seed: int,
+    told: Told,
     loads: tuple[Bodies, Array] | None = None,
 ) -> tuple[Problem, NDArray[np.intp]]:
     """The problem of ``identify_from_motion``, and the rows of the stops that it may use; ``loads`` are masses and the
@@ -97,7 +109,10 @@ def motion_problem(
     """
     if not recordings:
         raise InputError("no recordings of motion")
-    tracks = [_track(recording, nominal, tool_unknown, seed + number) for number, recording in enumerate(recordings)]
+    tracks = []
+    for number, recording in enumerate(recordings):
+        told(f"start of the clocks of recording '{recording.name}'")
+        tracks.append(_track(recording, nominal, tool_unknown, seed + number))
     stop_rows = np.arange(0 if stops is None else len(stops.q))
     if held_out_stops is not None:
         stop_rows = np.flatnonzero(~held_out_stops)
@@ -318,6 +333,13 @@ def _undetermined(
             said.append(
                 f"joint {joint + 1} moved by {math.degrees(swing):.2f} deg only: neither its axis nor its errors show"
             )
+    determined, of = len(identification.names), len(identification.estimated.names)
+    if determined < _FEW_DETERMINED * of:
+        said.insert(
+            0,
+            f"these motions determine {determined} of {of} parameters of the geometry: predictions hold near them only;"
+            " record motions of all joints, each alone and together, through a larger part of their range",
+        )
     merged = identification.parameter_set.merged
     for name, into in merged.items():
         partners = ", ".join(sorted(into, key=lambda one: -abs(into[one]))[:4])
@@ -330,9 +352,28 @@ def _undetermined(
                 f" {', '.join(f'{other:.2f}' for other in others)} s would fit as well; the one with the longest"
                 " overlap was taken: begin recordings with a motion that does not come again"
             )
-        if one.clock.rate_standard_error_ppm > _RATE_UNKNOWN_PPM:
-            said.append(
-                f"recording '{name}': the rate between the clocks is known to"
-                f" {one.clock.rate_standard_error_ppm:.0f} ppm only; record longer"
-            )
-    return tuple(said)
+    return (*said, *_unsteady_rates(found), *_bad_recordings(found))
+
+
+def _unsteady_rates(found: Mapping[str, RecordingFit]) -> list[str]:
+    """A sentence about the recordings that do not tell the rate of their clocks."""
+    errors = {name: one.clock.rate_standard_error_ppm for name, one in found.items()}
+    errors = {name: error for name, error in errors.items() if error > _RATE_UNKNOWN_PPM}
+    if not errors:
+        return []
+    best, worst = f"{min(errors.values()):.0f}", f"{max(errors.values()):.0f}"
+    known = f"the rate between the clocks is known to {best if best == worst else f'{best} to {worst}'} ppm only"
+    names = ", ".join(f"'{name}'" for name in errors)
+    return [f"{'recording' if len(errors) == 1 else 'recordings'} {names}: {known}; record longer"]
+
+
+def _bad_recordings(found: Mapping[str, RecordingFit]) -> list[str]:
+    """Sentences about recordings that the arm of all others does not explain."""
+    usual = float(np.median([one.scatter_m for one in found.values()]))
+    return [
+        f"recording '{name}': its points lie {one.scatter_m * 1e3:.2f} mm from the arm on which the other recordings"
+        f" agree to {usual * 1e3:.2f} mm, so that it counts little and its clock is known badly; look for an SMR that"
+        " was loose or another one, an arm that slipped, a tracker that was moved"
+        for name, one in found.items()
+        if len(found) > 2 and one.scatter_m > _BAD * usual
+    ]

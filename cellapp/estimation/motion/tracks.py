@@ -121,7 +121,9 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         start,
     )
     track = _with_segment_starts(track, usual & known, nominal, tool_unknown, where)
-    validate, guard = _drawn(time, seed) if held_out is None else (held_out[stamps.rows], np.zeros(len(time), bool))
+    validate, guard = (
+        _drawn(time, known, seed) if held_out is None else (held_out[stamps.rows], np.zeros(len(time), bool))
+    )
     return replace(track, learnt=known & ~validate & ~guard, held_out=known & validate)
 
 
@@ -164,14 +166,16 @@ def _with_segment_starts(
     return replace(track, offsets_s=offsets)
 
 
-def _drawn(time: Array, seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Points in the blocks of time that the seed holds out, and those beside such a block."""
-    length = max(_SHORTEST_BLOCK_S, (time[-1] - time[0]) / _BLOCKS)
-    count = max(1, math.ceil((time[-1] - time[0]) / length))
-    block = np.minimum(((time - time[0]) / length).astype(np.intp), count - 1)
+def _drawn(time: Array, known: NDArray[np.bool_], seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Points in the blocks of time that the seed holds out, and those beside such a block; of the time between the
+    first and the last point at which the joints are ``known``."""
+    first, last = time[known][[0, -1]] if known.any() else time[[0, -1]]
+    length = max(_SHORTEST_BLOCK_S, (last - first) / _BLOCKS)
+    count = max(1, math.ceil((last - first) / length))
     chosen = np.zeros(count, dtype=bool)
     chosen[np.random.default_rng([seed, _SEED]).permutation(count)[: round(_HELD_OUT_SHARE * count)]] = True
-    validate = chosen[block]
-    early = chosen[np.clip(((time - _GUARD_S - time[0]) / length).astype(np.intp), 0, count - 1)]
-    late = chosen[np.clip(((time + _GUARD_S - time[0]) / length).astype(np.intp), 0, count - 1)]
+    blocks = [
+        np.clip(((time + shift - first) / length).astype(np.intp), 0, count - 1) for shift in (0.0, -_GUARD_S, _GUARD_S)
+    ]
+    validate, early, late = (chosen[block] for block in blocks)
     return validate, (early | late) & ~validate

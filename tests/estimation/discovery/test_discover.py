@@ -24,6 +24,7 @@ from cellapp.estimation.discovery.discover import discover_arm, discover_cell
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.ground.progress import Cancelled, CancelToken
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.model import CellModel
 from drivers.plant import suggest
@@ -150,13 +151,13 @@ def test_hidden_effects_are_named_and_measured(tmp_path, plan, seed):
         assert {term.slug for term in discovery.model.effects} == names(discovery)
 
 
-def blind(plan, effects, seed, noise=None):
+def blind(plan, effects, seed, noise=None, **watched):
     """Discovery in the left arm of a cell whose data have all factors."""
     profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": effects}, seed)
     readings = blind_readings(profile, plan, seed, noise)
     models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
     conditions = conditions_of_arms(models, readings)
-    return discover_arm(profile, "left", models["left"], readings["left"], conditions=conditions["left"])
+    return discover_arm(profile, "left", models["left"], readings["left"], conditions=conditions["left"], **watched)
 
 
 def drawn(slug, seed):
@@ -290,6 +291,19 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
     outside = inside.copy()
     outside[0, 1] = 0.0  # joint 2 was trained from -186 to -90 degrees
     assert discovery.model.uncertainty(outside)[0] > 2.0 * discovery.model.uncertainty(inside)[0]
+
+
+def test_a_search_ends_on_request_before_the_rivals_of_the_next_effect(plan):
+    cancel, said = CancelToken(), []
+
+    def report(done, words):
+        said.append(words)
+        if words == "review and rivals":
+            cancel.cancel()
+
+    with pytest.raises(Cancelled):
+        blind(plan, {"joint_compliance": drawn("joint_compliance", 21)}, 21, cancel=cancel, report=report)
+    assert said[-1] == "review and rivals"
 
 
 def test_an_uncalibrated_run_is_refused(tmp_path, plan):

@@ -69,12 +69,17 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     progress.step("effects of the library")
     best = _best_model(problem, start, scan, progress)
     progress.finish("review and rivals")
+    reviews = []
+    for number, term in enumerate(best.fit.terms):
+        cancel.check()
+        progress.say(f"rivals of effect {number + 1} of {len(best.fit.terms)}, {term.slug}")
+        reviews.append(review(problem, best, number))
     return SearchResult(
         data=best.data,
         fit=best.fit,
         geometry_only=fit,
         scan=scan,
-        reviews=tuple(review(problem, best, number) for number in range(len(best.fit.terms))),
+        reviews=tuple(reviews),
         steps=best.steps,
         dropped=best.dropped,
         threshold=threshold,
