@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -517,6 +518,18 @@ async def test_stops_are_sorted_and_filtered_and_say_what_is_normal(size: tuple[
         assert "1 of 60, suspicious only" in shown_text(app)
         await pilot.press("f")
         assert len(stops_of(app)) == len(rows)
+
+
+async def test_what_is_normal_after_calibration_stands_beside_it(finished_run: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_stops(pilot, app, finished_run)
+        words = " ".join(shown_text(app).split())
+        ranges = re.findall(
+            r"up to ([\d.]+) mm before calibration \(running model\), up to ([\d.]+) mm after it", words
+        )
+        assert len(ranges) == 2
+        assert all(float(after) < float(before) for before, after in ranges)
 
 
 async def test_the_plot_marks_the_row_and_moves_the_cursor(measured_run: Path) -> None:
