@@ -40,6 +40,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.plots.drawing import point_at
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens.collect_state import headline
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
@@ -547,6 +548,27 @@ async def test_the_plot_marks_the_row_and_moves_the_cursor(measured_run: Path) -
         await pilot.press("t", "s", "s")  # sorted by residual, the cursor stays on its stop
         assert stops.chosen is not None
         assert stops_of(app)[stops.table.cursor_row][:2] == ("2", "right")
+
+
+async def test_a_click_on_a_residual_puts_the_cursor_on_its_stop(measured_run: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(200, 60)) as pilot:
+        await show_stops(pilot, app, measured_run)
+        plot, stops = app.screen.query_one("#residuals", ChartPlot), app.screen.query_one(CollectedStops)
+        await until(pilot, lambda: plot.chart is not None and not plot.chart.is_empty, "the plot")
+        assert plot.chart is not None
+        width, height = plot.content_size
+        farthest = next(  # the gross error alone is near the top of the plot
+            (column, row)
+            for row in range(height)
+            for column in range(width)
+            if (found := point_at(plot.chart, width, height, column, row)) is not None and found[0] == 12.0
+        )
+        await pilot.click("#residuals", offset=farthest)
+        await until(pilot, lambda: stops.chosen is not None and stops.chosen.stop == 11, "the row")
+        assert stops.chosen is not None
+        assert stops.chosen.arm == "right"
+        assert stops_of(app)[stops.table.cursor_row][:2] == ("12", "right")
 
 
 async def test_without_a_collection_the_stops_say_why() -> None:

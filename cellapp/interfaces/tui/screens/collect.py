@@ -411,6 +411,11 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         """Mark the stop under the cursor in the plot of the residuals."""
         self.show_job(self.cell_app.record)
 
+    @on(ChartPlot.PointClicked, "#residuals")
+    def choose_clicked(self, event: ChartPlot.PointClicked) -> None:
+        """Put the cursor of the stops on the residual that was clicked."""
+        self.query_one(CollectedStops).choose_near(round(event.x) - 1, event.y)
+
     def _draw_next_plot(self, record: JobRecord) -> None:
         self._plot_waits = False
         self._draw_plots(record)

@@ -88,6 +88,14 @@ class CollectedStops(Vertical):
         """Move the cursor by some rows: from a plot, the next point or the one before."""
         self.table.move_cursor(row=self.table.cursor_row + by)
 
+    def choose_near(self, stop: int, residual_mm: float) -> None:
+        """Put the cursor on the arm at a stop whose residual is nearest; nothing where no arm of it is shown."""
+        rows = [row for row, one in enumerate(self._shown) if one.stop == stop and one.residual_mm is not None]
+        if rows:
+            self.table.move_cursor(
+                row=min(rows, key=lambda row: abs((self._shown[row].residual_mm or 0.0) - residual_mm))
+            )
+
     def action_sort(self) -> None:
         """Sort by the next column."""
         titles = [column.title for column in stops_table(()).columns]
