@@ -14,7 +14,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from cellapp.estimation.motion import MotionFit, identify_from_motion
+from cellapp.estimation.motion.identify import identify_from_motion
+from cellapp.estimation.motion.records import MotionFit
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, nominal_geometry
 from tests.estimation.motion.simulated import UR10, Arm, record, sweep, true_arm

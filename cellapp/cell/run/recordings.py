@@ -16,7 +16,7 @@ from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.schema import schema_version
 from cellapp.cell.run.stream_codes import packed, unpacked
 from cellapp.cell.run.stream_columns import Kind, joint_stream, point_stream
-from cellapp.estimation.motion import Recording
+from cellapp.estimation.motion.streams import Recording
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.records import StreamState
-from cellapp.estimation.motion import JointStream, PointStream
+from cellapp.estimation.motion.streams import JointStream, PointStream
 from cellapp.estimation.readings.columns import COLUMNS, Fault, beyond_limits
 
 Kind = Literal["joints", "points"]

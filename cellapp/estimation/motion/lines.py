@@ -7,7 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
-from scipy.signal import lfilter
 
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.observe import residuals
@@ -33,6 +32,8 @@ def line_powers(problem: Problem, solution: Solution) -> tuple[Array, Array]:
     A line of c cycles has the frequency ``c qd / 2 pi``, slowly changing: whitening multiplies it by the filter's
     response there.
     """
+    from scipy.signal import lfilter  # it loads scipy.stats: commands without recordings need not wait for that
+
     joints, model = problem.layout.parameters.joints, problem.model(solution.values)
     sums, energy = np.zeros((joints, _MOST_CYCLES + 1), dtype=np.complex128), np.zeros((joints, _MOST_CYCLES + 1))
     low, high = np.full(joints, np.inf), np.full(joints, -np.inf)

@@ -13,7 +13,6 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.motion.noise import Bands, bands_of
@@ -154,6 +153,8 @@ def track_sums(
 
     ``whitening`` is a filter along time that columns and residuals pass.
     """
+    from scipy.signal import lfilter  # it loads scipy.stats: commands without recordings need not wait for that
+
     k = len(model.layout.columns_of(number))
     A, b = np.zeros((k, k)), np.zeros(k)
     past = 0 if whitening is None else len(whitening) - 1

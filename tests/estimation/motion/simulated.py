@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cellapp.estimation.motion import JointStream, PointStream, Recording
+from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 
 UR10 = np.array(
     [

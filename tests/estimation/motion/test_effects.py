@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.estimation.motion import effects_in_motion
+from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.joint_path import joint_path, play
 from cellapp.estimation.motion.terms import Masses, torques_in_motion
 from cellapp.robot.kinematics.chain import nominal_geometry

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.estimation.motion import JointStream, PointStream, Recording, Stops, identify_from_motion
+from cellapp.estimation.motion.identify import identify_from_motion
+from cellapp.estimation.motion.observe import Stops
+from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.estimation.motion.simulated import SEVEN, UR10, record, sweep, true_arm
