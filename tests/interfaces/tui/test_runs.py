@@ -98,7 +98,7 @@ async def test_an_empty_folder_says_what_makes_a_run() -> None:
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app, 0)
         await until(pilot, lambda: "no runs below logs" in about(app), "the sentence")
-        for key in ("enter", "space", "o", "e", "y", "c"):
+        for key in ("enter", "space", "o", "F", "b", "v", "="):
             await pilot.press(key)
         assert not app.jobs.running
 
@@ -178,7 +178,7 @@ async def test_three_marked_runs_and_the_list_are_shown_as_a_fleet(logs: Path, m
         await pilot.press("o", "enter")
         await until(pilot, (LOGS / "fleet.html").is_file, "the page")
         await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history again")
-        await pilot.press("escape", "slash", *"second", "enter", "f")
+        await pilot.press("escape", "slash", *"second", "enter", "F")
         await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history of the listed run")
 
 
