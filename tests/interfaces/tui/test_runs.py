@@ -90,7 +90,9 @@ async def test_the_newest_run_is_on_top_and_a_broken_one_says_why(
         assert "is not a run file" in app.message
         assert app.workspace.folder is None
         await go_to(pilot, app, "second")
-        assert "interrupted, 2 stops left: cellapp collect" in about(app)
+        assert "interrupted, 2 stops left: Enter, then keys 3, b" in about(app)
+        await pilot.press("enter")
+        await until(pilot, lambda: "interrupted, 2 stops left: keys 3, b" in about(app), "the keys of the open run")
 
 
 async def test_an_empty_folder_says_what_makes_a_run() -> None:
