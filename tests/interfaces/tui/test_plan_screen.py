@@ -190,10 +190,10 @@ async def test_what_is_missing_is_said(tmp_path: Path) -> None:
         await until(pilot, lambda: app.screen is app.day_screen, "the screen")
         await pilot.press("2")
         await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
-        for key, words in (("b", "No profile is open"), ("k", "No run is open"), ("j", "No run is open")):
+        for key in ("b", "k", "j"):
             app.say("")
             await pilot.press(key)
-            assert words in app.message
+            assert "No profile is open: choose one on the screen Cell" in app.message
             assert not app.jobs.running
     RunFile.create(tmp_path / "imported", small_twin()).close()
     app = CellApp(PROFILES)
