@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import shutil
 from collections.abc import Callable
@@ -151,6 +152,24 @@ async def test_no_sentence_contradicts_the_state(
             await ended(pilot, app)
             await pilot.pause()
             assert not [word for word in RUNS if word in words(app)], "what the footer and the screen say afterwards"
+
+
+async def test_a_screen_that_is_drawn_while_it_is_being_made_says_the_state() -> None:
+    planned_run(RUN).close()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SIZE) as pilot:
+        await opened(pilot, app)
+        app.open_run(RUN)
+        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+        for step, sentence in (("plan", "arm left: 4 stops"), ("collect", "READY, 4 stops"), ("calibrate", "Not cal")):
+            app.action_show(step)  # type: ignore[arg-type]
+            async with asyncio.timeout(WAIT_S):
+                while not app.day_screen.is_mounted:
+                    app.record.changes += 1  # events of a job come at any moment
+                    app._draw_events()
+                    app.draw_all()
+                    await asyncio.sleep(0.0)
+            await until(pilot, lambda: sentence in words(app), f"{step}: {sentence}")  # noqa: B023
 
 
 # -- the marks ---------------------------------------------------------------------------------------------------------
