@@ -11,6 +11,7 @@ import numpy as np
 
 from cellapp.cell.driving.suspicions import Suspicions
 from cellapp.estimation.calibration.online import OnlineFit, online_fit
+from cellapp.estimation.calibration.online_model import Residuals
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -108,6 +109,11 @@ class LiveModel:
     def standard_error_mm(self) -> dict[str, float]:
         """Standard uncertainty of a predicted SMR position from the parameters, by arm; arms without a model lack."""
         return {name: report.standard_error_mm for name, report in self._latest.items()}
+
+    def residuals(self) -> dict[str, Residuals]:
+        """What the models leave of all readings, by arm, in the order in which they came; arms without a model lack."""
+        found = {name: fit.residuals() for name, fit in self._fits.items()}
+        return {name: one for name, one in found.items() if one is not None}
 
     def accurate_enough(self, stops_done: int) -> bool:
         """Whether the asked standard error is reached by every arm, after the least number of stops."""

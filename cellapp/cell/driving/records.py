@@ -91,11 +91,43 @@ class SessionRecord(Record):
     requests: tuple[SessionRequest, ...]
 
 
+class CollectedStop(Record):
+    """One arm at one stop, from 0, as measured, or why not.
+
+    Attributes
+    ----------
+    residual_mm : float or None
+        Distance of the SMR from the running model that has learnt from all readings; None without a reading or a model.
+    sigma_mm : float or None
+        Root mean square that stated noise and scatter give this distance.
+    retried : bool
+        Whether it was not measured at an earlier visit; how many there were is not kept.
+    suspicion : str
+        "gross error", "left out by calibrate", or why there is no reading; empty for none.
+    """
+
+    stop: int
+    arm: str
+    residual_mm: float | None = None
+    sigma_mm: float | None = None
+    retried: bool = False
+    suspicion: str = ""
+
+
+class ResidualRange(Record):
+    """95th percentiles of the residuals of one arm [mm]: ``before_mm`` of the running model without gross errors, and
+    ``after_mm`` of the calibration's last stage at its held-out stops; None where there is no such model."""
+
+    before_mm: float | None = None
+    after_mm: float | None = None
+
+
 class CollectionResult(Result):
-    """``show DIR collection``: sessions, missing readings, reference drift, standard errors reached.
+    """``show DIR collection``: sessions, missing readings, reference drift, standard errors reached, every stop.
 
     ``missing_share`` and ``tolerated_share`` are as in ``CollectResult``; ``standard_error_mm`` maps each arm to the
-    standard uncertainty of a predicted SMR position from its parameters.
+    standard uncertainty of a predicted SMR position from its parameters. ``stops`` are those that were tried, each arm
+    on its own, by number; ``residual_ranges`` maps each arm with readings to what is normal for its residuals.
     """
 
     schema_: Literal["cellapp-collection"] = "cellapp-collection"
@@ -108,6 +140,8 @@ class CollectionResult(Result):
     references: tuple[ReferenceDrift, ...]
     drift_limit_mm: float
     standard_error_mm: Mapping[str, float]
+    stops: tuple[CollectedStop, ...] = ()
+    residual_ranges: Mapping[str, ResidualRange] = Field(default_factory=dict)
 
 
 class ReplayResult(Result):

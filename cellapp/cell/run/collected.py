@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.cell.run.collection_rows import select_late
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.records import MissingReading, ReferenceDrift
 
@@ -49,3 +50,9 @@ def reference_drifts(run: RunFile) -> tuple[ReferenceDrift, ...]:
         )
         for row in run.references()
     )
+
+
+def late_readings(run: RunFile) -> set[tuple[int, str]]:
+    """Stops and arms that were measured at a later visit only; how many visits there were is not kept."""
+    with run.look() as connection:
+        return select_late(connection)

@@ -122,6 +122,17 @@ def select_outcomes(connection: sqlite3.Connection) -> list[Outcome]:
     return [Outcome(*row) for row in rows]
 
 
+def select_late(connection: sqlite3.Connection) -> set[tuple[int, str]]:
+    """Stops and arms that have a reading now and had none when they were visited before."""
+    if schema_version(connection) < _SINCE:
+        return set()
+    rows = connection.execute(
+        "SELECT stop, outcome.arm FROM outcome JOIN reading"
+        " ON reading.configuration = outcome.stop AND reading.arm = outcome.arm WHERE kind = 'not measured'"
+    )
+    return {(stop, arm) for stop, arm in rows}
+
+
 def select_references(connection: sqlite3.Connection) -> list[ReferenceRow]:
     """All reference measurements, oldest first; none in a file of an older schema."""
     if schema_version(connection) < _SINCE:

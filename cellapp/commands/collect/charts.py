@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
+from cellapp.cell.driving.records import CollectedStop
 from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series, styles
 from cellapp.ground.grouping import grouped
@@ -33,6 +34,26 @@ def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = (),
         message = f"Last residual: {enumerated(latest)}."
     drawn = _arm_series(by_arm, lambda report: report.residual_mm, "points")
     return Chart("Residual of each stop", _STOP, Axis("residual", "mm"), drawn, message)
+
+
+def stored_residual_chart(
+    stops: Sequence[CollectedStop], arms: Sequence[str] = (), chosen: CollectedStop | None = None
+) -> Chart:
+    """Residual of each stored stop from the model that has learnt from all of them, by arm; one of them is marked."""
+    by_arm = grouped((one.arm, (one.stop + 1, one.residual_mm)) for one in stops if one.residual_mm is not None)
+    number = styles(list(dict.fromkeys((*arms, *by_arm))))
+    drawn = [
+        series(name, [at for at, _ in rows], [length for _, length in rows], "points", style=number[name])
+        for name, rows in by_arm.items()
+    ]
+    medians = [f"{name} {mm(statistics.median(length for _, length in rows))}" for name, rows in by_arm.items()]
+    message = f"Median: {enumerated(medians)}." if by_arm else NO_READINGS
+    if chosen is not None and chosen.residual_mm is not None:
+        name = f"stop {chosen.stop + 1}, arm {chosen.arm}"
+        style = number[chosen.arm]
+        drawn.append(series(name, [chosen.stop + 1], [chosen.residual_mm], "points", style=style, mark="◉"))
+        message = f"Chosen: {name}, {mm(chosen.residual_mm)}. {message}"
+    return Chart("Residual of each stop", _STOP, Axis("residual", "mm"), tuple(drawn), message)
 
 
 def standard_error_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
 from cellapp.cell.driving.practice import LiveModel
-from cellapp.cell.driving.records import CollectionResult, SessionRecord, SessionRequest
+from cellapp.cell.driving.records import CollectedStop, CollectionResult, ResidualRange, SessionRecord, SessionRequest
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.collected import missing_readings, missing_share, reference_drifts
+from cellapp.cell.run.collected import late_readings, missing_readings, missing_share, reference_drifts
+from cellapp.cell.run.records import MissingReading
+from cellapp.commands.run_results import StageResults
+from cellapp.estimation.calibration.online_model import Residuals
+from cellapp.estimation.calibration.records import ArmCalibrationResult
+from cellapp.ground.results import CALIBRATE
 
 
-def collection_state(run: RunFile) -> CollectionResult | None:
-    """Sessions, missing readings, reference drift and standard errors; None if this run records no session."""
+def collection_state(run: RunFile, results: StageResults | None = None) -> CollectionResult | None:
+    """Sessions, missing readings, reference drift, standard errors, stops; None if this run records no session.
+
+    ``results`` of the run say what is left of the stops after calibration.
+    """
     sessions = run.sessions()
     if not sessions:
         return None
     missing = missing_readings(run)
     settings = run.profile.collection
-    errors_mm: dict[str, float] = {}
-    if plan := run.read_plan():
-        stored = {name: run.readings(name) for name in plan}
-        errors_mm = LiveModel(run.profile, plan, stored, lambda level, text: None).standard_error_mm
+    plan = run.read_plan()
+    stored = {name: run.readings(name) for name in plan}
+    model = LiveModel(run.profile, plan, stored, lambda level, text: None)
+    residuals, calibrated = model.residuals(), _calibrated(results)
+    numbers = {name: its.configuration.tolist() for name, its in stored.items()}
     return CollectionResult(
         run=str(run.folder),
         sessions=tuple(
@@ -36,5 +49,64 @@ def collection_state(run: RunFile) -> CollectionResult | None:
         tolerated_share=settings.tolerated,
         references=reference_drifts(run),
         drift_limit_mm=settings.reference.drift * 1e3,
-        standard_error_mm=errors_mm,
+        standard_error_mm=model.standard_error_mm,
+        stops=tuple(
+            sorted(
+                (*_stops(run, numbers, residuals, calibrated), *_unmeasured(missing)),
+                key=lambda one: (one.stop, list(numbers).index(one.arm)),
+            )
+        ),
+        residual_ranges={
+            name: ResidualRange(before_mm=_usual_mm(residuals.get(name)), after_mm=_held_out_mm(calibrated.get(name)))
+            for name, stops in numbers.items()
+            if stops
+        },
     )
+
+
+def _calibrated(results: StageResults | None) -> Mapping[str, ArmCalibrationResult]:
+    """The calibration of each arm, while it holds."""
+    if results is None or results.calibrate is None or CALIBRATE in results.out_of_date:
+        return {}
+    return results.calibrate.arms
+
+
+def _stops(
+    run: RunFile,
+    numbers: Mapping[str, Sequence[int]],
+    residuals: Mapping[str, Residuals],
+    calibrated: Mapping[str, ArmCalibrationResult],
+) -> Iterator[CollectedStop]:
+    """The measured stops of each arm."""
+    late = late_readings(run)
+    for name, stops in numbers.items():
+        its, none = residuals.get(name), [None] * len(stops)
+        lengths, sigmas = (none, none) if its is None else ((its.length_m * 1e3).tolist(), (its.sigma_m * 1e3).tolist())
+        gross = set() if its is None else set(np.array(stops)[its.gross].tolist())
+        left_out = set(calibrated[name].left_out_configurations) if name in calibrated else set()
+        for stop, length, sigma in zip(stops, lengths, sigmas, strict=True):
+            yield CollectedStop(
+                stop=stop,
+                arm=name,
+                residual_mm=length,
+                sigma_mm=sigma,
+                retried=(stop, name) in late,
+                suspicion="left out by calibrate" if stop in left_out else "gross error" if stop in gross else "",
+            )
+
+
+def _unmeasured(missing: Sequence[MissingReading]) -> Iterator[CollectedStop]:
+    """Stops that have no reading although they were tried or left out on purpose."""
+    for one in missing:
+        if one.kind != "not tried":
+            yield CollectedStop(stop=one.stop, arm=one.arm, suspicion=f"{one.kind}: {one.reason}")
+
+
+def _usual_mm(its: Residuals | None) -> float | None:
+    """The length that 95 % of the residuals without gross errors do not exceed [mm]."""
+    return None if its is None or its.gross.all() else float(np.percentile(its.length_m[~its.gross], 95)) * 1e3
+
+
+def _held_out_mm(arm: ArmCalibrationResult | None) -> float | None:
+    """The same of the last stage of a calibration at held-out stops."""
+    return None if arm is None or not arm.validate_ else arm.validate_[arm.best_stage].position_mm.p95

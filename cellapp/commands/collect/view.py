@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.driving.records import CollectionResult, CollectResult
+from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.collect.charts import drift_by_reference, drift_chart
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart, mm
 from cellapp.commands.view.parts import Section, section_of
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
 from cellapp.ground.counting import counted
 from cellapp.ground.times import second_of
 
@@ -25,7 +25,8 @@ def view(result: CollectResult, request: Request | None = None) -> View:
 
 def stored_view(state: CollectionResult) -> View:
     """How a run was collected so far, and how far its references moved."""
-    return View((*collection_tables(state), *_drift_charts(state)))
+    ranges = residual_range_words(state)
+    return View((*([ranges] if ranges else []), *collection_tables(state), *_drift_charts(state)))
 
 
 def collection_section(state: CollectionResult) -> Section:
@@ -72,9 +73,51 @@ def other_notes(result: CollectResult | None, notes: Sequence[str]) -> list[str]
 
 
 def collection_tables(state: CollectionResult) -> list[Table]:
-    """Sessions, what happened in them, missing readings, reference drift, standard errors; only those with rows."""
+    """Sessions, what happened in them, missing readings, reference drift, standard errors, the stops to look at first.
+
+    Only those with rows.
+    """
     tables = [_sessions(state), _requests(state), _missing(state), _drift(state), _standard_errors(state)]
-    return [table for table in tables if table.rows]
+    measured = [one for one in state.stops if one.residual_mm is not None]
+    worst = sorted(measured, key=_doubt, reverse=True)[:_MOST_LISTED]
+    return [table for table in (*tables, stops_table(worst, len(measured), "Stops to look at first")) if table.rows]
+
+
+def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title: str = "Stops one by one") -> Table:
+    """Residual, its sigma, their ratio and the suspicion of stops; these are some of ``count`` ones."""
+    return table_of(
+        title,
+        stops,
+        ("stop", lambda one: one.stop + 1, "d"),
+        ("arm", "arm"),
+        ("residual", "residual_mm", ".4f", "mm"),
+        ("sigma", "sigma_mm", ".4f", "mm"),
+        ("ratio", residual_ratio, ".1f"),
+        ("retried", lambda one: "yes" if one.retried else ""),
+        ("suspicion", "suspicion"),
+        count=count,
+    )
+
+
+def residual_ratio(one: CollectedStop) -> float | None:
+    """Residual in sigmas; None without a reading or a model."""
+    return one.residual_mm / one.sigma_mm if one.residual_mm is not None and one.sigma_mm else None
+
+
+def residual_range_words(state: CollectionResult) -> str:
+    """What is normal for a residual of each arm before and after calibration; empty without a model."""
+    words = []
+    for arm, its in state.residual_ranges.items():
+        before = "" if its.before_mm is None else f"up to {mm(its.before_mm)} before calibration (running model)"
+        after = "" if its.after_mm is None else f"up to {mm(its.after_mm)} after it (held-out stops)"
+        if before or after:
+            words.append(f"{arm} {', '.join(filter(None, (before, after)))}")
+    return f"Normal range of a residual (95 %): {'; '.join(words)}." if words else ""
+
+
+def _doubt(one: CollectedStop) -> tuple[bool, float]:
+    """How doubtful a stop is: suspicions first, then by the ratio of residual and sigma."""
+    return bool(one.suspicion), residual_ratio(one) or 0.0
 
 
 def _grouped(missing: Sequence[MissingReading]) -> list[tuple[str, str, str, str]]:

@@ -91,7 +91,7 @@ def report_sections(run: RunFile, data: ReportData) -> list[Section]:
     """The sections that have something to show, in their order."""
     made = {key: maker(data) for key, maker in _OF_RESULTS.items()}
     made["plan"] = plan_section(run)
-    made["collection"] = None if (state := collection_state(run)) is None else collection_section(state)
+    made["collection"] = None if (state := collection_state(run, data.results)) is None else collection_section(state)
     made["parameters"] = _parameters(data, lost_by_arm(run))
     return placed(made, data.out_of_date)
 

@@ -37,7 +37,7 @@ def _found(run: RunFile, request: ShowRequest, work: Work) -> Shown:
         case "plan":
             return Shown(part=request.part, result=_plan(run, request, work))
         case "collection":
-            state = collection_state(run)
+            state = collection_state(run, read_results(run))
             if state is None:
                 raise InputError(
                     f"{run.path}: no session of collecting is recorded; an import or an older version made this run"

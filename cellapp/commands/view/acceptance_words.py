@@ -98,7 +98,7 @@ def named_errors(judgements: Sequence[Judgement]) -> str:
 
 
 def judgement_table(judgements: Sequence[Judgement]) -> Table:
-    """Every judgement with its uncertainty and what it rests on."""
+    """Every judgement with its uncertainty; 80 columns show it up to the verdict, then comes what it rests on."""
     return table_of(
         "Errors against their tolerances [mm]",
         judgements,
@@ -107,7 +107,7 @@ def judgement_table(judgements: Sequence[Judgement]) -> Table:
         ("measured", "value_mm", ".3f"),
         ("U (k = 2)", "expanded_mm", ".3f"),
         ("tolerance", lambda one: round(one.tolerance_mm, 6), "g"),
-        ("n", lambda one: one.n or None, "d"),
         ("verdict", "conformity"),
+        ("n", lambda one: one.n or None, "d"),
         ("measured by", "source"),
     )

@@ -22,13 +22,19 @@ import numpy as np
 
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.normal_equations import Linearisation, Observations, normal_equations
-from cellapp.estimation.calibration.online_model import GROSS, LinearModel, StoredReadings, excess_of, gross_weights
+from cellapp.estimation.calibration.online_model import (
+    GROSS,
+    LinearModel,
+    Residuals,
+    StoredReadings,
+    excess_of,
+    gross_weights,
+)
+from cellapp.estimation.calibration.online_rows import Gravity, Rows
 from cellapp.estimation.calibration.parameters import (
-    ParameterSet,
     SetName,
     auto_set,
     estimated_parameters,
-    gram_matrix,
     prior_sds,
     prior_spreads,
     weak_priors,
@@ -37,8 +43,7 @@ from cellapp.estimation.calibration.weights import RobustName, robust_weights, w
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
-from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian
-from cellapp.robot.kinematics.statics import Bodies, gravity_loads
+from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 
@@ -66,12 +71,8 @@ _FIRST_EXCESS_M = 1e-4
 """Excess standard deviation of a coordinate until the readings tell it: what gravity and backlash leave in UR arms."""
 _LEAST_FREEDOM = 10.0
 """Degrees of freedom from which the excess is estimated."""
-_GRAM_VALID = 2e-3
-"""Largest change of a parameter [m or rad] for one Jacobian of the planned stops; it changes by about as much."""
 _COMPLIANCE_PRIOR = 5e-5
 """Standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
-_PLANNED_RAD = 0.01
-"""Joint positions nearer than this to the planned ones have the same gravity torques, to a percent."""
 
 
 @dataclass(frozen=True)
@@ -126,14 +127,6 @@ class Innovation:
     R_M_F: Array
     scatter_m: float
     freedom: float
-
-
-@dataclass(frozen=True)
-class Gravity:
-    """Masses of the arm and the direction (3,) against gravity in the tracker frame, for its joint compliance."""
-
-    bodies: Bodies
-    up_M: Array
 
 
 def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
@@ -208,7 +201,7 @@ class OnlineFit:
         weak = {**weak_priors(nominal.joints), **tool}
         self._precision = 1.0 / prior_sds(self._parameters, weak | dict(priors)) ** 2
         self._spreads = prior_spreads(self._parameters, set(priors) - set(given))
-        self._rows = _Rows(self._parameters, planned_q, gravity)
+        self._rows = Rows(self._parameters, planned_q, gravity)
         self._readings = StoredReadings(nominal.joints)
         self._models: _Models | None = None
         self._next_renewal = 0
@@ -285,6 +278,15 @@ class OnlineFit:
             standard_error_mm=1e3 * math.sqrt(mean_square),
             parameter_errors=self._parameter_errors(model.covariance),
         )
+
+    def residuals(self) -> Residuals | None:
+        """What the geometry alone leaves of all readings, in the order in which they came; None without a model."""
+        if self._models is None:
+            return None
+        readings, model = self._readings, self._models.geometry
+        P, J = self._rows.of(self._models.origin, readings.q)
+        left_M = readings.p_M - P.T - (J[:, : len(model.step)].transpose(2, 0, 1) @ model.step)
+        return Residuals.of(left_M, readings.stated(), model)
 
     def _parameter_errors(self, covariance: Array) -> dict[str, float]:
         """Standard errors of the parameters that the planned stops determine, the others being nominal."""
@@ -409,69 +411,3 @@ class _Weighting:
     weights: Array
     excess: float
     variance: float
-
-
-@dataclass(frozen=True)
-class _Row:
-    """SMR position (3,), its derivatives (3, k + m) and the rotation of the flange (3, 3) at one stop."""
-
-    origin: Geometry
-    q: Array
-    P: Array
-    J: Array
-    R_M_F: Array
-
-
-class _Rows:
-    """SMR positions and their derivatives by the parameters (k), then by the compliances of the joints (m)."""
-
-    def __init__(self, parameters: ParameterSet, planned_q: Array, gravity: Gravity | None) -> None:
-        self._gravity, self._planned_q, self._planned = gravity, planned_q, JointAngles.of(planned_q)
-        joints, k = parameters.joints, len(parameters.columns)
-        of_joints = [6 + 5 * joint for joint in range(joints)]
-        of_tool = list(range(6 + 5 * joints, 9 + 5 * joints))
-        missing = [column for column in of_joints + of_tool if column not in parameters.columns]
-        self._columns, self._k = (*parameters.columns, *missing), k
-        self._joints, self._tool = ([self._columns.index(c) for c in group] for group in (of_joints, of_tool))
-        self._gram_at: Array | None = None
-        self._gram, self._torques = np.zeros((k, k)), np.zeros((0, joints))
-        self._last: _Row | None = None
-
-    def of(self, origin: Geometry, q: Array) -> tuple[Array, Array]:
-        """SMR positions (3, n) [m] and their derivatives (3, k + m, n) at joint positions ``q`` (n, N) [rad]."""
-        P, J = jacobian(origin, JointAngles.of(q), self._columns)
-        return P, self._with_compliances(J, None if self._gravity is None else self._torques_of(origin, q))
-
-    def at(self, origin: Geometry, stop: int, q: Array) -> _Row:
-        """The same at one stop; the last one is kept."""
-        last = self._last
-        if last is None or last.origin is not origin or not np.array_equal(last.q, q):
-            P, J = jacobian(origin, JointAngles.of(q[None]), self._columns)
-            torques = None
-            if self._gravity is not None:
-                planned = 0 <= stop < len(self._torques) and np.abs(self._planned_q[stop] - q).max() < _PLANNED_RAD
-                torques = self._torques[stop : stop + 1] if planned else self._torques_of(origin, q[None])
-            row = self._with_compliances(J, torques)[:, :, 0]
-            self._last = last = _Row(origin, q.copy(), P[:, 0], np.ascontiguousarray(row), J[:, self._tool, 0])
-        return last
-
-    def _with_compliances(self, J: Array, torques: Array | None) -> Array:
-        """Columns of the parameters, then of the compliances at gravity torques (n, N) [Nm] if there are any."""
-        if torques is None:
-            return J[:, : self._k]
-        return np.concatenate([J[:, : self._k], J[:, self._joints] * torques.T], axis=1)
-
-    def planned_gram(self, origin: Geometry) -> Array:
-        """Mean of ``J^T J`` (k, k) over the planned stops; renewed where the geometry has changed much."""
-        vector = origin.vector()
-        if self._gram_at is None or np.max(np.abs(vector - self._gram_at)) > _GRAM_VALID:
-            _, J = jacobian(origin, self._planned, self._columns[: self._k])
-            self._gram, self._gram_at = gram_matrix(J) / self._planned.count, vector
-            if self._gravity is not None:
-                self._torques = self._torques_of(origin, self._planned_q)
-        return self._gram
-
-    def _torques_of(self, origin: Geometry, q: Array) -> Array:
-        """Gravity torques (n, N) [Nm]."""
-        assert self._gravity is not None
-        return gravity_loads(frame_poses(origin, q), self._gravity.bodies, self._gravity.up_M).joint_torques()

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.calibration.weights import MEDIAN_NORM, excess_variance
@@ -158,6 +159,33 @@ def gross_weights(residuals: Array, stated: Array, excess: float) -> Array:
     variance = excess + np.trace(stated, axis1=1, axis2=2) / 3.0
     norm = np.sqrt(np.sum(residuals**2, axis=1) / variance)
     return np.where(norm > GROSS * max(float(np.median(norm)) / MEDIAN_NORM, 1.0), 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What a model leaves of the readings of one arm.
+
+    Attributes
+    ----------
+    length_m : array, shape (n,)
+        Distance of each point from the model's [m].
+    sigma_m : array, shape (n,)
+        Root mean square that stated noise and scatter give this distance [m]: the root of the trace of the covariance.
+    gross : array, shape (n,)
+        Whether it is a gross error, which has no weight.
+    """
+
+    length_m: Array
+    sigma_m: Array
+    gross: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, left_M: Array, stated: Array, model: LinearModel) -> Residuals:
+        """From residuals (n, 3) [m] and stated covariances (n, 3, 3) [m^2]."""
+        variance = model.variance * (np.trace(stated, axis1=1, axis2=2) + 3.0 * model.excess)
+        return cls(
+            np.linalg.norm(left_M, axis=1), np.sqrt(variance), gross_weights(left_M, stated, model.excess) == 0.0
+        )
 
 
 def excess_of(residuals: Array, stated: Array, weights: Array, freedom: float) -> float:

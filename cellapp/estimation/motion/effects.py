@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from cellapp.estimation.calibration.parameters import SetName
 from cellapp.estimation.motion.fit import Problem, Solution, free_clocks, solve
@@ -257,7 +257,7 @@ class _Search:
         for step in list(steps):
             if step.law is Law.LINE:
                 continue
-            p_value = min(1.0, float(chi2.sf(_statistic(state, step.terms), len(step.terms))) * len(Law))
+            p_value = min(1.0, float(chdtrc(len(step.terms), _statistic(state, step.terms))) * len(Law))
             if p_value > _CHANCE or not _shown(state, step.law, steps):
                 steps = [one for one in steps if one is not step]
                 state = self._refitted(state, steps)
@@ -306,7 +306,7 @@ class _Search:
             terms = tuple(JointTerm(law, joint) for joint in range(state.problem.layout.parameters.joints))
             trial = self._extended(state, terms)
             statistic = _statistic(trial, terms)
-            p_value = min(1.0, float(chi2.sf(statistic, len(terms))) * len(Law))
+            p_value = min(1.0, float(chdtrc(len(terms), statistic)) * len(Law))
             better = best is None or p_value < best[1].p_value or statistic > best[1].statistic > 0.0 == p_value
             if p_value < _CHANCE and trial.heldout_mm < state.heldout_mm and better:
                 best = trial, _Step(law, terms, statistic, p_value, state.heldout_mm, trial.heldout_mm)
@@ -331,7 +331,7 @@ class _Search:
             return None
         trial = self._extended(state, terms)
         tested = {pair: _statistic(trial, terms[2 * n : 2 * n + 2]) for n, pair in enumerate(chosen)}
-        limit = float(chi2.isf(_CHANCE / power.size, 2))
+        limit = float(chdtri(2, _CHANCE / power.size))
         kept = tuple(term for term in terms if tested[term.joint, term.cycles] > limit)
         if not kept:
             return None
@@ -340,7 +340,7 @@ class _Search:
         if trial.heldout_mm >= state.heldout_mm:
             return None
         statistic = _statistic(trial, kept)
-        p_value = min(1.0, float(chi2.sf(statistic, len(kept))) * power.size)
+        p_value = min(1.0, float(chdtrc(len(kept), statistic)) * power.size)
         return trial, _Step(Law.LINE, kept, statistic, p_value, state.heldout_mm, trial.heldout_mm)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct, irfft, next_fast_len, rfft
 from scipy.linalg import solve_toeplitz, solve_triangular
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from cellapp.robot.kinematics.transforms import Array
 
@@ -117,7 +117,7 @@ class NoiseModel:
 
     def half_width(self, probability: float = 0.95) -> Array:
         """Half widths (k,) of the intervals of this probability, in standard errors."""
-        return np.asarray(student.ppf(0.5 + probability / 2.0, self.freedom))
+        return np.asarray(stdtrit(self.freedom, 0.5 + probability / 2.0))
 
 
 @dataclass(frozen=True, eq=False)

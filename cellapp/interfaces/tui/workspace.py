@@ -171,7 +171,7 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
             folder,
             run_overview(run),
             results,
-            collection_state(run),
+            collection_state(run, results),
             planned_stops(run),
             read_planned_stops(run),
             read_plan_design(run),

@@ -32,7 +32,7 @@ def test_three_methods_and_another_station():
     for stages in trial.position_mm.values():
         assert stages["network"] < stages["geometry"] < stages["nominal"]
     tables = paper_tables(paper_result([trial]))
-    assert any("proposed" in str(row[0]) for row in tables[0].rows)
+    assert any("network in the base frame" in str(row[0]) for row in tables[0].rows)
 
 
 @pytest.mark.fast

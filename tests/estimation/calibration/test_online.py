@@ -124,6 +124,23 @@ def test_a_fit_from_stored_readings_is_the_same(readings):
     assert report.stop == STOPS - 1
 
 
+def test_residuals_of_all_readings_are_those_of_the_geometry_and_name_gross_errors(readings):
+    one = readings["right"]
+    fit = online_fit(twin(), "right", one.q)
+    assert fit.residuals() is None
+    p_M = one.p_M.copy()
+    p_M[7] += 0.05
+    fit.add_all(range(STOPS), one.q, p_M, one.covariance_M)
+    found = fit.residuals()
+    assert found is not None
+    assert np.flatnonzero(found.gross).tolist() == [7]
+    assert fit.geometry is not None
+    expected = np.linalg.norm(p_M - smr_positions(fit.geometry, one.q), axis=1)
+    np.testing.assert_allclose(found.length_m, expected, atol=1e-7)
+    good = ~found.gross
+    assert np.sqrt(np.mean((found.length_m[good] / found.sigma_m[good]) ** 2)) == pytest.approx(1.0, abs=0.2)
+
+
 def test_a_reading_of_another_smr_has_no_weight(readings):
     one = readings["right"]
     fit = online_fit(twin(), "right", one.q)

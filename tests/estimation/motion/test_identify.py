@@ -37,6 +37,7 @@ def clock_holds(clock, offset_s, rate_ppm, errors=4.0):
     )
 
 
+@pytest.mark.fast
 def test_clocks_geometry_and_play_are_those_of_the_simulated_arm(case):
     arm, motion, recording = case
     fit = fit_of(recording)
@@ -136,6 +137,7 @@ def test_steps_and_resets_of_either_clock_are_found_and_named(case):
     assert fit.heldout_rms_mm < 0.1
 
 
+@pytest.mark.fast
 def test_small_steps_are_told_from_gaps(case):
     recording = case[2]
     time = recording.joints.time_s.copy()
@@ -148,6 +150,7 @@ def test_small_steps_are_told_from_gaps(case):
     assert all(abs(segment.offset_s - 0.0178) < 5e-4 for segment in clock.segments)
 
 
+@pytest.mark.fast
 def test_gross_points_do_not_count(case):
     recording = case[2]
     rng = np.random.default_rng(12)
@@ -201,6 +204,7 @@ def test_blocks_that_the_file_holds_out_are_kept_apart(case):
     assert one.scatter_m < 60e-6
 
 
+@pytest.mark.fast
 def test_what_little_excitation_leaves_open_is_said(case):
     arm, motion, _ = case
     rng = np.random.default_rng(15)

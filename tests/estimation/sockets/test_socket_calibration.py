@@ -38,6 +38,7 @@ def test_the_true_arm_is_found(seed: int) -> None:
     assert any("fix the scale" in note for note in notes)
 
 
+@pytest.mark.fast
 def test_the_base_is_none_of_the_parameters() -> None:
     found, _ = calibrate_arm(panda(), "left", led(1, gauge_m=0.4).readings)
     assert not {"x0", "y0", "z0", "theta1", "d1"} & set(found.identification.names)
@@ -45,6 +46,7 @@ def test_the_base_is_none_of_the_parameters() -> None:
     assert np.isfinite(found.identification.standard_errors).all()
 
 
+@pytest.mark.fast
 def test_without_a_distance_the_scale_is_said_to_be_unseen() -> None:
     arm = led(1, gauge_m=0.4)
     found, notes = calibrate_arm(panda(), "left", replace(arm.readings, distances=()))
@@ -63,6 +65,7 @@ def test_a_longer_distance_fixes_the_scale_better() -> None:
     assert words[1] < 0.5 * words[0]
 
 
+@pytest.mark.fast
 def test_a_bad_row_is_left_out_and_named() -> None:
     arm = led(1, gauge_m=0.4)
     q = arm.readings.q.copy()
@@ -73,6 +76,7 @@ def test_a_bad_row_is_left_out_and_named() -> None:
     assert found.validate["geometry"].position_mm.mean < 0.1
 
 
+@pytest.mark.fast
 def test_a_loose_socket_is_named() -> None:
     arm = led(2, gauge_m=0.4)
     rng = np.random.default_rng(0)

@@ -270,7 +270,7 @@ SHOWN = {
     "overview": ("next: cellapp report done", "cellapp-overview"),
     "calibration": ("Arm left: held-out errors [mm]", "cellapp-calibrate"),
     "parameters": ("Arm right: identified parameters", "cellapp-calibrate"),
-    "discovery": ("verdict", "cellapp-discover"),
+    "discovery": ("Arm left: held-out error after each step", "cellapp-discover"),
     "plan": ("Arm left: planned stops", "cellapp-stops"),
     "collection": ("Sessions of collecting", "cellapp-collection"),
     "targets": ("out of reach", "cellapp-compensate"),

@@ -44,6 +44,10 @@ READ = {
         "--key",
         "--public-key",
         "--person",
+        "--distances",
+        "--touches",
+        "--joints",  # of import; those of export are written, and say so
+        "--points",
     ),
     *("--token-file", "--profile", "--profiles", "--simulated-plant"),
 }
@@ -158,6 +162,8 @@ def test_every_command_has_its_outputs() -> None:
         "--page",
         "--markdown",
         "--store",
+        "--joints",
+        "--points",
     }
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
+import re
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +14,9 @@ import numpy as np
 import pytest
 from textual.pilot import Pilot
 
-from cellapp.cell.run import ReferenceRow
+from cellapp.cell.run import ReferenceRow, RunFile
+from cellapp.commands.collect.run import collect_stops
+from cellapp.commands.plan.run import plan_new_run
 from cellapp.commands.record import Verb
 from cellapp.ground.control import Request
 from cellapp.ground.progress import (
@@ -34,13 +40,16 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.plots.drawing import point_at
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens.collect_state import headline
+from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
+from tests.twin import small_twin
 
 Q0 = (0.5,) * 6
 Q1 = (-1.0, 0.25, 1.0, 1.5, -0.5, 2.0)
@@ -245,7 +254,7 @@ async def test_a_flood_of_events_keeps_the_keys_answered() -> None:
         view = app.screen.query_one(LogView)
         await pilot.press("D")
         await until(pilot, lambda: view.rows.counts["debug"] > 500, "the flood")
-        for key, shown in (("g", "plots"), ("t", "collected"), ("t", "log")):
+        for key, shown in (("g", "plots"), ("t", "stops"), ("t", "collected"), ("t", "log")):
             await pilot.press(key)
             assert app.screen.has_class(shown)
             assert app.jobs.running
@@ -462,3 +471,119 @@ async def test_a_log_that_cannot_be_read_is_a_sentence(monkeypatch: pytest.Monke
         await pilot.press("o")
         await until(pilot, lambda: "run.sqlite" in app.message, "the sentence")
         assert app.is_running
+
+
+# -- stops one by one --------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def measured_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the twin with residuals; one reading of the right arm is wrong by some centimetres."""
+    folder = tmp_path_factory.mktemp("stops") / "run"
+    plan_new_run(small_twin(30, plan={"method": "random"}), folder)
+    with RunFile.open(folder, write=True) as run:
+        collect_stops(run)
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        (text,) = connection.execute("SELECT p_m FROM reading WHERE configuration = 11 AND arm = 'right'").fetchone()
+        x, y, z = json.loads(text)
+        connection.execute(
+            "UPDATE reading SET p_m = ? WHERE configuration = 11 AND arm = 'right'", (json.dumps([x + 0.05, y, z]),)
+        )
+        connection.commit()
+    return folder
+
+
+def stops_of(app: CellApp) -> list[tuple[str, ...]]:
+    """The rows of the stops as they are shown."""
+    table = app.screen.query_one(CollectedStops).table
+    return [tuple(str(cell) for cell in table.get_row_at(row)) for row in range(table.row_count)]
+
+
+async def show_stops(pilot: Pilot[None], app: CellApp, run: Path) -> None:
+    await show_collect(pilot, app, run)
+    while not app.screen.has_class("stops"):
+        await pilot.press("t")
+    await until(pilot, lambda: bool(stops_of(app)), "the stops")
+
+
+@pytest.mark.parametrize("size", SIZES)
+async def test_stops_are_sorted_and_filtered_and_say_what_is_normal(size: tuple[int, int], measured_run: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=size) as pilot:
+        await show_stops(pilot, app, measured_run)
+        words = " ".join(shown_text(app).split())
+        assert "Normal range of a residual (95 %): left up to" in words
+        rows = stops_of(app)
+        assert [row[0] for row in rows] == [str(number) for stop in range(1, 31) for number in (stop, stop)]
+        await pilot.press("s")
+        assert [row[1] for row in stops_of(app)] == ["left"] * 30 + ["right"] * 30
+        await pilot.press("s")
+        residuals = [float(row[2]) for row in stops_of(app)]
+        assert residuals == sorted(residuals, reverse=True)
+        assert stops_of(app)[0][:2] == ("12", "right")
+        await pilot.press("f")
+        assert [(row[0], row[1], row[-1]) for row in stops_of(app)] == [("12", "right", "gross error")]
+        assert "1 of 60, suspicious only" in shown_text(app)
+        await pilot.press("f")
+        assert len(stops_of(app)) == len(rows)
+
+
+async def test_what_is_normal_after_calibration_stands_beside_it(finished_run: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_stops(pilot, app, finished_run)
+        words = " ".join(shown_text(app).split())
+        ranges = re.findall(
+            r"up to ([\d.]+) mm before calibration \(running model\), up to ([\d.]+) mm after it", words
+        )
+        assert len(ranges) == 2
+        assert all(float(after) < float(before) for before, after in ranges)
+
+
+async def test_the_plot_marks_the_row_and_moves_the_cursor(measured_run: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(200, 60)) as pilot:
+        await show_stops(pilot, app, measured_run)
+        plot, stops = app.screen.query_one("#residuals", ChartPlot), app.screen.query_one(CollectedStops)
+        await pilot.press("down", "down", "down")
+        await until(pilot, lambda: plot.chart is not None and "Chosen: stop 2, arm right" in plot.chart.message, "mark")
+        await pilot.press("g", "full_stop")
+        await until(pilot, lambda: plot.chart is not None and "Chosen: stop 3, arm left" in plot.chart.message, "next")
+        assert stops.table.cursor_row == 4
+        await pilot.press("comma")
+        await until(pilot, lambda: stops.table.cursor_row == 3, "the one before")
+        await pilot.press("t", "s", "s")  # sorted by residual, the cursor stays on its stop
+        assert stops.chosen is not None
+        assert stops_of(app)[stops.table.cursor_row][:2] == ("2", "right")
+
+
+async def test_a_click_on_a_residual_puts_the_cursor_on_its_stop(measured_run: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(200, 60)) as pilot:
+        await show_stops(pilot, app, measured_run)
+        plot, stops = app.screen.query_one("#residuals", ChartPlot), app.screen.query_one(CollectedStops)
+        await until(pilot, lambda: plot.chart is not None and not plot.chart.is_empty, "the plot")
+        assert plot.chart is not None
+        width, height = plot.content_size
+        farthest = next(  # the gross error alone is near the top of the plot
+            (column, row)
+            for row in range(height)
+            for column in range(width)
+            if (found := point_at(plot.chart, width, height, column, row)) is not None and found[0] == 12.0
+        )
+        await pilot.click("#residuals", offset=farthest)
+        await until(pilot, lambda: stops.chosen is not None and stops.chosen.stop == 11, "the row")
+        assert stops.chosen is not None
+        assert stops.chosen.arm == "right"
+        assert stops_of(app)[stops.table.cursor_row][:2] == ("12", "right")
+
+
+async def test_without_a_collection_the_stops_say_why() -> None:
+    run = Path("logs/new")
+    planned_run(run).close()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app, run)
+        await pilot.press("t", "t", "f", "s")
+        assert app.screen.has_class("stops")
+        assert "Nothing was collected yet in this run: b begins." in shown_text(app)

@@ -99,7 +99,9 @@ def test_a_new_job_forgets_all_but_the_log() -> None:
     record = record_of(Suspicion("drift", "look", "left"), ReferenceReport({"arm left": 0.1}, 0.2), AirReport(20.0))
     lines = list(record.log)
     record.begin("replay x10")
-    assert record == JobRecord("replay x10", "running", log=record.log, log_written=2, changes=record.changes)
+    assert record == JobRecord(
+        "replay x10", "running", log=record.log, log_written=2, changes=record.changes, since=record.since
+    )
     assert list(record.log) == lines
     assert record.is_replay
     assert not record_of().is_replay

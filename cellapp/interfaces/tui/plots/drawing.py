@@ -114,6 +114,29 @@ def _words(chart: Chart, width: int, message: list[Line]) -> Iterator[tuple[list
     yield [], sentence
 
 
+def point_at(chart: Chart, width: int, height: int, column: int, row: int) -> tuple[float, float] | None:
+    """x and y of the point that is drawn nearest to a cell of ``draw``; None outside a plot with axes."""
+    if chart.is_empty or chart.categories:
+        return None
+    title, message = _wrapped(chart.title, width, HEADING), _wrapped(chart.message, width)
+    for above, below in _words(chart, width, message):
+        area = _area(chart, width, height - len(title) - len(above) - len(below))
+        if area is not None:
+            margin, rows, columns = area
+            column, row = column - margin, row - len(title) - len(above)
+            if not (0 <= column < columns and 0 <= row < rows):
+                return None
+            x, y = _scales(chart, columns, rows)
+            xs, ys = (np.concatenate([getattr(one, axis) for one in chart.series]) for axis in "xy")
+            # a cell is about twice as high as wide
+            across = x.place(xs) / DOT_COLUMNS - column
+            down = 2.0 * ((y.dots - 1 - y.place(ys)) / DOT_ROWS - row)
+            distance = np.nan_to_num(np.hypot(across, down), nan=np.inf)
+            nearest = int(np.argmin(distance))
+            return (float(xs[nearest]), float(ys[nearest])) if np.isfinite(distance[nearest]) else None
+    return None
+
+
 def _wrapped(text: str, width: int, ink: int = TEXT) -> list[Line]:
     return [[(line, ink)] for line in textwrap.wrap(text, width)]
 
@@ -123,13 +146,10 @@ def _wrapped(text: str, width: int, ink: int = TEXT) -> list[Line]:
 
 def _plot(chart: Chart, width: int, height: int) -> Cells | None:
     """Axes and data; None where the room is too small."""
-    rows = height - 2  # the axis and its labels
-    if rows < _LEAST_ROWS:
+    area = _area(chart, width, height)
+    if area is None:
         return None
-    margin = max((len(text) for text in _row_labels(_scales(chart, width, rows)[1], rows).values()), default=0) + 1
-    columns = width - margin
-    if columns < _LEAST_COLUMNS:
-        return None
+    margin, rows, columns = area
     x, y = _scales(chart, columns, rows)
     # the range of a map depends on its width: a label that became longer has no room
     labels = {row: text for row, text in _row_labels(y, rows).items() if len(text) < margin}
@@ -141,6 +161,15 @@ def _plot(chart: Chart, width: int, height: int) -> Cells | None:
     _write_column_labels(cells, x, margin)
     _draw_data(chart, Cells(cells.characters[:rows, margin:], cells.inks[:rows, margin:]), x, y)
     return cells
+
+
+def _area(chart: Chart, width: int, height: int) -> tuple[int, int, int] | None:
+    """Columns left of the data, rows and columns of the data; None where the room is too small."""
+    rows = height - 2  # the axis and its labels
+    if rows < _LEAST_ROWS:
+        return None
+    margin = max((len(text) for text in _row_labels(_scales(chart, width, rows)[1], rows).values()), default=0) + 1
+    return None if width - margin < _LEAST_COLUMNS else (margin, rows, width - margin)
 
 
 def _scales(chart: Chart, columns: int, rows: int) -> tuple[Scale, Scale]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from rich.segment import Segment
 from rich.style import Style
+from textual.events import Click
+from textual.message import Message
 from textual.reactive import reactive
 from textual.strip import Strip
 from textual.widget import Widget
 
 from cellapp.commands.view.charts import Chart
-from cellapp.interfaces.tui.plots.drawing import HEADING, SOFT, TEXT, draw
+from cellapp.interfaces.tui.plots.drawing import HEADING, SOFT, TEXT, draw, point_at
 
 ON_DARK = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#d55e00")
 ON_LIGHT = ("#0072b2", "#b64f00", "#00795a", "#a8447c", "#000000", "#7a6a00")
@@ -26,6 +28,18 @@ class ChartPlot(Widget):
         height: 1fr;
     }
     """
+
+    class PointClicked(Message):
+        """The point nearest to a click, in the units of the axes."""
+
+        def __init__(self, plot: ChartPlot, x: float, y: float) -> None:
+            super().__init__()
+            self.plot, self.x, self.y = plot, x, y
+
+        @property
+        def control(self) -> ChartPlot:
+            """The plot, for selectors."""
+            return self.plot
 
     chart: reactive[Chart | None] = reactive(None)
 
@@ -48,6 +62,15 @@ class ChartPlot(Widget):
             ]
             self._drawn_as = drawn_as
         return self._strips[y] if y < len(self._strips) else Strip.blank(width, self.rich_style)
+
+    def on_click(self, event: Click) -> None:
+        """Say which point was clicked."""
+        at = event.get_content_offset(self)
+        if at is None or self.chart is None:
+            return
+        point = point_at(self.chart, *self.content_size, at.x, at.y)
+        if point is not None:
+            self.post_message(self.PointClicked(self, *point))
 
     def _style(self, ink: int) -> Style:
         """Style of an ink on the present background."""

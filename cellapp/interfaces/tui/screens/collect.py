@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 from textual import on, work
 from textual.app import ComposeResult
@@ -18,7 +18,13 @@ from textual.message import Message
 from textual.widgets import Static
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.collect.charts import drift_chart, live_drift_chart, live_residual_chart, standard_error_chart
+from cellapp.commands.collect.charts import (
+    drift_chart,
+    live_drift_chart,
+    live_residual_chart,
+    standard_error_chart,
+    stored_residual_chart,
+)
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.show.overview import run_log
@@ -37,14 +43,15 @@ from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.collect_state import Headline, headline
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
+from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view_pane import LogPane
 from cellapp.interfaces.tui.widgets.log_view_rows import as_text
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 from cellapp.interfaces.tui.widgets.tables import WrappedTables
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
-View = Literal["log", "plots", "collected"]
-_VIEWS: tuple[View, ...] = ("log", "plots", "collected")
+View = Literal["log", "plots", "stops", "collected"]
+_VIEWS: tuple[View, ...] = get_args(View)
 _PLOTS = ("residuals", "errors", "drift")
 _TALL = 50
 """Lines of a terminal that has room for one line for each part of a day."""
@@ -76,6 +83,8 @@ and what you can do now. **{go}** begins, or goes on with what is left; real arm
 
 - Each arm: joint positions, joint temperatures, distance of the newest point from the model, standard error so far.
 - **{tab}** goes from the log to the plots, the stops and the tables of what is stored; **{plots}** shows the plots.
+- Stops one by one: **{sort}** sorts by the next column, **{filter}** shows only suspicious ones. The plot marks the
+  residual of the row under the cursor; **{before}** and **{after}** go to another stop, there and in the plots.
 
 Log: up and down choose a line, with Shift more; **End** follows the newest line.
 """
@@ -89,8 +98,8 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         bind("filter", "filter", "Filter", "show only lines of the log with a text", show=False),
         bind("save", "save", "Save log", "save the lines that are shown, or the marked ones", show=False),
         bind("open", "other_log", "Other log", "log of this session, or the stored one", show=False),
-        bind("after", "next_match(1)", "Next match", "go to the next match", show=False),
-        bind("before", "next_match(-1)", "Match before", "go to the match before", show=False),
+        bind("after", "next_match(1)", "Next match", "go to the next match, in plots to the next stop", show=False),
+        bind("before", "next_match(-1)", "Match before", "go to the match or stop before", show=False),
         *(bind(level, f"least('{level}')", f"Log: {level}", KEYS[level].meaning, show=False) for level in LEVELS),
     ]
     DEFAULT_CSS = """
@@ -106,7 +115,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
     CollectScreen #suspicions.any { display: block; }
     CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
-    CollectScreen #log, CollectScreen #collected { height: 4fr; display: none; }
+    CollectScreen #log, CollectScreen #stops, CollectScreen #collected { height: 4fr; display: none; }
     CollectScreen.-low.-narrow #plots ChartPlot, CollectScreen.-low.-medium #plots ChartPlot { display: none; }
     CollectScreen.-low #plots ChartPlot.chosen { display: block; }
     CollectScreen.-tall #plots { display: block; }
@@ -116,6 +125,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     }
     CollectScreen.-wide #plots ChartPlot { display: block; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
+    CollectScreen.stops #stops { display: block; }
     CollectScreen.-wide.plots #plots { width: 65%; }
     CollectScreen.-wide.plots #log { display: block; }
     CollectScreen.unplotted #plots { display: none; }
@@ -144,6 +154,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             for name in _PLOTS:
                 yield ChartPlot(id=name)
         yield LogPane(id="log")
+        yield CollectedStops(id="stops")
         yield WrappedTables(id="collected")
 
     def on_mount(self) -> None:
@@ -210,13 +221,13 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             self._plot = (self._plot + 1) % len(_PLOTS)
         for number, name in enumerate(_PLOTS):
             self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
-        for one in ("log", "plots", "collected"):
+        for one in _VIEWS:
             self.set_class(one == view, one)
-        focus = {"log": self.query_one(LogPane).view, "collected": self.query_one(WrappedTables)}.get(view)
-        self.set_focus(focus)
+        log, stops = self.query_one(LogPane).view, self.query_one(CollectedStops).table
+        self.set_focus({"log": log, "stops": stops, "collected": self.query_one(WrappedTables)}.get(view))
 
     def action_next_tab(self) -> None:
-        """From the log to the plots, and to the tables of what is stored."""
+        """From the log to the plots, to the stops one by one, and to the tables of what is stored."""
         shown = next(view for view in _VIEWS if self.has_class(view))
         self.action_view(_VIEWS[(_VIEWS.index(shown) + 1) % len(_VIEWS)])
 
@@ -235,8 +246,11 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.query_one(LogPane).ask("filter")
 
     def action_next_match(self, step: int) -> None:
-        """Go to the next match in the log, or to the one before."""
-        self.query_one(LogPane).next_match(step)
+        """Go to the next match in the log, or to the one before; where plots are shown, to another stop."""
+        if self.has_class("plots") or self.has_class("stops"):
+            self.query_one(CollectedStops).step(step)
+        else:
+            self.query_one(LogPane).next_match(step)
 
     def action_least(self, level: str) -> None:
         """Show a level of the log and the more important ones."""
@@ -299,6 +313,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             self._tabled = workspace
             state = workspace.collection
             self.query_one(WrappedTables).show([] if state is None else collection_tables(state))
+            self.query_one(CollectedStops).show(state)
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
             self.action_view("log" if workspace.collection is None else "collected")
@@ -308,6 +323,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     def show_state(self, state: RunState) -> None:
         """Say what is collected where no table does."""
         self.query_one(WrappedTables).say_empty(state.not_collected)
+        self.query_one(CollectedStops).say_empty(state.not_collected)
 
     def show_job(self, record: JobRecord) -> None:
         """Draw what has changed."""
@@ -376,7 +392,8 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         """Draw the plots whose data are new; while a job runs, one at a time, because drawing delays keys."""
         if self._plot_waits:
             return
-        state = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace)
+        chosen = self.query_one(CollectedStops).chosen
+        state = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace, chosen)
         oldest_first = (*(name for name in _PLOTS if name not in self._plotted), *self._plotted)
         for name in (name for name in oldest_first if self._plotted.get(name) != state):
             self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
@@ -389,17 +406,31 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         empty = all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot))
         self.set_class(empty, "unplotted")
 
+    @on(CollectedStops.Chosen)
+    def mark_chosen(self) -> None:
+        """Mark the stop under the cursor in the plot of the residuals."""
+        self.show_job(self.cell_app.record)
+
+    @on(ChartPlot.PointClicked, "#residuals")
+    def choose_clicked(self, event: ChartPlot.PointClicked) -> None:
+        """Put the cursor of the stops on the residual that was clicked."""
+        self.query_one(CollectedStops).choose_near(round(event.x) - 1, event.y)
+
     def _draw_next_plot(self, record: JobRecord) -> None:
         self._plot_waits = False
         self._draw_plots(record)
 
     def _chart(self, name: str, record: JobRecord) -> Chart:
-        """A chart of the job; drift, where it measured no reference, of what the run stores."""
+        """A chart of the job; of what the run stores, where the job has no stop or no reference."""
         collection = self.workspace.collection
         if name == "drift":
             if record.references or collection is None:
                 return live_drift_chart(record.references)
             return drift_chart(collection.references, collection.drift_limit_mm)
         reports = [report for arm in record.stops.values() for report in arm]
+        if name == "residuals" and not reports and collection is not None:
+            return stored_residual_chart(
+                collection.stops, self._arm_names(record), self.query_one(CollectedStops).chosen
+            )
         draw = live_residual_chart if name == "residuals" else standard_error_chart
         return draw(reports, self._arm_names(record), self.state.residuals_words)

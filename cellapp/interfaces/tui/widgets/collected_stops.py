@@ -1,0 +1,178 @@
+"""The stops of a collection one by one: sorted, filtered, with a cursor that the plot of the residuals follows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from rich.text import Text
+from textual import on
+from textual.app import ComposeResult
+from textual.binding import BindingType
+from textual.containers import Vertical
+from textual.message import Message
+from textual.widgets import DataTable, Static
+
+from cellapp.cell.driving.records import CollectedStop, CollectionResult
+from cellapp.commands.collect.view import residual_range_words, stops_table
+from cellapp.commands.view.table import Cell, Table, markdown
+from cellapp.ground.counting import counted
+from cellapp.interfaces.tui.dialogs.save_as import SaveAs
+from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.widgets.text_table import TextTable
+
+_NAMES = ("stop", "arm")
+"""Columns that are sorted upwards; of the others the largest come first."""
+
+
+class CollectedStops(Vertical):
+    """Stops of a run as its file was read; what is normal for a residual stands above them."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [
+        bind("sort", "sort", "Sort", "sort by the next column"),
+        bind("filter", "filter", "Only suspicious", "show only stops with a suspicion; again: all"),
+        bind("copy", "copy", "Copy", "copy the stops that are shown as Markdown", show=False),
+        bind("save", "save", "Save", "save the stops that are shown as a Markdown file", show=False),
+    ]
+    DEFAULT_CSS = """
+    CollectedStops Static { height: auto; padding: 0 1; }
+    CollectedStops TextTable { height: 1fr; }
+    """
+
+    class Chosen(Message):
+        """The cursor went to another stop."""
+
+    def __init__(self, *, id: str) -> None:
+        super().__init__(id=id)
+        self._stops: tuple[CollectedStop, ...] = ()
+        self._shown: list[CollectedStop] = []
+        self._range, self._empty = "", ""
+        self._sorted, self._only_suspicious = "stop", False
+        self.chosen: CollectedStop | None = None
+
+    def compose(self) -> ComposeResult:
+        yield Static("", markup=False)
+        yield TextTable(cursor_type="row", zebra_stripes=True)
+
+    def on_mount(self) -> None:
+        """Say what its keys do."""
+        self.table.tooltip = f"{SHOWN['sort']} sorts by the next column, {SHOWN['filter']} shows only suspicious stops"
+
+    @property
+    def table(self) -> TextTable:
+        """The table, which has the focus."""
+        return self.query_one(TextTable)
+
+    @property
+    def shown(self) -> Table:
+        """The table as it is sorted and filtered."""
+        return stops_table(self._shown)
+
+    def show(self, state: CollectionResult | None) -> None:
+        """Draw the stops of a run; None is no collection."""
+        stops = () if state is None else state.stops
+        if stops == self._stops and state is not None and residual_range_words(state) == self._range:
+            return
+        self._stops, self._range = stops, "" if state is None else residual_range_words(state)
+        if self.chosen not in stops:
+            self.chosen = None
+        self._draw()
+
+    def say_empty(self, sentence: str) -> None:
+        """What it says while there is no stop."""
+        if sentence != self._empty:
+            self._empty = sentence
+            self._say()
+
+    def step(self, by: int) -> None:
+        """Move the cursor by some rows: from a plot, the next point or the one before."""
+        self.table.move_cursor(row=self.table.cursor_row + by)
+
+    def choose_near(self, stop: int, residual_mm: float) -> None:
+        """Put the cursor on the arm at a stop whose residual is nearest; nothing where no arm of it is shown."""
+        rows = [row for row, one in enumerate(self._shown) if one.stop == stop and one.residual_mm is not None]
+        if rows:
+            self.table.move_cursor(
+                row=min(rows, key=lambda row: abs((self._shown[row].residual_mm or 0.0) - residual_mm))
+            )
+
+    def action_sort(self) -> None:
+        """Sort by the next column."""
+        titles = [column.title for column in stops_table(()).columns]
+        self._sort(titles[(titles.index(self._sorted) + 1) % len(titles)])
+
+    @on(DataTable.HeaderSelected)
+    def sort_by(self, event: DataTable.HeaderSelected) -> None:
+        """Sort by the column whose heading was clicked."""
+        event.stop()
+        self._sort(str(event.column_key.value))
+
+    def _sort(self, title: str) -> None:
+        self._sorted = title
+        self._draw()
+
+    def action_filter(self) -> None:
+        """Show only stops with a suspicion, or all again."""
+        self._only_suspicious = not self._only_suspicious
+        self._draw()
+
+    @on(DataTable.RowHighlighted)
+    def choose(self, event: DataTable.RowHighlighted) -> None:
+        """The cursor is on another stop."""
+        event.stop()
+        row = event.cursor_row
+        chosen = self._shown[row] if event.row_key.value is not None and row < len(self._shown) else None
+        if chosen is not None and chosen != self.chosen:
+            self.chosen = chosen
+            self.post_message(self.Chosen())
+
+    def action_copy(self) -> None:
+        """Copy the stops that are shown."""
+        self.app.copy_to_clipboard(markdown((self.shown,), (self._range,)))
+        self.notify(f"{counted(len(self._shown), 'row')} copied")
+
+    def action_save(self) -> None:
+        """Save the stops that are shown."""
+
+        def say(path: Path | None) -> None:
+            if path is not None:
+                self.notify(f"saved as {path}")
+
+        self.app.push_screen(SaveAs("stops", markdown((self.shown,), (self._range,)), Path("stops.md")), say)
+
+    def _draw(self) -> None:
+        """Sort and filter, and draw; the cursor stays on its stop where that is still shown."""
+        kept = [one for one in self._stops if one.suspicion or not self._only_suspicious]
+        whole = stops_table(kept)
+        place = next(number for number, column in enumerate(whole.columns) if column.title == self._sorted)
+        downwards = self._sorted not in _NAMES
+        cells = [row[place] for row in whole.rows]
+        order = sorted(range(len(kept)), key=lambda row: _rank(cells[row]), reverse=downwards)
+        self._shown = [kept[row] for row in order]
+        table, texts, chosen = self.table, whole.text_rows(), self.chosen
+        sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in whole.columns]
+        table.clear(columns=True)
+        for column, side in zip(whole.columns, sides, strict=True):
+            mark = (" ↓" if downwards else " ↑") if column.title == self._sorted else ""
+            table.add_column(Text(f"{column.heading}{mark}", justify=side), key=column.title)
+        for row in order:
+            name = f"{kept[row].stop} {kept[row].arm}"
+            table.add_row(*(Text(text, justify=side) for text, side in zip(texts[row], sides, strict=True)), key=name)
+        if chosen in self._shown:
+            table.move_cursor(row=self._shown.index(chosen))
+        self._say()
+
+    def _say(self) -> None:
+        """What is normal, and how many stops are shown; or why there are none."""
+        words = self._empty
+        if self._stops:
+            count = f"{len(self._shown)} of {len(self._stops)}, suspicious only" if self._only_suspicious else ""
+            words = " ".join(filter(None, (self._range, count and f"Shown: {count} ({SHOWN['filter']}: all).")))
+        self.query_one(Static).update(words)
+
+
+def _rank(cell: Cell) -> tuple[bool, float, str]:
+    """Order of a cell: empty ones below all others."""
+    if isinstance(cell, int | float):
+        return True, float(cell), ""
+    return bool(cell), 0.0, str(cell or "")
