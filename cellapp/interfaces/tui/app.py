@@ -403,9 +403,10 @@ class CellApp(JobKeys):
         with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or they go away
             screen = self.day_screen
             self._draw_message()
-            screen.show_workspace(self.workspace)
-            screen.draw_state()
-            screen.show_job(self.record)
+            if screen.is_mounted:  # else half of it is there; it is drawn whole when it is shown
+                screen.show_workspace(self.workspace)
+                screen.draw_state()
+                screen.show_job(self.record)
         self.refresh_bindings()
 
     def _draw_message(self) -> None:
@@ -425,8 +426,9 @@ class CellApp(JobKeys):
         self._drawn = self.record.changes
         with contextlib.suppress(NoMatches, StopIteration):
             screen = self.day_screen
-            screen.draw_state()
-            screen.show_job(self.record)
+            if screen.is_mounted:
+                screen.draw_state()
+                screen.show_job(self.record)
         if self.record.state != state:
             self._say_state()
 

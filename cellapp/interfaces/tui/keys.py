@@ -98,6 +98,8 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "runs": ("runs", "again"),
 }
 """Verb -> the screen and the meaning of the key that does it; the palette does the others."""
+_EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook"}
+"""Verb -> the meaning of the key that does it on every screen; the palette has no such verb."""
 _COMMAND = re.compile(
     r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
     r"|\bcellapp ([a-z][\w-]*)(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
@@ -122,6 +124,8 @@ def key_table(bindings: Sequence[BindingType]) -> str:
 
 def way_to(verb: str) -> str:
     """The keys that do a verb from any screen: "keys 4, b"."""
+    if verb in _EVERYWHERE:
+        return f"key {SHOWN[_EVERYWHERE[verb]]}"
     if verb not in WAYS:
         return f"{SHOWN['palette']}, cellapp {verb}"
     step, meaning = WAYS[verb]

@@ -134,7 +134,7 @@ async def test_what_is_not_attached_to_goes_on() -> None:
             await attached(pilot, app, offers=False)
             await pilot.press("q")
             await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-            says = "goes on; quitting here does not stop its arms"
+            says = "'collect' runs in another process and goes on; its arms are not stopped."
             assert says in " ".join(str(line.render()) for line in app.screen.query(Static))
             await pilot.press("y")
             await until(pilot, lambda: app.return_code is not None, "the end of the application")

@@ -113,10 +113,10 @@ def _no_offers(monkeypatch: pytest.MonkeyPatch) -> None:
         ("running", "pause", "PAUSING", "p or c resumes"),
         ("running", "stop", "STOPPED", "c resumes when the cell is clear; x ends it."),
         ("running", "abort", "ABORTED", "the job ends"),
-        ("paused", "pause", "PAUSED", "because. The arms rest. p or c resumes"),
-        ("suspended", "none", "SUSPENDED", "because. It resumes by itself"),
-        ("stopped", "stop", "STOPPED", "because. c resumes when the cell is clear; x ends it."),
-        ("aborted", "abort", "ABORTED", "because. The arms brake and the job ends"),
+        ("paused", "pause", "PAUSED", "because, 1 of 9. The arms rest. p or c resumes"),
+        ("suspended", "none", "SUSPENDED", "because, 1 of 9. It resumes by itself"),
+        ("stopped", "stop", "STOPPED", "because, 1 of 9. c resumes when the cell is clear; x ends it."),
+        ("aborted", "abort", "ABORTED", "because, 1 of 9. The arms brake and the job ends"),
     ],
 )
 def test_each_state_says_what_can_be_done(state: JobState, request_: Request, word: str, sentence: str) -> None:
@@ -126,7 +126,8 @@ def test_each_state_says_what_can_be_done(state: JobState, request_: Request, wo
     found = headline(run_state(Workspace(), record), record, request_)
     assert found.word == word
     assert sentence in found.sentence
-    assert ("because" in found.sentence) == (state != "running")
+    since = f"since {record.since:%H:%M}, because, "
+    assert found.sentence.startswith(since) == ("because" in found.sentence) == (state != "running")
 
 
 def test_a_stopped_job_says_what_a_person_may_do_though_an_arm_gives_no_data() -> None:
@@ -134,7 +135,7 @@ def test_a_stopped_job_says_what_a_person_may_do_though_an_arm_gives_no_data() -
     found = headline(run_state(Workspace(), record), record, "none")
     assert (found.word, found.sentence) == (
         "STOPPED",
-        "arm right: link lost. c resumes when the cell is clear; x ends it.",
+        f"since {record.since:%H:%M}, arm right: link lost. c resumes when the cell is clear; x ends it.",
     )
     running = replace(record, state="running")
     assert headline(run_state(Workspace(), running), running, "none").word == "NO DATA"
@@ -220,6 +221,12 @@ async def test_a_whole_day_shows_the_parts_to_come_and_its_present_one_where_lin
         await finished(pilot, app, held)
 
 
+def says(app: CellApp, word: str, possible: str) -> bool:
+    """Whether the large line says the state, since when, why, how far the job is, and what can be done."""
+    line = f"{word} since {app.record.since:%H:%M}, asked by a person, 5 of 30. {possible}"
+    return line in " ".join(shown_text(app).split())
+
+
 async def test_pause_and_stop_change_the_large_word_and_its_sentence() -> None:
     app = CellApp(PROFILES)
     job = MovingJob()
@@ -228,11 +235,11 @@ async def test_pause_and_stop_change_the_large_word_and_its_sentence() -> None:
         app.start_job(job.job())
         await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
         await pilot.press("p")
-        await until(pilot, lambda: "PAUSED  asked by a person. The arms rest" in shown_text(app), "the pause")
+        await until(pilot, lambda: says(app, "PAUSED", "The arms rest. p or c resumes"), "the pause")
         await pilot.press("c")
         await until(pilot, lambda: "RUNNING" in shown_text(app), "running again")
         await pilot.press("escape")
-        await until(pilot, lambda: "STOPPED  asked by a person. c resumes when the" in shown_text(app), "the stop")
+        await until(pilot, lambda: says(app, "STOPPED", "c resumes when the cell is clear"), "the stop")
         assert app.screen.query_one("#state").has_class("halted")
         await pilot.press("x")
         await ended(pilot, app)

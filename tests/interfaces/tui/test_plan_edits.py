@@ -146,6 +146,7 @@ async def test_without_a_plan_the_keys_say_what_to_do() -> None:
         await until(pilot, lambda: app.workspace.folder == RUN, "the run")
         await pilot.press("2")
         await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
-        for key in ("a", "r", "w"):
+        for key in ("+", "r", "e"):
+            app.say("")
             await pilot.press(key)
             assert "has no plan" in app.message

@@ -71,7 +71,7 @@ async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
         await ended(pilot, app)
         assert line(app, "plan-safety").startswith("Safe: 24 stops and 25 ways")
         await pilot.press("t", "t", "t")
-        assert "f computes" in line(app, "plan-detail")
+        assert "j computes" in line(app, "plan-detail")
         await pilot.press("j")
         await ended(pilot, app)
         assert line(app, "plan-time").startswith("Collecting takes about")
@@ -149,7 +149,7 @@ async def test_a_new_run_goes_into_the_folder_that_one_names(tmp_path: Path) -> 
     app = CellApp(tmp_path / "profiles")
     async with app.run_test(size=SMALL) as pilot:
         await shown(pilot, app, None)
-        assert "No run is open: plan one with g" in line(app, "plan-state")
+        assert "No run is open: plan one (keys 2, b)" in line(app, "plan-state")
         await pilot.press("b")
         await until(pilot, lambda: isinstance(app.screen, NewRunQuestion), "the dialog")
         field = app.screen.query_one("#folder", Input)
@@ -190,16 +190,18 @@ async def test_what_is_missing_is_said(tmp_path: Path) -> None:
         await until(pilot, lambda: app.screen is app.day_screen, "the screen")
         await pilot.press("2")
         await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
-        for key, words in (("g", "No profile is open"), ("k", "No run is open"), ("f", "No run is open")):
+        for key in ("b", "k", "j"):
+            app.say("")
             await pilot.press(key)
-            assert words in app.message
+            assert "No profile is open: choose one on the screen Cell" in app.message
             assert not app.jobs.running
     RunFile.create(tmp_path / "imported", small_twin()).close()
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await shown(pilot, app, tmp_path / "imported")
         assert "its readings were imported" in line(app, "plan-state")
-        for key in ("k", "f"):
+        for key in ("k", "j"):
+            app.say("")
             await pilot.press(key)
             assert "has no plan" in app.message
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import shutil
 from collections.abc import Callable
@@ -77,7 +78,7 @@ CASES = {
     "empty": Case(nothing, ("no run is open", "No run is open: plan one"), (*RUNS, *COMPLETE)),
     "planned": Case(lambda: planned_run(RUN).close(), ("READY, 4 stops",), (*NO_RUN, *RUNS, *COMPLETE)),
     "collecting": Case(part, ("RUNNING", "3 of 4 stops are measured"), (*OPEN, *COMPLETE, "PAUSED"), "running"),
-    "paused": Case(part, ("PAUSED", "3 of 4 stops are measured; 'collect' is PAUSED"), (*OPEN, *COMPLETE), "paused"),
+    "paused": Case(part, ("PAUSED", "'collect' is PAUSED; 3 of 4 stops are measured"), (*OPEN, *COMPLETE), "paused"),
     "stopped": Case(part, ("STOPPED", "link lost"), (*OPEN, *COMPLETE, "PAUSED"), "stopped"),
     "part": Case(part, ("INTERRUPTED, 2 of 4", "3 Collect◐"), (*OPEN, *RUNS, "COMPLETE")),
     "complete": Case(lambda: collected_run(RUN, "complete", 4), ("COMPLETE, 4 stops",), (*OPEN, *RUNS, "INTERRUPTED")),
@@ -153,6 +154,24 @@ async def test_no_sentence_contradicts_the_state(
             assert not [word for word in RUNS if word in words(app)], "what the footer and the screen say afterwards"
 
 
+async def test_a_screen_that_is_drawn_while_it_is_being_made_says_the_state() -> None:
+    planned_run(RUN).close()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SIZE) as pilot:
+        await opened(pilot, app)
+        app.open_run(RUN)
+        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+        for step, sentence in (("plan", "arm left: 4 stops"), ("collect", "READY, 4 stops"), ("calibrate", "Not cal")):
+            app.action_show(step)  # type: ignore[arg-type]
+            async with asyncio.timeout(WAIT_S):
+                while not app.day_screen.is_mounted:
+                    app.record.changes += 1  # events of a job come at any moment
+                    app._draw_events()
+                    app.draw_all()
+                    await asyncio.sleep(0.0)
+            await until(pilot, lambda: sentence in words(app), f"{step}: {sentence}")  # noqa: B023
+
+
 # -- the marks ---------------------------------------------------------------------------------------------------------
 
 
@@ -199,4 +218,6 @@ def test_sentences_name_keys_and_no_commands() -> None:
     assert with_keys("report.html is old; run 'cellapp report logs/a'") == "report.html is old; keys 7, b"
     assert with_keys("Measure them: cellapp push DIR TARGETS --verify") == "Measure them: keys 6, m"
     assert with_keys("run 'cellapp iso9283 PROFILE --run DIR', then go on") == "keys 7, m, then go on"
+    assert with_keys("More: 'cellapp docs joint_compliance'") == "More: key F1"
+    assert with_keys("no runs below logs; 'cellapp run PROFILE' makes one") == "no runs below logs; key F5 makes one"
     assert with_keys("cellapp is a program") == "cellapp is a program"

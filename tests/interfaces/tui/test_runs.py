@@ -90,7 +90,9 @@ async def test_the_newest_run_is_on_top_and_a_broken_one_says_why(
         assert "is not a run file" in app.message
         assert app.workspace.folder is None
         await go_to(pilot, app, "second")
-        assert "interrupted, 2 stops left: cellapp collect" in about(app)
+        assert "interrupted, 2 stops left: Enter, then keys 3, b" in about(app)
+        await pilot.press("enter")
+        await until(pilot, lambda: "interrupted, 2 stops left: keys 3, b" in about(app), "the keys of the open run")
 
 
 async def test_an_empty_folder_says_what_makes_a_run() -> None:
@@ -98,7 +100,7 @@ async def test_an_empty_folder_says_what_makes_a_run() -> None:
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app, 0)
         await until(pilot, lambda: "no runs below logs" in about(app), "the sentence")
-        for key in ("enter", "space", "o", "e", "y", "c"):
+        for key in ("enter", "space", "o", "F", "b", "v", "="):
             await pilot.press(key)
         assert not app.jobs.running
 
@@ -178,7 +180,7 @@ async def test_three_marked_runs_and_the_list_are_shown_as_a_fleet(logs: Path, m
         await pilot.press("o", "enter")
         await until(pilot, (LOGS / "fleet.html").is_file, "the page")
         await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history again")
-        await pilot.press("escape", "slash", *"second", "enter", "f")
+        await pilot.press("escape", "slash", *"second", "enter", "F")
         await until(pilot, lambda: isinstance(app.screen, FleetHistory), "the history of the listed run")
 
 

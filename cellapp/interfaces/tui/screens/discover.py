@@ -22,7 +22,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
@@ -159,8 +159,8 @@ The handbook explains each effect.
             reason = workspace.results.out_of_date.get(DISCOVER)
             outdated = [] if reason is None else [f"! out of date: {reason}; {SHOWN['go']} searches again"]
             tables.show(discovery_tables(found), outdated, [arm.sentence for arm in found.arms.values()])
-            self.query_one("#meaning", Static).update(explanation_text(found))
-            proposal = _NO_PROPOSAL if found.proposal is None else "\n".join(proposal_lines(found.proposal))
+            self.query_one("#meaning", Static).update(with_keys(explanation_text(found)))
+            proposal = _NO_PROPOSAL if found.proposal is None else with_keys("\n".join(proposal_lines(found.proposal)))
             self.query_one("#proposal", Static).update(proposal)
             verdicts = [f"Arm {name}: {arm.verdict}. {verdict_sentence(name, arm)}" for name, arm in found.arms.items()]
             self.query_one("#verdict", Static).update("\n".join([*outdated, *verdicts]))

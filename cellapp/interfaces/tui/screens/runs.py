@@ -198,17 +198,21 @@ class RunsScreen(DayScreen):
         table.clear()
         for run in chosen:
             style = "dim" if run.problem else ""
-            is_open = self.workspace.folder is not None and Path(run.run) == self.workspace.folder
-            mark = Text((_OPEN if is_open else " ") + (_MARK if run.run in self._marked else " "))
+            mark = Text((_OPEN if self._is_open(run) else " ") + (_MARK if run.run in self._marked else " "))
             table.add_row(mark, *(Text(cell, style) for cell in run_cells(run, self._columns)), key=run.run)
         if present is not None and present.run in self._shown:
             table.move_cursor(row=table.get_row_index(present.run))
         self._draw_about()
 
+    def _is_open(self, run: RunSummary) -> bool:
+        return Path(run.run) == self.workspace.folder
+
     def _draw_about(self) -> None:
         run = self._run
         if run is not None:
             lines = run_lines(run)
+            if run.next_step and not self._is_open(run):
+                lines[-1] = lines[-1].replace(run.next_step, f"Enter, then {run.next_step}")
         elif self._found.runs:
             lines = [f"none of {len(self._found.runs)} runs passes the filter; {SHOWN['search']} changes it"]
         else:

@@ -51,7 +51,6 @@ class DayHeader(Horizontal):
         drawn = (kind, attached, state.where, words, record.state)
         if drawn == self._drawn:
             return
-        self._drawn = drawn
         badge = self.query_one(".badge", Static)
         badge.update(f" ATTACHED ·{_BADGES[kind]}" if attached else _BADGES[kind])
         badge.set_classes(f"badge {kind}")
@@ -61,6 +60,7 @@ class DayHeader(Horizontal):
         line.set_classes(f"job {record.state or 'idle'}")
         self.set_class(job is not None, "running")
         self.set_class(kind == "real", "real")
+        self._drawn = drawn
 
 
 class StepLine(Horizontal):
