@@ -94,9 +94,9 @@ class DayScreen(Screen[None]):
         for panel in self.query(JobPanel):
             panel.show(record)
         if state != self._state:
-            self._state = state
             self.query_one(StepLine).show(state.marks, self.STEP)
             self.show_state(state)
+            self._state = state  # only now: a screen that is not mounted whole raises, and is drawn again
 
     @property
     def unsaved(self) -> str:
