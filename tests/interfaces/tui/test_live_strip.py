@@ -51,9 +51,11 @@ async def test_a_cell_that_is_dead_is_not_shown_as_running_though_its_job_hangs(
         assert "tracker 0.1 s" in shown_text(app) or "tracker 0.0 s" in shown_text(app)
         await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
         job.live = replace(FRESH, arms={"left": ArmLive(2.0, False), "right": ArmLive(None, True)})
+        # header, strip and headline are drawn one after the other
         await until(pilot, lambda: "RUNNING" not in shown_text(app), "what is old is not running")
-        assert "NO DATA from arm left, arm right" in shown_text(app)
-        assert app.screen.query_one("#state").has_class("halted")
+        await until(pilot, lambda: "NO DATA from arm left, arm right" in shown_text(app), "what is missing")
+        await until(pilot, lambda: app.screen.query_one("#state").has_class("halted"), "its colour")
+        assert "RUNNING" not in shown_text(app)
         await pilot.press("1")
         await until(pilot, lambda: "NO DATA from arm left, arm right" in shown_text(app), "another screen")
         job.over.set()
@@ -74,8 +76,8 @@ async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
             job.live = replace(FRESH, arms=arms, causes=cause)
             await until(pilot, lambda words=words: words in shown_text(app), words)  # type: ignore[misc]
             assert "arm left: link lost" in shown_text(app)
+            await until(pilot, lambda: "STOPPED" in shown_text(app), "the headline, which is drawn after the strip")
             assert "MEASURING" not in shown_text(app)
-            assert "STOPPED" in shown_text(app)
         unseen = ArmLive(None, True, Halt("not seen at rest", "why"))
         job.live = replace(FRESH, arms={"left": unseen, "right": unseen}, causes=cause)
         await until(pilot, lambda: "NOT SEEN AT REST: arms left, right" in shown_text(app), "the doubt")
