@@ -130,7 +130,7 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(da
     with cellapp(day) as terminal:
         shows(terminal, "EMULATED")
         terminal.send("8")
-        shows(terminal, f"stops 0/{STOPS} not begun; no results")  # what waits today names the run on the screen Cell, too
+        shows(terminal, f"stops 0/{STOPS} not begun; no results")  # the tab Today shows 0/n, too
         terminal.send("\r")
         shows(terminal, "next: Collect")
         terminal.send("n")
