@@ -87,7 +87,7 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
     async with app.run_test(size=(120, 40)) as pilot:
         await says(pilot, app, "EMULATED")
         await pilot.press("8")
-        await says(pilot, app, "day", f"0/{STOPS}")
+        await says(pilot, app, "day", f"stops 0/{STOPS} not begun; no results")
         await pilot.press("enter")
         await says(pilot, app, "logs/day is open; next: Collect (key n)")
         await pilot.press("n")
@@ -130,7 +130,7 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(da
     with cellapp(day) as terminal:
         shows(terminal, "EMULATED")
         terminal.send("8")
-        shows(terminal, f"0/{STOPS}")
+        shows(terminal, f"stops 0/{STOPS} not begun; no results")  # the tab Today shows 0/n, too
         terminal.send("\r")
         shows(terminal, "next: Collect")
         terminal.send("n")

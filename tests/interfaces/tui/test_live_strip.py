@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from textual.css.query import NoMatches
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.unseen_arms import note_halt, unseen_arms
@@ -14,6 +15,8 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.progress import ArmLive, CellLive, Halt, Listener, MeasurementBegun, Progress
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.jobs import Ask, Job
+from cellapp.interfaces.tui.run_state import RunState
+from cellapp.interfaces.tui.screens.plan import PlanScreen
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, ended, opened, shown_text, until
 
@@ -48,9 +51,11 @@ async def test_a_cell_that_is_dead_is_not_shown_as_running_though_its_job_hangs(
         assert "tracker 0.1 s" in shown_text(app) or "tracker 0.0 s" in shown_text(app)
         await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
         job.live = replace(FRESH, arms={"left": ArmLive(2.0, False), "right": ArmLive(None, True)})
+        # header, strip and headline are drawn one after the other
         await until(pilot, lambda: "RUNNING" not in shown_text(app), "what is old is not running")
-        assert "NO DATA from arm left, arm right" in shown_text(app)
-        assert app.screen.query_one("#state").has_class("halted")
+        await until(pilot, lambda: "NO DATA from arm left, arm right" in shown_text(app), "what is missing")
+        await until(pilot, lambda: app.screen.query_one("#state").has_class("halted"), "its colour")
+        assert "RUNNING" not in shown_text(app)
         await pilot.press("1")
         await until(pilot, lambda: "NO DATA from arm left, arm right" in shown_text(app), "another screen")
         job.over.set()
@@ -71,8 +76,8 @@ async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
             job.live = replace(FRESH, arms=arms, causes=cause)
             await until(pilot, lambda words=words: words in shown_text(app), words)  # type: ignore[misc]
             assert "arm left: link lost" in shown_text(app)
+            await until(pilot, lambda: "STOPPED" in shown_text(app), "the headline, which is drawn after the strip")
             assert "MEASURING" not in shown_text(app)
-            assert "STOPPED" in shown_text(app)
         unseen = ArmLive(None, True, Halt("not seen at rest", "why"))
         job.live = replace(FRESH, arms={"left": unseen, "right": unseen}, causes=cause)
         await until(pilot, lambda: "NOT SEEN AT REST: arms left, right" in shown_text(app), "the doubt")
@@ -101,3 +106,23 @@ async def test_an_arm_that_was_not_seen_stays_on_every_screen_until_a_person_say
         await until(pilot, lambda: "NOT SEEN AT REST" not in shown_text(app), "it is settled")
     with RunFile.open(tmp_path / "run") as run:
         assert unseen_arms(run) == {}
+
+
+async def test_a_state_that_came_before_the_screen_was_mounted_whole_is_drawn_later(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn, early = PlanScreen.show_state, [NoMatches("the body is not mounted yet")]
+
+    def show_state(screen: PlanScreen, state: RunState) -> None:
+        if early:
+            raise early.pop()
+        drawn(screen, state)
+
+    monkeypatch.setattr(PlanScreen, "show_state", show_state)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SIZES[0]) as pilot:
+        await opened(pilot, app)
+        await pilot.press("2")
+        await until(pilot, lambda: not early, "the first drawing")
+        app.draw_all()
+        await until(pilot, lambda: "No run is open: plan one" in shown_text(app), "the sentence")

@@ -14,7 +14,7 @@ from rich.cells import cell_len
 from textual.app import App, ComposeResult
 from textual.color import Color
 
-from cellapp.commands.collect.charts import live_residual_chart
+from cellapp.commands.collect.charts import NO_READINGS, live_residual_chart
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.view.charts import Axis, Chart, Limit, Series, bar_chart, series
 from cellapp.ground.progress import StopReport
@@ -142,7 +142,7 @@ async def test_a_new_chart_and_a_new_size_are_drawn() -> None:
         assert not one_line(screen_lines(app))
         app.plot.chart = live_residual_chart([])
         await pilot.pause()
-        assert "No readings yet: collect first" in one_line(screen_lines(app))
+        assert NO_READINGS in one_line(screen_lines(app))
         app.plot.chart = live_residual_chart(REPORTS)
         await pilot.pause()
         assert "Last residual: left 0.024 mm at stop 40" in one_line(screen_lines(app))

@@ -143,7 +143,7 @@ ANSWERS = {
 async def test_a_new_cell_is_written_with_what_the_form_asks_for(app: CellApp) -> None:
     async with app.run_test(size=(120, 40)) as pilot:
         await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
-        await pilot.press("u")
+        await pilot.press("w")
         await until(pilot, lambda: isinstance(app.screen, ProfileForm), "the form")
         await shown(pilot, app, "9 fields to correct")
         await pilot.press("f4")  # from the name to the first problem of the left arm
