@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from textual.css.query import NoMatches
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.unseen_arms import note_halt, unseen_arms
@@ -15,8 +14,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.progress import ArmLive, CellLive, Halt, Listener, MeasurementBegun, Progress
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.jobs import Ask, Job
-from cellapp.interfaces.tui.run_state import RunState
-from cellapp.interfaces.tui.screens.plan import PlanScreen
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, ended, opened, shown_text, until
 
@@ -106,23 +103,3 @@ async def test_an_arm_that_was_not_seen_stays_on_every_screen_until_a_person_say
         await until(pilot, lambda: "NOT SEEN AT REST" not in shown_text(app), "it is settled")
     with RunFile.open(tmp_path / "run") as run:
         assert unseen_arms(run) == {}
-
-
-async def test_a_state_that_came_before_the_screen_was_mounted_whole_is_drawn_later(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    drawn, early = PlanScreen.show_state, [NoMatches("the body is not mounted yet")]
-
-    def show_state(screen: PlanScreen, state: RunState) -> None:
-        if early:
-            raise early.pop()
-        drawn(screen, state)
-
-    monkeypatch.setattr(PlanScreen, "show_state", show_state)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SIZES[0]) as pilot:
-        await opened(pilot, app)
-        await pilot.press("2")
-        await until(pilot, lambda: not early, "the first drawing")
-        app.draw_all()
-        await until(pilot, lambda: "No run is open: plan one" in shown_text(app), "the sentence")
