@@ -12,7 +12,7 @@ from cellapp.commands.iso9283.path_tables import path_tables
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.acceptance_words import RULE_WORDS
-from cellapp.commands.view.parts import Part
+from cellapp.commands.view.parts import Part, Section, section_of
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
@@ -45,6 +45,22 @@ def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
     stored = [] if request is None or request.folder is None else [f"stored in {request.folder}"]
     parts: tuple[Part, ...] = (*iso9283_tables(result), *iso9283_sentences(result), *stored, *iso9283_charts(result))
     return View(parts, result.complaints())
+
+
+def iso9283_section(result: Iso9283Result, about: str) -> Section:
+    """What decides first: judgements, poses, distances, what was tested; the other tables are folded."""
+    first = [
+        _judgements(result),
+        _poses(result),
+        _cooperative(result),
+        _distances(result),
+        coverage_table(result.coverage),
+    ]
+    titles = {table.title for table in first}
+    others = [table for table in iso9283_tables(result) if table.title not in titles]
+    details = [Section("All other characteristics", others, folded=True)] if others else []
+    shown = [table for table in first if table.rows]
+    return section_of("", [*shown, *iso9283_sentences(result), *iso9283_charts(result), *details], about=about)
 
 
 def iso9283_tables(result: Iso9283Result) -> list[Table]:

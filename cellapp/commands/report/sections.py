@@ -40,7 +40,7 @@ from cellapp.commands.compensate.section import targets_section
 from cellapp.commands.discover.view import discovery_section
 from cellapp.commands.export.run import lost_by_arm
 from cellapp.commands.follow.view import paths_section, stored_paths
-from cellapp.commands.iso9283.view import view as iso9283_view
+from cellapp.commands.iso9283.view import iso9283_section
 from cellapp.commands.locate.view import view as locate_view
 from cellapp.commands.plan.section import plan_section
 from cellapp.commands.report.before_after import best_method
@@ -242,7 +242,7 @@ def _iso9283(data: ReportData) -> Section | None:
         "Each arm was driven through the cube, the poses and the cycles of ISO 9283:1998; 'cellapp docs iso9283' has"
         " the formulas and says what one SMR cannot show."
     )
-    return None if result is None else section_of("", iso9283_view(result).parts, about=about)
+    return None if result is None else iso9283_section(result, about)
 
 
 def _check(data: ReportData) -> Section | None:
