@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from cellapp.estimation.motion.identify import identify_from_motion
+from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
 from cellapp.estimation.motion.records import MotionFit
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, nominal_geometry
@@ -46,7 +46,7 @@ def one_run(seed: int, noise: str, seconds: float) -> Held:
     motion = sweep(rng, 6, base_hz=0.02 + 0.01 * rng.random())
     slow = 0.0 if noise == "white" else 40e-6
     recording = record(rng, arm, motion, seconds=seconds, slow=slow, offset=OFFSET_S, rate_ppm=RATE_PPM)
-    fit = identify_from_motion(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True)
+    fit = identify_from_motion(RecordedArm(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True))
     clock = fit.clocks["sweep"]
     return Held(
         clock.offset_interval_s[0] <= OFFSET_S <= clock.offset_interval_s[1],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
 from cellapp.estimation.calibration.evaluation import evaluate, repeatability
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, MotionResult, RecordingResult
-from cellapp.estimation.motion.identify import identify_from_motion
+from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.records import ClockFit, MotionFit, RecordingFit
 from cellapp.estimation.motion.streams import Recording
@@ -59,16 +59,9 @@ def calibrate_with_motion(
     known: dict[str, ArmCalibration] = {}
     samples: dict[str, Readings] = {}
     notes: list[str] = []
-    moved = {name: its for name, its in recordings.items() if its}
-    for number, (name, its) in enumerate(moved.items()):
-
-        def told(words: str, done: int = number, arm: str = name) -> None:
-            cancel.check()
-            listener(Progress("recordings of motion", done, len(moved), f"arm {arm}: {words}"))
-
+    for name, its, told in each_recorded(recordings, listener, cancel):
         fit, known[name] = calibrate_arm_with_motion(profile, name, readings[name], its, told)
         samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
-    listener(Progress("recordings of motion", len(moved), len(moved), "done"))
     found = calibrate_readings(profile, readings, listener, cancel, known=known)
     if found.pair is None and len(known) == len(profile.arms) == 2:
         T_M_first, T_M_second = (arm.model.geometry.T_M_B() for arm in found.arms.values())
@@ -79,14 +72,27 @@ def calibrate_with_motion(
     return MotionCalibration(replace(found, notes=(*found.notes, *notes)), samples)
 
 
-def calibrate_arm_with_motion(
-    profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording], told: Told = ignore_words
-) -> tuple[MotionFit, ArmCalibration]:
-    """One arm from its recordings and, where there are any, from the readings of its identify split."""
+def each_recorded(
+    recordings: Mapping[str, Sequence[Recording]], listener: Listener, cancel: CancelToken
+) -> Iterator[tuple[str, Sequence[Recording], Told]]:
+    """Each arm that was recorded, with what takes words about it, and raises ``Cancelled`` on request."""
+    moved = {name: its for name, its in recordings.items() if its}
+    for number, (name, its) in enumerate(moved.items()):
+
+        def told(words: str, done: int = number, arm: str = name) -> None:
+            cancel.check()
+            listener(Progress("recordings of motion", done, len(moved), f"arm {arm}: {words}"))
+
+        yield name, its, told
+    listener(Progress("recordings of motion", len(moved), len(moved), "done"))
+
+
+def recorded_arm(profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording]) -> RecordedArm:
+    """An arm with its recordings and its readings at rest, of which those of the identify split are used."""
     arm, settings = profile.arms[name], profile.calibration
     nominal = nominal_arm(arm)
-    stops, held_out_stops = stops_of(readings)
-    fit = identify_from_motion(
+    stops, held_out_stops = _stops(readings)
+    return RecordedArm(
         nominal,
         recordings,
         tool_unknown=arm.smr.offset == "unknown",
@@ -95,10 +101,17 @@ def calibrate_arm_with_motion(
         parameter_set=settings.parameter_set,
         prior_sigma=prior_sigmas(nominal, settings.priors),
         seed=profile.seed,
-        told=told,
     )
+
+
+def calibrate_arm_with_motion(
+    profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording], told: Told = ignore_words
+) -> tuple[MotionFit, ArmCalibration]:
+    """One arm from its recordings and, where there are any, from the readings of its identify split."""
+    arm, recorded = profile.arms[name], recorded_arm(profile, name, readings, recordings)
+    fit = identify_from_motion(recorded, told)
     found, some = fit.identification, samples_of(fit, len(arm.type.joints))
-    start = start_from_nominal(nominal, some.q, some.p_M, tool_unknown=arm.smr.offset == "unknown")
+    start = start_from_nominal(recorded.nominal, some.q, some.p_M, tool_unknown=recorded.tool_unknown)
     held_out = readings.take(readings.in_split("validate"))
     in_motion = _errors_in_motion(name, fit)
     model = ArmModel(
@@ -136,10 +149,9 @@ def samples_of(fit: MotionFit, joints: int, lag_s: Array | None = None) -> Readi
             rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(np.intp)] if len(rows) else rows
             parts.append((word, one, rows))
     n = sum(len(rows) for *_, rows in parts)
-    moved = [one.track.path.at(one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
-    sides = [
-        one.track.path.direction_at(one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts
-    ]
+    times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
+    moved = [path.at(time_s) for path, time_s in times]
+    sides = [path.direction_at(time_s) for path, time_s in times]
     return Readings(
         configuration=np.arange(n),
         time_s=np.concatenate([one.track.time_s[rows] for _, one, rows in parts]),
@@ -156,23 +168,21 @@ def _stated_of(parts: Sequence[tuple[str, RecordingFit, NDArray[np.intp]]]) -> A
     return np.concatenate(sigmas) if len(sigmas) == len(parts) else None
 
 
-def stops_of(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
+def _stops(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
     """Readings at rest for a fit with recordings, and which of them it may not use; None where it may use none."""
     learnt = np.zeros(len(readings), dtype=bool)
     learnt[readings.in_split("identify")] = True
-    return (_stops(readings), ~learnt) if learnt.any() else (None, None)
-
-
-def _stops(readings: Readings) -> Stops:
+    if not learnt.any():
+        return None, None
     stated = stated_uncertainty(readings)
     if stated is not None and stated.ndim == 3:
         stated = np.sqrt(np.trace(stated, axis1=1, axis2=2) / 3.0)
-    return Stops(readings.q, readings.p_M, stated, readings.approach.astype(np.float64))
+    return Stops(readings.q, readings.p_M, stated, readings.approach.astype(np.float64)), ~learnt
 
 
 def _errors_at_rest(nominal: Geometry, found: Geometry, held_out: Readings) -> dict[Stage, StageErrors]:
-    computed = {"nominal": smr_positions(nominal, held_out.q), "geometry": smr_positions(found, held_out.q)}
-    return {stage: evaluate(held_out.p_M, p_M) for stage, p_M in computed.items()}  # type: ignore[misc]
+    arms: dict[Stage, Geometry] = {"nominal": nominal, "geometry": found}
+    return {stage: evaluate(held_out.p_M, smr_positions(arm, held_out.q)) for stage, arm in arms.items()}
 
 
 def _errors_in_motion(name: str, fit: MotionFit) -> dict[Stage, StageErrors]:
@@ -223,12 +233,8 @@ def _motion_result(fit: MotionFit, errors: Mapping[Stage, StageErrors]) -> Motio
 
 
 def _recording(one: RecordingFit) -> RecordingResult:
-    return RecordingResult(
-        points=one.points,
-        learnt=one.learnt,
-        held_out=one.held_out,
-        gross=one.gross,
-        in_gaps=one.in_gaps,
+    return RecordingResult.like(
+        one,
         effective_points=one.effective,
         scatter_mm=one.scatter_m * 1e3,
         heldout_rms_mm=one.heldout_rms_mm if len(one.heldout_mm) else None,
@@ -236,26 +242,11 @@ def _recording(one: RecordingFit) -> RecordingResult:
 
 
 def _clock(clock: ClockFit) -> ClockResult:
-    return ClockResult(
-        offset_s=clock.offset_s,
-        offset_standard_error_s=clock.offset_standard_error_s,
-        offset_interval_s=clock.offset_interval_s,
-        rate_ppm=clock.rate_ppm,
-        rate_standard_error_ppm=clock.rate_standard_error_ppm,
-        rate_interval_ppm=clock.rate_interval_ppm,
+    segments = clock.segments if len(clock.segments) > 1 else ()
+    return ClockResult.like(
+        clock,
         at_s=clock.middle_s,
         steps_of_joints=tuple((step.at_s, step.step_s) for step in clock.steps_of_joints),
         steps_of_points=tuple((step.at_s, step.step_s) for step in clock.steps_of_points),
-        segments=tuple(
-            ClockSegmentResult(
-                offset_s=one.offset_s,
-                offset_standard_error_s=one.offset_standard_error_s,
-                first_s=one.first_s,
-                last_s=one.last_s,
-            )
-            for one in clock.segments
-        )
-        if len(clock.segments) > 1
-        else (),
-        correlation=clock.correlation,
+        segments=tuple(ClockSegmentResult.like(one) for one in segments),
     )

@@ -23,16 +23,16 @@ from cellapp.estimation.discovery.records import (
     MotionEffectResult,
     Place,
 )
-from cellapp.estimation.motion.calibrate import samples_of, stops_of
+from cellapp.estimation.motion.calibrate import each_recorded, recorded_arm, samples_of
 from cellapp.estimation.motion.effects import MotionDiscovery, MotionEffect, effects_in_motion
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, Told, ignore
+from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
+from cellapp.robot.model.nominal import bodies_of, up_in_tracker
 
 LAG_TITLE = "delay of a joint behind the others"
 
@@ -59,16 +59,11 @@ def with_motion(
     """
     conditions = conditions_of_arms(calibrated, readings)
     arms = dict(found.arms)
-    cancel = cancel or CancelToken()
-    moved = {name: its for name, its in recordings.items() if its}
-    for number, (name, its) in enumerate(moved.items()):
-
-        def told(words: str, done: int = number, arm: str = name) -> None:
-            cancel.check()
-            listener(Progress("recordings of motion", done, len(moved), f"arm {arm}: {words}"))
-
+    for name, its, told in each_recorded(recordings, listener, cancel or CancelToken()):
         started = time.perf_counter()
-        motion = _search(profile, name, stops[name], its, told)
+        arm = recorded_arm(profile, name, stops[name], its)
+        arm = replace(arm, bodies=bodies_of(profile.arms[name]), up_M=up_in_tracker(profile))
+        motion = effects_in_motion(arm, told)
         held_out = HeldOut.of(readings[name], conditions[name])
         if not len(stops[name].in_split("validate")):  # samples stand for poses at rest: without what only motion has
             joints = readings[name].joints
@@ -76,30 +71,8 @@ def with_motion(
             held_out = HeldOut.of(samples, measurement_conditions(samples))
         seconds = time.perf_counter() - started
         arms[name] = _with_effects(name, found.arms[name], calibrated[name], motion, held_out, seconds)
-    listener(Progress("recordings of motion", len(moved), len(moved), "done"))
     model = replace(found.model, arms={name: one.model for name, one in arms.items()})
     return replace(found, arms=arms, model=model)
-
-
-def _search(
-    profile: Profile, name: str, at_rest: Readings, recordings: Sequence[Recording], told: Told
-) -> MotionDiscovery:
-    arm, settings = profile.arms[name], profile.calibration
-    nominal = nominal_arm(arm)
-    stops, held_out_stops = stops_of(at_rest)
-    return effects_in_motion(
-        nominal,
-        recordings,
-        tool_unknown=arm.smr.offset == "unknown",
-        bodies=bodies_of(arm),
-        up_M=up_in_tracker(profile),
-        stops=stops,
-        held_out_stops=held_out_stops,
-        parameter_set=settings.parameter_set,
-        prior_sigma=prior_sigmas(nominal, settings.priors),
-        seed=profile.seed,
-        told=told,
-    )
 
 
 def _with_effects(

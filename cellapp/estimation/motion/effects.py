@@ -21,19 +21,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
-from cellapp.estimation.calibration.parameters import SetName
 from cellapp.estimation.motion.fit import Problem, Solution, free_clocks, solve
-from cellapp.estimation.motion.identify import held_out_rms_mm, motion_fit, motion_problem
+from cellapp.estimation.motion.identify import RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.lines import line_powers
 from cellapp.estimation.motion.noise import whitening_filter
-from cellapp.estimation.motion.observe import Stops, residuals
+from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.records import MotionFit
-from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.effects import EFFECTS, EffectTerm
-from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array
 
 _CHANCE = 1e-3
@@ -130,46 +126,9 @@ class MotionDiscovery:
         return tuple(effect.term() for effect in self.effects if effect.at_rest and effect.names)
 
 
-def effects_in_motion(
-    nominal: Geometry,
-    recordings: Sequence[Recording],
-    *,
-    tool_unknown: bool,
-    bodies: Bodies | None = None,
-    up_M: Array | None = None,
-    stops: Stops | None = None,
-    held_out_stops: NDArray[np.bool_] | None = None,
-    parameter_set: SetName = "auto",
-    prior_sigma: Mapping[str, float] | None = None,
-    seed: int = 0,
-    told: Told = ignore_words,
-) -> MotionDiscovery:
-    """Search recordings of one arm for effects of its joints.
-
-    Parameters are those of ``identify_from_motion``, and
-
-    bodies, up_M
-        Masses and the direction against gravity in the tracker frame; without both no torques are known.
-
-    Raises
-    ------
-    InputError
-        As ``identify_from_motion``.
-    """
-    problem, stop_rows = motion_problem(
-        nominal,
-        recordings,
-        tool_unknown=tool_unknown,
-        stops=stops,
-        held_out_stops=held_out_stops,
-        parameter_set=parameter_set,
-        prior_sigma=prior_sigma,
-        seed=seed,
-        told=told,
-        loads=None if bodies is None or up_M is None else (bodies, up_M),
-    )
-    search = _Search(problem, stop_rows, told)
-    return search.run()
+def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
+    """Search recordings of one arm for effects of its joints; as ``identify_from_motion``, which raises the same."""
+    return _Search(*motion_problem(arm, told), told).run()
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,21 +36,11 @@ _RATE_UNKNOWN_PPM = 20.0
 """Standard error of a rate above which it is as uncertain as clocks themselves."""
 
 
-def identify_from_motion(
-    nominal: Geometry,
-    recordings: Sequence[Recording],
-    *,
-    tool_unknown: bool,
-    stops: Stops | None = None,
-    held_out_stops: NDArray[np.bool_] | None = None,
-    parameter_set: SetName = "auto",
-    prior_sigma: Mapping[str, float] | None = None,
-    seed: int = 0,
-    told: Told = ignore_words,
-) -> MotionFit:
-    """Identify geometry, lost motion and clocks of one arm from recordings of its motion.
+@dataclass(frozen=True, eq=False)
+class RecordedArm:
+    """What is known of an arm that was recorded in motion.
 
-    Parameters
+    Attributes
     ----------
     nominal : Geometry
         The published chain with the nominal tool; its base is not used.
@@ -61,69 +52,58 @@ def identify_from_motion(
         Readings at rest, fitted jointly; those of ``held_out_stops`` (n,) are not used.
     parameter_set, prior_sigma
         As of ``calibration.identification.identify``.
+    bodies, up_M
+        Masses and the direction against gravity in the tracker frame; without both no torques are known.
     seed : int
-    told
-        Takes words about each step; what it raises ends the fit.
+    """
+
+    nominal: Geometry
+    recordings: Sequence[Recording]
+    tool_unknown: bool
+    stops: Stops | None = None
+    held_out_stops: NDArray[np.bool_] | None = None
+    parameter_set: SetName = "auto"
+    prior_sigma: Mapping[str, float] | None = None
+    bodies: Bodies | None = None
+    up_M: Array | None = None
+    seed: int = 0
+
+
+def identify_from_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionFit:
+    """Identify geometry, lost motion and clocks of one arm from recordings of its motion.
+
+    ``told`` takes words about each step; what it raises ends the fit.
 
     Raises
     ------
     InputError
         If a recording is at rest, its clocks do not overlap, its points are not of this arm, or too few are left.
     """
-    problem, stop_rows = motion_problem(
-        nominal,
-        recordings,
-        tool_unknown=tool_unknown,
-        stops=stops,
-        held_out_stops=held_out_stops,
-        parameter_set=parameter_set,
-        prior_sigma=prior_sigma,
-        seed=seed,
-        told=told,
-    )
+    problem, stop_rows = motion_problem(arm, told)
     solution = solve(problem, stop_rows, told=told)
     told("clocks")
     return motion_fit(problem, free_clocks(problem, solution))
 
 
-def motion_problem(
-    nominal: Geometry,
-    recordings: Sequence[Recording],
-    *,
-    tool_unknown: bool,
-    stops: Stops | None,
-    held_out_stops: NDArray[np.bool_] | None,
-    parameter_set: SetName,
-    prior_sigma: Mapping[str, float] | None,
-    seed: int,
-    told: Told,
-    loads: tuple[Bodies, Array] | None = None,
-) -> tuple[Problem, NDArray[np.intp]]:
-    """The problem of ``identify_from_motion``, and the rows of the stops that it may use; ``loads`` are masses and the
-    direction against gravity in the tracker frame.
-
-    Raises
-    ------
-    InputError
-        As ``identify_from_motion``.
-    """
-    if not recordings:
+def motion_problem(arm: RecordedArm, told: Told) -> tuple[Problem, NDArray[np.intp]]:
+    """The problem of ``identify_from_motion``, which raises the same, and the rows of the stops that it may use."""
+    if not arm.recordings:
         raise InputError("no recordings of motion")
     tracks = []
-    for number, recording in enumerate(recordings):
+    for number, recording in enumerate(arm.recordings):
         told(f"start of the clocks of recording '{recording.name}'")
-        tracks.append(_track(recording, nominal, tool_unknown, seed + number))
-    stop_rows = np.arange(0 if stops is None else len(stops.q))
-    if held_out_stops is not None:
-        stop_rows = np.flatnonzero(~held_out_stops)
+        tracks.append(_track(recording, arm.nominal, arm.tool_unknown, arm.seed + number))
+    stop_rows = np.arange(0 if arm.stops is None else len(arm.stops.q))
+    if arm.held_out_stops is not None:
+        stop_rows = np.flatnonzero(~arm.held_out_stops)
     problem = problem_of(
-        nominal,
+        arm.nominal,
         tracks,
-        stops,
-        tool_unknown=tool_unknown,
-        parameter_set=parameter_set,
-        prior_sigma=prior_sigma or {},
-        masses=None if loads is None else Masses(nominal, *loads),
+        arm.stops,
+        tool_unknown=arm.tool_unknown,
+        parameter_set=arm.parameter_set,
+        prior_sigma=arm.prior_sigma or {},
+        masses=None if arm.bodies is None or arm.up_M is None else Masses(arm.nominal, arm.bodies, arm.up_M),
     )
     return problem, stop_rows
 

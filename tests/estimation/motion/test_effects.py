@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.motion.effects import effects_in_motion
+from cellapp.estimation.motion.identify import RecordedArm
 from cellapp.estimation.motion.joint_path import joint_path, play
 from cellapp.estimation.motion.terms import Masses, torques_in_motion
 from cellapp.robot.kinematics.chain import nominal_geometry
@@ -24,7 +25,7 @@ BODIES = Bodies(
 
 
 def found_in(*recordings, **options):
-    discovery = effects_in_motion(NOMINAL, recordings, tool_unknown=True, **options)
+    discovery = effects_in_motion(RecordedArm(NOMINAL, recordings, tool_unknown=True, **options))
     return discovery, {effect.slug: effect for effect in discovery.effects}
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.estimation.motion.identify import identify_from_motion
+from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 from cellapp.ground.errors import InputError
@@ -27,9 +27,8 @@ def case():
 
 
 def fit_of(*recordings, nominal=UR10, tool_unknown=True, **options):
-    return identify_from_motion(
-        nominal_geometry(nominal, np.zeros(3)), recordings, tool_unknown=tool_unknown, **options
-    )
+    arm = RecordedArm(nominal_geometry(nominal, np.zeros(3)), recordings, tool_unknown=tool_unknown, **options)
+    return identify_from_motion(arm)
 
 
 def clock_holds(clock, offset_s, rate_ppm, errors=4.0):
