@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cellapp.commands.iso9283.cells import pair_columns, tests_of, value_cells
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.iso9283.cells import COMMANDED, Commanded, pair_fields, tests_of
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.ground.counting import counted
 
@@ -29,29 +29,19 @@ def by_hand_sentences(result: Iso9283Result) -> Iterator[str]:
 
 
 def _loads(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        number_column("load", "g", "kg"),
-        Column("pose"),
-        *pair_columns("AP", "RP"),
-        number_column("n", "d"),
+    return table_of(
+        "Pose accuracy AP and repeatability RP with other loads [mm]",
+        [
+            Commanded(name, kind, pose, load)
+            for name, kind, tests in tests_of(result)
+            for load in tests.loads
+            for pose in load.pose
+        ],
+        *COMMANDED,
+        ("load", "of.payload_kg", "g", "kg"),
+        ("pose", "one.pose"),
+        *pair_fields("AP", "RP"),
     )
-    rows = [
-        (
-            name,
-            kind,
-            one.payload_kg,
-            pose.pose,
-            *value_cells(pose.accuracy),
-            *value_cells(pose.repeatability),
-            pose.accuracy.n,
-        )
-        for name, kind, tests in tests_of(result)
-        for one in tests.loads
-        for pose in one.pose
-    ]
-    return Table("Pose accuracy AP and repeatability RP with other loads [mm]", columns, tuple(rows))
 
 
 def _compliance(result: Iso9283Result) -> Table:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
-from cellapp.commands.view.table import Cell, Column, number_column
+from cellapp.commands.view.table import Cell, Column, Field, number_column
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result, IsoValue, SpeedSeries
+from cellapp.ground.results import Record
 
 
 def tests_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, CommandedTests]]:
@@ -22,6 +24,35 @@ def series_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, SpeedSe
     for name, kind, tests in tests_of(result):
         for one in tests.series:
             yield name, kind, one
+
+
+class Commanded(NamedTuple):
+    """What was measured at an arm with one kind of commands; ``of`` is what it is a part of, as a series of tests."""
+
+    arm: str
+    commands: IsoCommands
+    one: Record
+    of: Record | None = None
+
+
+COMMANDED: tuple[Field, ...] = (("arm", "arm"), ("commands", "commands"))
+"""The first columns of a table of ``Commanded``."""
+
+
+def pair_fields(
+    first: str, second: str, accuracy: str = "accuracy", repeatability: str = "repeatability"
+) -> Iterator[Field]:
+    """Two characteristics of ``Commanded.one``, each with its uncertainty, and their number of cycles."""
+    for name, attribute in ((first, accuracy), (second, repeatability)):
+        yield name, f"one.{attribute}.value_mm", ".3f"
+        yield f"U({name})", f"one.{attribute}.expanded_mm", ".3f"
+    yield "n", f"one.{accuracy}.n", "d"
+
+
+def axis_fields() -> Iterator[Field]:
+    """The error of ``Commanded.one`` along each axis."""
+    for place, axis in enumerate("xyz"):
+        yield f"AP {axis}", lambda row, place=place: row.one.error_mm[place], ".3f"
 
 
 def pair_columns(first: str, second: str) -> tuple[Column, ...]:

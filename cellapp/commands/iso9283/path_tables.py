@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from cellapp.commands.iso9283.cells import pair_columns, series_of, tests_of, value_cells
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.iso9283.cells import COMMANDED, Commanded, pair_fields, series_of, tests_of
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import Iso9283Result, PathCharacteristics
 
@@ -19,29 +19,15 @@ def path_tables(result: Iso9283Result) -> list[Table]:
 
 
 def _paths(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("path"),
-        number_column("speed", ".0f", "mm/s"),
-        number_column("length", ".0f"),
-        *pair_columns("AT", "RT"),
-        number_column("n", "d"),
+    return table_of(
+        "Path accuracy AT and repeatability RT [mm]",
+        [Commanded(*driven) for driven in _driven(result)],
+        *COMMANDED,
+        ("path", "one.path"),
+        ("speed", "one.speed_mm_s", ".0f", "mm/s"),
+        ("length", "one.length_mm", ".0f"),
+        *pair_fields("AT", "RT"),
     )
-    rows = [
-        (
-            name,
-            kind,
-            one.path,
-            one.speed_mm_s,
-            one.length_mm,
-            *value_cells(one.accuracy),
-            *value_cells(one.repeatability),
-            one.accuracy.n,
-        )
-        for name, kind, one in _driven(result)
-    ]
-    return Table("Path accuracy AT and repeatability RT [mm]", columns, tuple(rows))
 
 
 def _velocities(result: Iso9283Result) -> Table:
@@ -79,29 +65,19 @@ def _velocities(result: Iso9283Result) -> Table:
 
 
 def _corners(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("path"),
-        Column("corner"),
-        *pair_columns("CR", "CO"),
-        number_column("n", "d"),
+    return table_of(
+        "Cornering deviations: rounding CR and overshoot CO [mm]",
+        [
+            Commanded(name, kind, corner, path)
+            for name, kind, path in _driven(result)
+            for corner in path.corners
+            if corner.rounding is not None and corner.overshoot is not None
+        ],
+        *COMMANDED,
+        ("path", "of.path"),
+        ("corner", "one.corner"),
+        *pair_fields("CR", "CO", "rounding", "overshoot"),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            name,
-            kind,
-            one.path,
-            corner.corner,
-            *value_cells(corner.rounding),
-            *value_cells(corner.overshoot),
-            corner.rounding.n,
-        )
-        for name, kind, one in _driven(result)
-        for corner in one.corners
-        if corner.rounding is not None and corner.overshoot is not None
-    ]
-    return Table("Cornering deviations: rounding CR and overshoot CO [mm]", columns, tuple(rows))
 
 
 def _weaving(result: Iso9283Result) -> Table:
@@ -139,33 +115,18 @@ def _weaving(result: Iso9283Result) -> Table:
 
 
 def _settling(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("motion"),
-        number_column("length", ".0f", "mm"),
-        number_column("limit band", ".3f", "mm"),
-        number_column("stabilisation", ".3f", "s"),
-        number_column("overshoot", ".3f", "mm"),
-        number_column("posing time", ".3f", "s"),
-        number_column("n", "d"),
+    return table_of(
+        "Stabilisation time, overshoot and posing time",
+        [Commanded(name, kind, tests.settling) for name, kind, tests in tests_of(result) if tests.settling is not None],
+        *COMMANDED,
+        ("motion", lambda row: f"{row.one.before} to {row.one.pose}"),
+        ("length", "one.distance_mm", ".0f", "mm"),
+        ("limit band", "one.band_mm", ".3f", "mm"),
+        ("stabilisation", "one.stabilisation_s", ".3f", "s"),
+        ("overshoot", "one.overshoot.value_mm", ".3f", "mm"),
+        ("posing time", "one.posing_s", ".3f", "s"),
+        ("n", "one.overshoot.n", "d"),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            name,
-            kind,
-            f"{one.before} to {one.pose}",
-            one.distance_mm,
-            one.band_mm,
-            one.stabilisation_s,
-            one.overshoot.value_mm,
-            one.posing_s,
-            one.overshoot.n,
-        )
-        for name, kind, tests in tests_of(result)
-        if (one := tests.settling) is not None
-    ]
-    return Table("Stabilisation time, overshoot and posing time", columns, tuple(rows))
 
 
 def _driven(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, PathCharacteristics]]:

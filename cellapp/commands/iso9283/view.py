@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from cellapp.commands.iso9283.by_hand_tables import by_hand_sentences, by_hand_tables
-from cellapp.commands.iso9283.cells import pair_columns, series_of, tests_of, value_cells
+from cellapp.commands.iso9283.cells import (
+    COMMANDED,
+    Commanded,
+    axis_fields,
+    pair_columns,
+    pair_fields,
+    series_of,
+    tests_of,
+    value_cells,
+)
 from cellapp.commands.iso9283.charts import iso9283_charts
 from cellapp.commands.iso9283.norm_tables import abilities_table, coverage_table
 from cellapp.commands.iso9283.path_tables import path_tables
@@ -13,7 +22,7 @@ from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.parts import Part, Section, section_of
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
 from cellapp.estimation.iso9283.ability import ability_words
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import (
@@ -49,41 +58,38 @@ def view(result: Iso9283Result, request: Iso9283Request | None = None) -> View:
 
 def iso9283_section(result: Iso9283Result, about: str) -> Section:
     """What decides first: judgements, poses, distances, what was tested; the other tables are folded."""
-    first = [
-        _judgements(result),
-        _poses(result),
-        _cooperative(result),
-        _distances(result),
-        coverage_table(result.coverage),
-    ]
-    titles = {table.title for table in first}
-    others = [table for table in iso9283_tables(result) if table.title not in titles]
+    tables = _tables(result)
+    first, others = ([table for leads, table in tables if leads is asked] for asked in (True, False))
     details = [Section("All other characteristics", others, folded=True)] if others else []
-    shown = [table for table in first if table.rows]
-    return section_of("", [*shown, *iso9283_sentences(result), *iso9283_charts(result), *details], about=about)
+    return section_of("", [*first, *iso9283_sentences(result), *iso9283_charts(result), *details], about=about)
 
 
 def iso9283_tables(result: Iso9283Result) -> list[Table]:
     """Judgements, then the characteristics of each test, then the cubes; only what was measured."""
+    return [table for _, table in _tables(result)]
+
+
+def _tables(result: Iso9283Result) -> list[tuple[bool, Table]]:
+    """Tables with rows, in their order, each with whether it decides."""
     tables = [
-        _judgements(result),
-        _poses(result),
-        _series(result),
-        *by_hand_tables(result),
-        _axes(result),
-        _cooperative(result),
-        _directions(result),
-        _distances(result),
-        _drift(result),
-        _drift_groups(result),
-        *path_tables(result),
-        _exchange(result),
-        abilities_table(result.abilities),
-        coverage_table(result.coverage),
-        _cubes(result),
-        _test_poses(result),
+        (True, _judgements(result)),
+        (True, _poses(result)),
+        (False, _series(result)),
+        *((False, table) for table in by_hand_tables(result)),
+        (False, _axes(result)),
+        (True, _cooperative(result)),
+        (False, _directions(result)),
+        (True, _distances(result)),
+        (False, _drift(result)),
+        (False, _drift_groups(result)),
+        *((False, table) for table in path_tables(result)),
+        (False, _exchange(result)),
+        (False, abilities_table(result.abilities)),
+        (True, coverage_table(result.coverage)),
+        (False, _cubes(result)),
+        (False, _test_poses(result)),
     ]
-    return [table for table in tables if table.rows]
+    return [(leads, table) for leads, table in tables if table.rows]
 
 
 def iso9283_sentences(result: Iso9283Result) -> list[str]:
@@ -226,57 +232,38 @@ def _judgements(result: Iso9283Result) -> Table:
 
 
 def _poses(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("pose"),
-        *pair_columns("AP", "RP"),
-        number_column("n", "d"),
+    return table_of(
+        "Pose accuracy AP and repeatability RP [mm]",
+        _measured_poses(result),
+        *COMMANDED,
+        ("pose", "one.pose"),
+        *pair_fields("AP", "RP"),
     )
-    rows = [
-        (name, kind, pose.pose, *value_cells(pose.accuracy), *value_cells(pose.repeatability), pose.accuracy.n)
-        for name, kind, tests in tests_of(result)
-        for pose in tests.pose
-    ]
-    return Table("Pose accuracy AP and repeatability RP [mm]", columns, tuple(rows))
+
+
+def _measured_poses(result: Iso9283Result) -> list[Commanded]:
+    return [Commanded(name, kind, pose) for name, kind, tests in tests_of(result) for pose in tests.pose]
 
 
 def _series(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        number_column("speed", ".0f", "%"),
-        Column("pose"),
-        *pair_columns("AP", "RP"),
-        number_column("n", "d"),
+    return table_of(
+        "Pose accuracy AP and repeatability RP at other speeds [mm]",
+        [Commanded(name, kind, pose, series) for name, kind, series in series_of(result) for pose in series.pose],
+        *COMMANDED,
+        ("speed", "of.speed_share", ".0f", "%"),
+        ("pose", "one.pose"),
+        *pair_fields("AP", "RP"),
     )
-    rows = [
-        (
-            name,
-            kind,
-            1e2 * one.speed_share,
-            pose.pose,
-            *value_cells(pose.accuracy),
-            *value_cells(pose.repeatability),
-            pose.accuracy.n,
-        )
-        for name, kind, one in series_of(result)
-        for pose in one.pose
-    ]
-    return Table("Pose accuracy AP and repeatability RP at other speeds [mm]", columns, tuple(rows))
 
 
 def _axes(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("pose"),
-        *(number_column(f"AP {axis}", ".3f") for axis in "xyz"),
+    return table_of(
+        "Components of AP along the axes of the arm's base [mm]",
+        _measured_poses(result),
+        *COMMANDED,
+        ("pose", "one.pose"),
+        *axis_fields(),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (name, kind, pose.pose, *pose.error_mm) for name, kind, tests in tests_of(result) for pose in tests.pose
-    ]
-    return Table("Components of AP along the axes of the arm's base [mm]", columns, tuple(rows))
 
 
 def _cooperative(result: Iso9283Result) -> Table:
@@ -301,104 +288,66 @@ def _cooperative(result: Iso9283Result) -> Table:
 
 
 def _directions(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("pose"),
-        number_column("vAP", ".3f"),
-        number_column("U", ".3f"),
-        number_column("n", "d"),
+    return table_of(
+        "Multi-directional pose accuracy variation vAP [mm]",
+        [Commanded(name, kind, one) for name, kind, tests in tests_of(result) for one in tests.multidirectional],
+        *COMMANDED,
+        ("pose", "one.pose"),
+        ("vAP", "one.variation.value_mm", ".3f"),
+        ("U", "one.variation.expanded_mm", ".3f"),
+        ("n", "one.variation.n", "d"),
     )
-    rows = [
-        (name, kind, one.pose, *value_cells(one.variation), one.variation.n)
-        for name, kind, tests in tests_of(result)
-        for one in tests.multidirectional
-    ]
-    return Table("Multi-directional pose accuracy variation vAP [mm]", columns, tuple(rows))
 
 
 def _distances(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("between"),
-        number_column("commanded", ".3f"),
-        *pair_columns("AD", "RD"),
-        number_column("n", "d"),
+    return table_of(
+        "Distance accuracy AD and repeatability RD [mm]",
+        [Commanded(name, kind, one) for name, kind, tests in tests_of(result) for one in tests.distance],
+        *COMMANDED,
+        ("between", lambda row: " and ".join(row.one.between)),
+        ("commanded", "one.commanded_mm", ".3f"),
+        *pair_fields("AD", "RD"),
     )
-    rows = [
-        (
-            name,
-            kind,
-            " and ".join(one.between),
-            one.commanded_mm,
-            *value_cells(one.accuracy),
-            *value_cells(one.repeatability),
-            one.accuracy.n,
-        )
-        for name, kind, tests in tests_of(result)
-        for one in tests.distance
-    ]
-    return Table("Distance accuracy AD and repeatability RD [mm]", columns, tuple(rows))
 
 
 def _drift(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        number_column("observed", ".0f", "min"),
-        *pair_columns("dAP", "dRP"),
-        number_column("shift of the mean", ".3f"),
-        number_column("groups", "d"),
+    *pairs, _ = pair_fields("dAP", "dRP")
+    return table_of(
+        "Drift at P1 [mm]",
+        [Commanded(*drift) for drift in _drifts(result)],
+        *COMMANDED,
+        ("observed", "one.minutes", ".0f", "min"),
+        *pairs,
+        ("shift of the mean", "one.shift_mm", ".3f"),
+        ("groups", lambda row: len(row.one.groups), "d"),
     )
-    rows = [
-        (
-            name,
-            kind,
-            one.minutes,
-            *value_cells(one.accuracy),
-            *value_cells(one.repeatability),
-            one.shift_mm,
-            len(one.groups),
-        )
-        for name, kind, one in _drifts(result)
-    ]
-    return Table("Drift at P1 [mm]", columns, tuple(rows))
 
 
 def _drift_groups(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        number_column("after", ".0f", "min"),
-        number_column("AP", ".3f"),
-        number_column("RP", ".3f"),
-        *(number_column(f"AP {axis}", ".3f") for axis in "xyz"),
-        number_column("air", ".1f", "degC"),
-        number_column("n", "d"),
+    return table_of(
+        "Groups of the drift test [mm]",
+        [Commanded(name, kind, group) for name, kind, drift in _drifts(result) for group in drift.groups],
+        ("arm", "arm"),
+        ("after", "one.minutes", ".0f", "min"),
+        ("AP", "one.accuracy_mm", ".3f"),
+        ("RP", "one.repeatability_mm", ".3f"),
+        *axis_fields(),
+        ("air", "one.temperature_c", ".1f", "degC"),
+        ("n", "one.n", "d"),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (name, g.minutes, g.accuracy_mm, g.repeatability_mm, *g.error_mm, g.temperature_c, g.n)
-        for name, _, one in _drifts(result)
-        for g in one.groups
-    ]
-    return Table("Groups of the drift test [mm]", columns, tuple(rows))
 
 
 def _exchange(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("compared with"),
-        Column("pose"),
-        number_column("E", ".3f"),
-        number_column("U", ".3f"),
-        number_column("n", "d"),
+    return table_of(
+        "Exchangeability E with nominal commands [mm]",
+        [(name, arm.exchange) for name, arm in result.arms.items() if arm.exchange is not None],
+        ("arm", lambda row: row[0]),
+        ("compared with", lambda row: row[1].with_run),
+        ("pose", lambda row: row[1].pose),
+        ("E", lambda row: row[1].value.value_mm, ".3f"),
+        ("U", lambda row: row[1].value.expanded_mm, ".3f"),
+        ("n", lambda row: row[1].value.n, "d"),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (name, one.with_run, one.pose, *value_cells(one.value), one.value.n)
-        for name, arm in result.arms.items()
-        if (one := arm.exchange) is not None
-    ]
-    return Table("Exchangeability E with nominal commands [mm]", columns, tuple(rows))
 
 
 def _cubes(result: Iso9283Result) -> Table:
