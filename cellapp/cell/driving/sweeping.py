@@ -15,6 +15,7 @@ from cellapp.cell.run.recordings_csv import RecordedStreams, checked_recording
 from cellapp.cell.run.stream_columns import POINT
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.cell.safety.gate import CellBodies
+from cellapp.ground.grouping import grouped
 from cellapp.robot.kinematics.transforms import Array
 from drivers.plant.sweep import SweepRecord
 
@@ -29,10 +30,9 @@ class Sweeps:
         self._run, self._cell, self._bodies, self._note = run, cell, bodies, note
         self._session = f"sweeps-{session}"
         done = {(state.arm, state.name) for state in recording_states(run)}
-        self._waiting: dict[int, list[PlannedSweep]] = {}
-        for sweep in read_sweeps(run):
-            if (sweep.arm, sweep.name) not in done:
-                self._waiting.setdefault(sweep.stop, []).append(sweep)
+        self._waiting = grouped(
+            (sweep.stop, sweep) for sweep in read_sweeps(run) if (sweep.arm, sweep.name) not in done
+        )
         if self._waiting and cell.record_sweep is None:
             note("sweeps are recorded on simulated cells only; record the motion with your own programs and import it")
             self._waiting = {}

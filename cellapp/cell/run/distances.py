@@ -15,6 +15,7 @@ from cellapp.estimation.readings import Distance, Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.estimation.sockets.plausibility import misplaced_readings, with_ball, wrong_distances
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.model.nominal import nominal_arm
@@ -74,10 +75,7 @@ def swapped_points(profile: Profile, name: str, readings: Readings) -> list[tupl
 
 def _checked_rows(table: CsvTable, problems: Problems, readings: Mapping[str, Readings]) -> dict[int, Distance]:
     """The distances by line; what is wrong is noted."""
-    arms_of: dict[str, list[str]] = {}
-    for arm, its in readings.items():
-        for point in dict.fromkeys(its.point or ()):
-            arms_of.setdefault(point or "", []).append(arm)
+    arms_of = grouped((point or "", arm) for arm, its in readings.items() for point in dict.fromkeys(its.point or ()))
     rows: dict[int, Distance] = {}
     seen: dict[frozenset[str], int] = {}
     cells = zip(table.lines, *(table.cells[name] for name in _COLUMNS), strict=True)

@@ -18,6 +18,7 @@ from cellapp.cell.run.stream_codes import packed, unpacked
 from cellapp.cell.run.stream_columns import Kind, joint_stream, point_stream
 from cellapp.estimation.motion.streams import Recording
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 
 _SINCE = 6
@@ -96,10 +97,7 @@ def _listed(run: RunFile) -> list[tuple[RecordingState, str]]:
 def read_recordings_of(run: RunFile, arm: str) -> tuple[Recording, ...]:
     """The recordings of one arm, as estimation takes them; those of a session as one, in the order of time."""
     joints = len(run.profile.arms[arm].type.joints)
-    sessions: dict[str, list[RecordingState]] = {}
-    for state in recording_states(run):
-        if state.arm == arm:
-            sessions.setdefault(state.session or state.name, []).append(state)
+    sessions = grouped((state.session or state.name, state) for state in recording_states(run) if state.arm == arm)
     found = []
     for name, states in sessions.items():
         samples = _in_order([read_stream(run, state, "joints")[0] for state in states])

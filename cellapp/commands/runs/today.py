@@ -8,6 +8,7 @@ from datetime import UTC, date, datetime
 from cellapp.commands.runs.result import RunsResult, RunSummary
 from cellapp.commands.runs.words import CELL_WORDS, next_words, short_name, stops_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.grouping import grouped
 from cellapp.ground.results import CALIBRATE, CHECK, StageName
 from cellapp.ground.times import day_of
 
@@ -67,11 +68,7 @@ def _arms(result: RunsResult, now: datetime) -> Table:
 
 
 def _arm_rows(result: RunsResult, now: datetime) -> Iterator[tuple[Cell, ...]]:
-    cells: dict[str, list[RunSummary]] = {}
-    for run in result.runs:
-        if not run.problem:
-            cells.setdefault(run.profile, []).append(run)
-    for profile, runs in cells.items():
+    for profile, runs in grouped((run.profile, run) for run in result.runs if not run.problem).items():
         due = next((run.tracker_due for run in runs if run.tracker_due), "")
         for arm in dict.fromkeys(name for run in runs for name in run.arms):
             own = [run for run in runs if arm in run.arms]

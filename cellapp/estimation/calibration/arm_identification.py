@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from typing import Protocol
 
 import numpy as np
 
-from cellapp.estimation.calibration.identification import Identification, identify
+from cellapp.estimation.calibration.identification import Identification, TooFewReadings, identify
 from cellapp.estimation.calibration.parameters import ParameterSet, SetName
 from cellapp.estimation.calibration.weights import RobustName, excess_variance, with_excess
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile.schema import Calibration
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, register, rotation_x
 
@@ -23,6 +26,22 @@ _EXCESS_SETTLED = 0.01
 _WRIST_ERRORS = 20.0
 """Standard errors of the SMR along the last axis that its mirror image may be away: it is a minimum only where it lies
 within some 10, and the linear standard error understates the width of such a valley."""
+
+
+@contextmanager
+def refused_by_arm(name: str) -> Iterator[None]:
+    """What an identification cannot do becomes an ``InputError`` that names the arm of the profile."""
+    try:
+        yield
+    except TooFewReadings as error:
+        raise InputError(f"arm '{name}': {error}") from None
+    except ValueError as error:
+        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
+
+
+def robust_loss(settings: Calibration, *, robust: bool) -> RobustName:
+    """The loss of the profile, or where it has none and gross errors are looked for, Tukey's."""
+    return "tukey" if robust and settings.robust == "none" else settings.robust
 
 
 class _Fit(Protocol):

@@ -12,10 +12,10 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.arm_identification import identify_with_excess
+from cellapp.estimation.calibration.arm_identification import identify_with_excess, refused_by_arm, robust_loss
 from cellapp.estimation.calibration.evaluation import evaluate, evaluate_readings, repeatability
 from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_geometry, left_out_words, without
-from cellapp.estimation.calibration.identification import Identification, TooFewReadings, start_from_nominal
+from cellapp.estimation.calibration.identification import Identification, start_from_nominal
 from cellapp.estimation.calibration.network_training import Shape, Training, train_network, training_steps
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
@@ -326,7 +326,7 @@ def _identify(
 ) -> tuple[Identification, float]:
     """Identify one arm as the profile says; also its excess scatter [m]."""
     settings = profile.calibration
-    try:
+    with refused_by_arm(name):
         return identify_with_excess(
             nominal,
             learn.q,
@@ -334,14 +334,10 @@ def _identify(
             sigma=stated_uncertainty(learn),
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(nominal, settings.priors),
-            robust="tukey" if robust and settings.robust == "none" else settings.robust,
+            robust=robust_loss(settings, robust=robust),
             tolerance=settings.tolerance,
             max_iterations=settings.max_iterations,
         )
-    except TooFewReadings as error:
-        raise InputError(f"arm '{name}': {error}") from None
-    except ValueError as error:
-        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
 
 
 def train_arm(

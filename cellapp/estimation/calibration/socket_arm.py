@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cellapp.estimation.calibration.identification import TooFewReadings
+from cellapp.estimation.calibration.arm_identification import refused_by_arm, robust_loss
 from cellapp.estimation.calibration.socket_identification import (
     LIKE_THE_BASE,
     Fit,
@@ -18,7 +18,6 @@ from cellapp.estimation.calibration.socket_identification import (
 )
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets.contacts import Contacts
-from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array, invert
@@ -50,7 +49,7 @@ def fit_arm(profile: Profile, name: str, learn: Readings, *, robust: bool) -> tu
     arm, settings = profile.arms[name], profile.calibration
     published = nominal_arm(arm).with_T_M_B(base_in_profile(profile, name))
     nominal = start_in_sockets(published, learn, tool_unknown=arm.smr.offset == "unknown")
-    try:
+    with refused_by_arm(name):
         parameters, priors = estimated_in_sockets(
             settings.parameter_set, nominal, prior_sigmas(nominal, settings.priors)
         )
@@ -59,14 +58,10 @@ def fit_arm(profile: Profile, name: str, learn: Readings, *, robust: bool) -> tu
             learn,
             parameters,
             priors,
-            robust="tukey" if robust and settings.robust == "none" else settings.robust,
+            robust=robust_loss(settings, robust=robust),
             tolerance=settings.tolerance,
             max_iterations=settings.max_iterations,
         )
-    except TooFewReadings as error:
-        raise InputError(f"arm '{name}': {error}") from None
-    except ValueError as error:
-        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
     return nominal, fit, priors
 
 

@@ -7,12 +7,22 @@ need three points on the flange; one SMR gives none of them.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from scipy.special import stdtrit
 
 from cellapp.robot.kinematics.transforms import Array
 
 FEWEST_CYCLES = 2
 """A standard deviation needs two values."""
+_PROBABILITY = 0.97725
+"""One-sided, of an expanded uncertainty with the coverage factor 2."""
+
+
+def coverage_of_mean(n: int) -> float:
+    """Expanded uncertainty of the mean of n values, over their standard deviation: Student's t over sqrt(n)."""
+    return float(stdtrit(n - 1, _PROBABILITY)) / math.sqrt(n)
 
 
 def accuracy_vector(attained: Array, commanded: Array) -> Array:

@@ -25,6 +25,7 @@ from cellapp.estimation.iso9283.records import (
     IsoStatus,
 )
 from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 
 NOT_ASKED = "not asked for"
 NOT_MEASURED = "asked for, and no two cycles were measured"
@@ -125,9 +126,7 @@ def coverage(
     """
     lines: list[IsoLine] = []
     for asked in _ASKED:
-        by_words: dict[tuple[IsoStatus, str], list[str]] = {}
-        for name, arm in arms.items():
-            by_words.setdefault(_of_arm(asked, tests, arm, stopped), []).append(name)
+        by_words = grouped((_of_arm(asked, tests, arm, stopped), name) for name, arm in arms.items())
         lines += [
             IsoLine(clause=asked.clause, characteristic=asked.words, arms=tuple(names), status=status, words=words)
             for (status, words), names in by_words.items()
@@ -137,10 +136,7 @@ def coverage(
 
 def not_done(lines: Sequence[IsoLine]) -> dict[str, tuple[str, ...]]:
     """Reason -> the characteristics that were not done for it, in the norm's order."""
-    found: dict[str, list[str]] = {}
-    for line in lines:
-        if line.status == "not done":
-            found.setdefault(line.words, []).append(line.characteristic)
+    found = grouped((line.words, line.characteristic) for line in lines if line.status == "not done")
     return {reason: tuple(dict.fromkeys(names)) for reason, names in found.items()}
 
 
@@ -191,10 +187,7 @@ def _conditions(arms: Mapping[str, ArmIso9283], made: IsoConditions | None) -> I
         status="in part" if missing else "done",
         words=f"{words}; {', '.join(missing)}: {why}" if missing else words,
     )
-    by_words: dict[tuple[IsoStatus, str], list[str]] = {}
-    for name, arm in arms.items():
-        by_words.setdefault(_loads(arm, made), []).append(name)
-    for (status, words), names in by_words.items():
+    for (status, words), names in grouped((_loads(arm, made), name) for name, arm in arms.items()).items():
         what = "rated load, and 10 % of it"
         yield IsoLine(clause="6.6", characteristic=what, arms=tuple(names), status=status, words=words)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import t as student
 
+from cellapp.estimation.iso9283.characteristics import coverage_of_mean
 from cellapp.estimation.iso9283.evaluate import Measured, Measurements
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import ComplianceCharacteristics, ForceStep
@@ -15,8 +15,6 @@ from cellapp.robot.kinematics.transforms import Array, xyz_of
 FORCE_DIRECTIONS = tuple(f"{sign}{axis}" for axis in "xyz" for sign in "+-")
 """Along the axes of the arm's base, both ways."""
 POSE = "P1"
-_PROBABILITY = 0.97725
-"""One-sided, of an expanded uncertainty with the coverage factor 2."""
 
 
 def force_direction(direction: str) -> Array:
@@ -69,7 +67,7 @@ def _direction(
     sigma = float(np.sqrt(along_M @ before[cycles[0]].covariance_M[name] @ along_M))
     tracker = sigma * float(np.sqrt(F @ F + F.sum() ** 2)) / float(F @ F)
     n = len(cycles)
-    scatter = float(found.std(ddof=1)) / np.sqrt(n) * float(student.ppf(_PROBABILITY, n - 1)) if n > 1 else 0.0
+    scatter = float(found.std(ddof=1)) * coverage_of_mean(n) if n > 1 else 0.0
     steps = tuple(
         ForceStep(force_n=float(force), displacement_mm=xyz_of(1e3 * one @ base_M))
         for force, one in zip(forces, moved.mean(axis=0), strict=True)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import t as student
 
 from cellapp.estimation.iso9283.along import (
     Corner,
@@ -17,7 +16,7 @@ from cellapp.estimation.iso9283.along import (
     velocity_fluctuation,
     velocity_repeatability,
 )
-from cellapp.estimation.iso9283.characteristics import FEWEST_CYCLES, plane_crossings
+from cellapp.estimation.iso9283.characteristics import FEWEST_CYCLES, coverage_of_mean, plane_crossings
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import CornerCharacteristics, IsoValue, PathCharacteristics, PathVelocity
 from cellapp.estimation.iso9283.uncertainty import path_values
@@ -27,8 +26,6 @@ _SAME_STRETCH_M = 0.02
 """An arm is nowhere farther from its path; on a closed path the other side is."""
 _MIDDLE = (0.25, 0.75)
 """Shares of a path's length between which its velocity counts: no ramp reaches there."""
-_PROBABILITY = 0.97725
-"""One-sided, of an expanded uncertainty with the coverage factor 2."""
 _DRAWS = 200
 
 
@@ -136,7 +133,7 @@ def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVel
     scatter = velocity_repeatability(found, runs.speed) / 3.0
     return PathVelocity(
         accuracy_percent=1e2 * velocity_accuracy(found, runs.speed),
-        expanded_percent=1e2 * float(student.ppf(_PROBABILITY, n - 1)) * scatter / float(np.sqrt(n)),
+        expanded_percent=1e2 * coverage_of_mean(n) * scatter,
         repeatability_percent=3e2 * scatter,
         fluctuation_mm_s=1e3 * velocity_fluctuation(found),
         tracker_fluctuation_mm_s=1e3 * float(np.mean(alone)),
@@ -169,6 +166,6 @@ def _mean_of(
     if n < FEWEST_CYCLES:
         return None
     sigma = float(np.sqrt(np.trace(runs.tracker + runs.frame) / 3.0))
-    sampling = float(student.ppf(_PROBABILITY, n - 1)) * float(values.std(ddof=1)) / float(np.sqrt(n))
+    sampling = coverage_of_mean(n) * float(values.std(ddof=1))
     expanded = float(np.sqrt(sampling**2 + (2.0 * sigma) ** 2 + (contained * sigma) ** 2))
     return IsoValue(value_mm=1e3 * float(values.mean()), expanded_mm=1e3 * expanded, n=n)

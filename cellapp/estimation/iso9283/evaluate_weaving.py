@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import t as student
 
-from cellapp.estimation.iso9283.characteristics import FEWEST_CYCLES
+from cellapp.estimation.iso9283.characteristics import FEWEST_CYCLES, coverage_of_mean
 from cellapp.estimation.iso9283.evaluate_paths import PathTrack
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import WeavingCharacteristics
 from cellapp.robot.kinematics.transforms import Array
 
-_PROBABILITY = 0.97725
-"""One-sided, of an expanded uncertainty with the coverage factor 2."""
 _FEWEST_TURNS = 3
 
 
@@ -82,7 +79,7 @@ def weaving_characteristics(runs: WeavingRuns) -> WeavingCharacteristics | None:
     # the outermost of many points lies farther out than it would without noise, by two standard deviations at most
     sigma = float(np.sqrt(runs.across_M @ runs.tracker @ runs.across_M))
     wide, often = np.array(strokes) / stroke - 1.0, half_s / np.array(halves) - 1.0
-    factor = float(student.ppf(_PROBABILITY, n - 1)) / float(np.sqrt(n))
+    factor = coverage_of_mean(n)
     return WeavingCharacteristics(
         stroke_mm=1e3 * stroke,
         frequency_hz=0.5 / half_s,
