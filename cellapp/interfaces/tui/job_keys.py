@@ -12,8 +12,13 @@ from textual.widgets import Input
 from cellapp.interfaces.tui.dialogs.motion import MotionQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.jobs import MotionAsked
+from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.messages import StopGiven
 from cellapp.interfaces.tui.screens.base import DayScreen
+
+_RESUMES = f"{SHOWN['pause']} or {SHOWN['resume']}"
+_RESUME_WHEN_CLEAR = f"{SHOWN['resume']}: resume when the cell is clear"
+_AFTER_A_STOP = f"{_RESUME_WHEN_CLEAR}; {SHOWN['abort']}: abort."
 
 
 class JobKeys(Host):
@@ -55,7 +60,7 @@ class JobKeys(Host):
         if self.jobs.control.cancelled:
             self.say("Stopping: the arms brake, the job ends." if arms else "Stopping at the next step.", "warning")
         else:
-            self.say("STOP: all arms brake. c: resume when the cell is clear; x: abort.", "error")
+            self.say(f"STOP: all arms brake. {_AFTER_A_STOP}", "error")
 
     def action_say_how_to_quit(self) -> None:
         """Ctrl-C, where nothing runs and no text is selected: it does not quit. Say what does."""
@@ -67,18 +72,18 @@ class JobKeys(Host):
         if control.request == "pause":
             self.action_resume()
         elif control.request == "stop":
-            self.say("Stopped, not paused. c: resume when the cell is clear; x: abort.", "warning")
+            self.say(f"Stopped, not paused. {_AFTER_A_STOP}", "warning")
         elif self.jobs.possible("pause"):
             control.pause()
             rests = "the arms rest after the present stop" if control.has_brakes else "the job waits where it can"
-            self.say(f"Pausing: {rests}. p or c: resume; Escape: stop.", "warning")
+            self.say(f"Pausing: {rests}. {_RESUMES}: resume; {SHOWN['stop']}: stop.", "warning")
 
     def action_resume(self) -> None:
         """Let a paused or stopped job continue."""
         if not self.jobs.possible("resume"):
             return
         if self.presses.just_given:
-            self.say("Stopped; resume was asked for in the same moment. c: resume when the cell is clear.", "warning")
+            self.say(f"Stopped; resume was asked for in the same moment. {_RESUME_WHEN_CLEAR}.", "warning")
             return
         self.jobs.control.resume()
         self.say("Resuming.")

@@ -15,12 +15,14 @@ from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 
 Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
 
+_STOP, _PAUSE = SHOWN["stop"], SHOWN["pause"]
+_RESUMES, _ENDS = f"{_PAUSE} or {SHOWN['resume']} resumes", f"{SHOWN['abort']} ends it."
 _DOING: dict[JobState, tuple[Look, str]] = {
-    "running": ("running", "Escape brakes all arms; p pauses after this stop; x ends it."),
-    "pausing": ("waiting", "The arms rest after this stop. p or c resumes; Escape brakes."),
-    "paused": ("waiting", "The arms rest. p or c resumes; Escape stops; x ends it."),
-    "suspended": ("waiting", "It resumes by itself once the cause is gone. Escape stops; x ends it."),
-    "stopped": ("halted", "c resumes when the cell is clear; x ends it."),
+    "running": ("running", f"{_STOP} brakes all arms; {_PAUSE} pauses after this stop; {_ENDS}"),
+    "pausing": ("waiting", f"The arms rest after this stop. {_RESUMES}; {_STOP} brakes."),
+    "paused": ("waiting", f"The arms rest. {_RESUMES}; {_STOP} stops; {_ENDS}"),
+    "suspended": ("waiting", f"It resumes by itself once the cause is gone. {_STOP} stops; {_ENDS}"),
+    "stopped": ("halted", f"{SHOWN['resume']} resumes when the cell is clear; {_ENDS}"),
     "aborted": ("halted", "The arms brake and the job ends; what was measured is kept."),
 }
 
@@ -41,19 +43,19 @@ def headline(run: RunState, record: JobRecord, request: Request) -> Headline:
     if record.is_replay:
         return _of_replay(record, record.state, request)
     if run.job is not None and not run.job.moves:
-        return Headline("RUNNING", f"{record.name}: nothing moves. Escape or {SHOWN['abort']} ends it.", "running")
+        return Headline("RUNNING", f"{record.name}: nothing moves. {_STOP} or {_ENDS}", "running")
     state = record.state
     if state in ("running", "pausing") and record.causes:  # the job's thread has not noticed yet, or hangs
         return Headline("STOPPED", f"{'; '.join(record.causes).rstrip('.')}. {_DOING['stopped'][1]}", "halted")
     if record.lost and state != "stopped":  # a stopped job says why, and what a person may do; the strip shows the ages
-        text = f"from {', '.join(record.lost)}: what is shown of it is old. Escape brakes all arms."
+        text = f"from {', '.join(record.lost)}: what is shown of it is old. {_STOP} brakes all arms."
         return Headline("NO DATA", text, "halted")
     if state == "running" and request != "none":
         state = {"pause": "pausing", "stop": "stopped", "abort": "aborted"}[request]  # type: ignore[assignment]
     look, possible = _DOING[state]
     if holds_for_drift(record):
-        possible = f"Look for a moved tracker, nest or SMR. {SHOWN['drift']} accepts the drift and resumes, as c does;"
-        possible += " x ends it."
+        possible = f"Look for a moved tracker, nest or SMR. {SHOWN['drift']} accepts the drift and resumes, as"
+        possible += f" {SHOWN['resume']} does; {_ENDS}"
     waits = record.reason and state == record.state != "running"
     return Headline(state.upper(), f"{since_words(record)}. {possible}" if waits else possible, look)
 
@@ -62,9 +64,9 @@ def _of_replay(record: JobRecord, state: JobState, request: Request) -> Headline
     """A replay; the states that it plays back are those of the recorded job."""
     word = f"REPLAY{record.name.removeprefix('replay')}, nothing moves"
     if request == "pause":
-        return Headline(f"{word}, PAUSED", "p or c resumes; Escape or x ends it.", "replay")
+        return Headline(f"{word}, PAUSED", f"{_RESUMES}; {_STOP} or {_ENDS}", "replay")
     recorded = f"Recorded: {state.upper()}, {record.reason}. " if state != "running" and record.reason else ""
-    return Headline(word, f"{recorded}p pauses and resumes; Escape or x ends it.", "replay")
+    return Headline(word, f"{recorded}{_PAUSE} pauses and resumes; {_STOP} or {_ENDS}", "replay")
 
 
 def _of_run(state: RunState) -> Headline:

@@ -13,6 +13,7 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from cellapp.commands.view.table import Table, markdown
+from cellapp.ground.counting import counted
 from cellapp.interfaces.render.terminal import rich_table
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
@@ -78,7 +79,7 @@ class TablesView(VerticalScroll):
     def action_copy(self) -> None:
         """Copy all tables to the clipboard."""
         self.app.copy_to_clipboard(markdown(self._tables, self._sentences))
-        self.notify(f"{len(self._tables)} tables copied")
+        self.notify(f"{counted(len(self._tables), 'table')} copied")
 
     def action_save(self) -> None:
         """Save all tables in a file."""
