@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
-from cellapp.estimation.motion.fit import Problem, Solution, free_clocks, solve
+from cellapp.estimation.motion.discrepancy import allow_for_missing
+from cellapp.estimation.motion.fit import Problem, Solution, solve
 from cellapp.estimation.motion.identify import RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.lines import line_powers
 from cellapp.estimation.motion.noise import whitening_filter
@@ -38,11 +39,11 @@ _MOST_LINES = 12
 _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _COUNT_ROUNDS = 3
-_SHOWN = 3.5
+SHOWN = 3.5
 """Standard errors from which a joint is named as having an effect that was found."""
 _AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.COMPLIANCE: "linear"}
 """Forms of the effects' laws that say the same of stops; a lag has none."""
-_DENSE = 20
+DENSE = 20
 """Cycles a turn from which lines are too dense for the few hundred stops of a plan."""
 
 
@@ -175,7 +176,7 @@ class _Search:
         state, steps = self._without_chance(state, steps)
         final = self._unwhitened(state)
         # with lags an offset is known by its sum with their mean only, and is left as it is
-        freed = final.solution if _has(steps, Law.LAG) else free_clocks(final.problem, final.solution)
+        freed = final.solution if _has(steps, Law.LAG) else allow_for_missing(final.problem, final.solution)
         fit = motion_fit(final.problem, freed)
         effects = tuple(_effect(final, law, steps) for law in dict.fromkeys(step.law for step in steps))
         laws_at_rest = [law for law in dict.fromkeys(step.law for step in steps) if law in _AT_REST]
@@ -350,7 +351,7 @@ def _shown(state: _State, law: Law, steps: Sequence[_Step]) -> tuple[JointTerm, 
     terms = _terms(law, steps)
     values, covariance = _values(state, terms)
     errors = np.sqrt(np.diag(covariance))
-    pairs = zip(terms, np.abs(values) > _SHOWN * errors, strict=True)
+    pairs = zip(terms, np.abs(values) > SHOWN * errors, strict=True)
     clear = {(term.joint, term.cycles) for term, shows in pairs if shows}
     return tuple(term for term in terms if (term.joint, term.cycles) in clear)
 
@@ -385,7 +386,7 @@ def _effect(state: _State, law: Law, steps: Sequence[_Step]) -> MotionEffect:
     only = ""
     if law is Law.LAG:
         only = "a delay moves nothing at rest"
-    elif law is Law.LINE and all(term.cycles >= _DENSE for term in terms):
+    elif law is Law.LINE and all(term.cycles >= DENSE for term in terms):
         only = "lines as dense as these are aliased by the few hundred stops of a plan"
     return MotionEffect(
         slug=law.value,
