@@ -1,4 +1,4 @@
-"""The stream of the simulated tracker: points of a moving SMR in packets, with the stamps of the tracker's own clock."""
+"""The stream of the simulated tracker: points of a moving SMR in packets, stamped by the tracker's own clock."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def swung(plant, errors=CLOCK, there_s=2.0):
 
 
 def test_points_are_those_of_the_moving_arm_at_their_own_stamps(plant):
-    tracker, track, packets, lost, seen = swung(plant)
+    tracker, track, _, lost, seen = swung(plant)
     assert stream_of(tracker) is tracker
     assert lost == []
     np.testing.assert_allclose(np.diff(track.device_time_s), INTERVAL_S * (1.0 + 20e-6), rtol=1e-6)
@@ -49,7 +49,7 @@ def test_points_are_those_of_the_moving_arm_at_their_own_stamps(plant):
     times = np.array([time_s for time_s, _ in seen])
     wanted = np.column_stack([np.interp(at_s, times, column) for column in np.array([p for _, p in seen]).T])
     inside = (at_s > times[0]) & (at_s < times[-1])
-    # interpolation errs by a h^2 / 8; the play of six joints, 0.2 mm and more, is crossed at the reversal and no earlier
+    # interpolation errs by a h^2 / 8; the play of six joints, 0.2 mm and more, is crossed at the reversal, no earlier
     off = np.linalg.norm(track.p_M - wanted, axis=1)[inside]
     assert np.quantile(off, 0.99) < 1e-5
     assert (off > 2e-5).sum() <= 6
@@ -102,7 +102,7 @@ def test_another_measurement_ends_a_track_and_intervals_are_checked(plant):
     tracker.connect()
     p_M = plant.targets()[0].p_M
     for wrong in (1e-4, 2.0, np.nan):
-        with pytest.raises(ValueError, match="measures one each 0.001 to 1 s"):
+        with pytest.raises(ValueError, match=r"measures one each 0\.001 to 1 s"):
             tracker.start_track(p_M, wrong, lambda error: None)
     tracker.start_track(p_M, INTERVAL_S, lambda error: None)
     tracker.measure(p_M, 0.1)
