@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.plant import Plant
 from drivers.plant.clearance import segment_distances
-from drivers.plant.lines import carry
+from drivers.plant.lines import carry, quaternion, rigid
 from drivers.plant.mechanism import Posture, nominal
 from drivers.plant.optics import why_hidden
 from drivers.plant.sweep import DYNAMIC_M
@@ -63,13 +63,18 @@ _STANDARD_AIR = (20.0, 1013.25, 50.0)
 
 @dataclass(frozen=True, eq=False)
 class _Smr:
-    """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible)."""
+    """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible).
+
+    ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
+    """
 
     owner: str
     arm: str | None
     p_M: Vector
     hidden: str
     moving: bool = False
+    R_M_S: Vector | None = None
+    sigma_rad: float = 0.0
 
 
 class SimulatedTracker:
@@ -133,6 +138,7 @@ class SimulatedTracker:
         self._blind_until_s = -math.inf
         """Until when a beam that broke cannot be locked again [s]."""
         self._dynamic = np.random.default_rng([plant.config.seed, 3])
+        self._turns = np.random.default_rng([plant.config.seed, 5])
         self._connected = False
         self._link_cut = False
         self._down_until_s = -math.inf
@@ -258,7 +264,18 @@ class SimulatedTracker:
             host_time_s=self._plant.clock_s,
             reflector=self._settings.reflector or REFLECTORS[0],
             quality=warnings,
+            quaternion_M=self._orientation(locked),
+            sigma_rad=None if locked.R_M_S is None else locked.sigma_rad,
         )
+
+    def _orientation(self, locked: _Smr) -> Vector | None:
+        """Return the measured orientation of a 6-D probe (4,)."""
+        if locked.R_M_S is None:
+            return None
+        error = np.zeros(6)
+        if self._plant.config.noise:
+            error[3:] = locked.sigma_rad * self._turns.standard_normal(3)
+        return quaternion(rigid(error)[:3, :3] @ locked.R_M_S)
 
     # -- following a moving SMR ----------------------------------------------------------------------------------------
 
@@ -345,8 +362,10 @@ class SimulatedTracker:
         """Return all SMRs of arms and nests, without regard to bodies in the beam."""
         found = []
         for target in self._plant.targets():
-            why = "something covers it" if target.arm in self.covered else target.hidden
-            found.append(_Smr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving))
+            owner = f"arm {target.arm}, nest {target.nest}" if target.nest else f"arm {target.arm}"
+            why = "something covers it" if {target.arm, owner} & self.covered else target.hidden
+            probe = (target.R_M_S, target.sigma_rad)
+            found.append(_Smr(owner, target.arm, target.p_M, why, target.moving, *probe))
         for name, p_M in self._nests.items():
             facing = -p_M / np.linalg.norm(p_M)
             why = "something covers it" if name in self.covered else ""
