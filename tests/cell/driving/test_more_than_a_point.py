@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,9 @@ from cellapp.cell.driving.nests import Nests
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.calibrate.view import view
+from cellapp.commands.view.table import Table
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.smr import Smr
 from tests.twin import small_twin
@@ -81,3 +85,23 @@ def test_the_nests_that_are_seen_are_in_the_order_of_the_shortest_way() -> None:
     (note,) = nests.notes(plan)
     assert note.startswith("arm left: beside nest A the tracker sees B at ")
     assert nests.seen("right", plan) == {}
+
+
+def test_calibration_finds_the_nests_and_says_what_they_tell(tmp_path: Path) -> None:
+    profile = cell_with(30)
+    with RunFile.create(tmp_path / "run", profile) as made:
+        made.write_plan(plan_stops(profile))
+        collect_run(made)
+        result = calibrate_run(made)
+    nests = result.arms["left"].nests
+    assert nests is not None
+    assert nests.stops == 30
+    assert nests.noise_mm is not None
+    assert 0.005 < nests.noise_mm < 0.05
+    mechanism = build_plant(profile).true_mechanism("left")
+    for name in NESTS:
+        np.testing.assert_allclose(nests.found[name].offset_m, mechanism.nests[name], atol=1e-3)
+    shown = view(result)
+    assert "Arm left: nests in the flange frame" in [part.title for part in shown.parts if isinstance(part, Table)]
+    assert any("nests, which tell the orientation at" in part for part in shown.parts if isinstance(part, str))
+    assert result.arms["right"].nests is None
