@@ -56,13 +56,11 @@ class PosteriorDraws:
         columns: tuple[int, ...],
         sizes: Sequence[int],
         covariance: Array,
-        noise: tuple[float, float | None],
+        noise_m: float,
         seed: Sequence[int],
+        noise_rad: float | None = None,
     ) -> PosteriorDraws:
-        """Draws from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters.
-
-        ``noise`` is that of a coordinate [m] and of a component of an orientation [rad].
-        """
+        """Draws from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
         root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -72,7 +70,7 @@ class PosteriorDraws:
         drawn = (normal @ root.T) * scale
         ends = np.cumsum([len(columns), *sizes])
         parts = np.split(drawn, ends[:-1], axis=1)
-        return cls(columns, parts[0], tuple(parts[1:]), *noise)
+        return cls(columns, parts[0], tuple(parts[1:]), noise_m, noise_rad)
 
     def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
         """Deviations (S, n, 3) [m] of the SMR from its prediction, to first order; of an orientation [rad]."""
