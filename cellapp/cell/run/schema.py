@@ -6,10 +6,11 @@ import sqlite3
 
 from cellapp.estimation.readings.columns import COLUMNS
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 """2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
 collecting, outcomes of stops that were not measured, reference measurements. 5: place of a reading in the order of
-measurement. 6: recordings of motion. 7: names of points in place of measured positions."""
+measurement. 6: recordings of motion. 7: names of points in place of measured positions.
+8: readings that were replaced when their stop was measured again, and which sessions did that."""
 
 _KEY = ("arm TEXT NOT NULL", "PRIMARY KEY (arm, configuration)")
 _EXTRAS = "extras TEXT"
@@ -22,7 +23,8 @@ _STAGE_TABLE = (
 )
 """Append-only. Files of schema 1 and 2 lack it; they have results of verbs in the table ``result``."""
 _COLLECTION_TABLES = (
-    "CREATE TABLE session (number INTEGER PRIMARY KEY, began TEXT NOT NULL, ended TEXT, outcome TEXT, reason TEXT)",
+    "CREATE TABLE session (number INTEGER PRIMARY KEY, began TEXT NOT NULL, ended TEXT, outcome TEXT, reason TEXT,"
+    " again TEXT)",
     "CREATE TABLE request (session INTEGER NOT NULL, written TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL)",
     "CREATE TABLE outcome (stop INTEGER NOT NULL, arm TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL,"
     " PRIMARY KEY (stop, arm))",
@@ -37,15 +39,20 @@ _RECORDING_TABLES = (
 )
 """A recording of motion, and its columns: ``data`` as in ``stream_codes``, or places in ``words``."""
 
+_AGAIN = "ALTER TABLE session ADD COLUMN again TEXT"
+"""The stops that a session measured again, as a list; NULL of a session that collects what is left."""
+_SINCE_SESSIONS, _SINCE_EARLIER = 4, 8
+
 
 def create_tables(connection: sqlite3.Connection) -> None:
     """Make all tables, inside the caller's transaction."""
     arm, primary_key = _KEY
-    columns = [arm, *(column.sql_declaration for column in COLUMNS), _EXTRAS, primary_key]
+    columns = [arm, *(column.sql_declaration for column in COLUMNS), _EXTRAS]
     for statement in (
         "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)",
         "CREATE TABLE plan (arm TEXT NOT NULL, stop INTEGER NOT NULL, q TEXT NOT NULL, PRIMARY KEY (arm, stop))",
-        f"CREATE TABLE reading ({', '.join(columns)})",
+        f"CREATE TABLE reading ({', '.join([*columns, primary_key])})",
+        _earlier_table(),
         "CREATE TABLE event"
         " (number INTEGER PRIMARY KEY, written TEXT NOT NULL, time_s, level TEXT NOT NULL, text TEXT NOT NULL)",
         "CREATE TABLE result (name TEXT PRIMARY KEY, written TEXT NOT NULL, text TEXT NOT NULL)",
@@ -55,6 +62,12 @@ def create_tables(connection: sqlite3.Connection) -> None:
     ):
         connection.execute(statement)
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
+
+
+def _earlier_table() -> str:
+    """Readings that others replaced: as they were, in the order in which that happened."""
+    columns = [_KEY[0], *(column.sql_declaration for column in COLUMNS), _EXTRAS, "replaced TEXT NOT NULL"]
+    return f"CREATE TABLE earlier_reading ({', '.join(columns)})"
 
 
 def schema_version(connection: sqlite3.Connection) -> int:
@@ -75,8 +88,14 @@ def upgrade(connection: sqlite3.Connection) -> None:
         return
     for column in COLUMNS:
         if column.since > version:
-            connection.execute(f"ALTER TABLE reading ADD COLUMN {column.sql_declaration}")
-    tables = {3: (_STAGE_TABLE,), 4: _COLLECTION_TABLES, 6: _RECORDING_TABLES}
+            for table in ("reading", "earlier_reading") if version >= _SINCE_EARLIER else ("reading",):
+                connection.execute(f"ALTER TABLE {table} ADD COLUMN {column.sql_declaration}")
+    tables = {
+        3: (_STAGE_TABLE,),
+        _SINCE_SESSIONS: _COLLECTION_TABLES,
+        6: _RECORDING_TABLES,
+        _SINCE_EARLIER: (_earlier_table(), *([_AGAIN] if version >= _SINCE_SESSIONS else [])),
+    }
     for statement in (one for since, its in tables.items() if version < since for one in its):
         connection.execute(statement)
     connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))

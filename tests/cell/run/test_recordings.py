@@ -277,8 +277,10 @@ def test_a_run_of_an_older_schema_has_no_recordings_and_takes_some(tmp_path: Pat
     with sqlite3.connect(path) as connection:
         for column in (one.sql_name for one in COLUMNS if one.since > 5):
             connection.execute(f"ALTER TABLE reading DROP COLUMN {column}")
-        for statement in ("DROP TABLE recording", "DROP TABLE stream", "PRAGMA user_version=5"):
-            connection.execute(statement)
+        for table in ("recording", "stream", "earlier_reading"):
+            connection.execute(f"DROP TABLE {table}")
+        connection.execute("ALTER TABLE session DROP COLUMN again")
+        connection.execute("PRAGMA user_version=5")
     connection.close()
     with RunFile.open(path.parent, write=True) as older:
         assert recording_states(older) == ()

@@ -506,7 +506,7 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
         connection.execute("ALTER TABLE reading DROP COLUMN dwell_s")
         connection.execute("ALTER TABLE reading DROP COLUMN sequence")
         connection.execute("ALTER TABLE reading DROP COLUMN point")
-        for table in ("stage", "session", "request", "outcome", "reference", "recording", "stream"):
+        for table in ("stage", "session", "request", "outcome", "reference", "recording", "stream", "earlier_reading"):
             connection.execute(f"DROP TABLE {table}")
         connection.execute("UPDATE meta SET value = '1' WHERE key = 'version'")
         connection.execute("PRAGMA user_version=1")
@@ -532,7 +532,7 @@ def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_
     with RunFile.create(folder, profile) as run:
         run.append_stage("calibrate", None, "{}", None)
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        for table in ("session", "request", "outcome", "reference", "recording", "stream"):
+        for table in ("session", "request", "outcome", "reference", "recording", "stream", "earlier_reading"):
             connection.execute(f"DROP TABLE {table}")
         connection.execute("ALTER TABLE reading DROP COLUMN sequence")
         connection.execute("ALTER TABLE reading DROP COLUMN point")
@@ -557,8 +557,9 @@ def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Prof
         session = run.begin_session()
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
         connection.execute("ALTER TABLE reading DROP COLUMN sequence")
-        for table in ("recording", "stream"):
+        for table in ("recording", "stream", "earlier_reading"):
             connection.execute(f"DROP TABLE {table}")
+        connection.execute("ALTER TABLE session DROP COLUMN again")
         connection.execute("ALTER TABLE reading DROP COLUMN point")
         connection.execute("PRAGMA user_version=4")
         connection.commit()
