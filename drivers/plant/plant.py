@@ -25,6 +25,7 @@ from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule
 from drivers.plant.servo import follow
+from drivers.plant.trail import Phase, joints_at, note_phase
 from drivers.plant.true_arm import Target, TrueArm, draw_true_arm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
@@ -289,6 +290,7 @@ class Plant:
         if arm.motion is not None:
             raise ValueError(f"arm {name} is still moving")
         goal = np.array(q, dtype=np.float64)
+        note_phase(arm, self._clock_s)
         arm.resting = None
         arm.motion = travel(self._clock_s, arm.q, goal, speed, acceleration)
         if arm.motion is not None:
@@ -323,6 +325,7 @@ class Plant:
         """Update the arm's state and memories after a motion to ``q``."""
         if self._executed is not None and arm.motion is not None:
             self._executed[arm.config.name].append(Executed(arm.motion, time_s))
+        note_phase(arm, time_s)
         step, effects = q - arm.q, zip(arm.effects, arm.memories, strict=True)
         arm.memories = [effect.memory_after_motion(memory, q[None]) for effect, memory in effects]
         arm.approach = np.where(step == 0.0, arm.approach, np.sign(step))
@@ -411,6 +414,40 @@ class Plant:
         )
         p_M, normal_M = self._apparent_smr(arm, situation, posture)
         return p_M[0], normal_M[0]
+
+    def recent_smr(self, name: str, time_s: Array) -> tuple[Array, Array]:
+        """Apparent positions and viewing directions of an arm's SMR, (n, 3) each, in M, at recent times (n,) [s].
+
+        The arm may have moved meanwhile; nothing older than a second or so is known.
+        """
+        arm = self._arm(name)
+        q, known = joints_at(arm, time_s, self._clock_s)
+        p_M, normal_M = np.empty((2, len(time_s), 3))
+        for phase, rows in known:
+            p_M[rows], normal_M[rows] = self._smr_in(arm, phase, q[rows], time_s[rows], moving=phase.motion is not None)
+        return p_M, normal_M
+
+    def _smr_in(self, arm: TrueArm, phase: Phase, q: Array, time_s: Array, *, moving: bool) -> tuple[Array, Array]:
+        """Apparent positions and viewing directions (n, 3) of an arm at ``q`` (n, N) in a phase without reversal."""
+        step = q - phase.q if moving else np.repeat(phase.last_step[None], len(q), axis=0)
+        memories = list(phase.memories)
+        if moving:
+            memories = [e.memory_after_motion(memory, q) for e, memory in zip(arm.effects, memories, strict=True)]
+        air_c = np.full(len(q), self.air_temperature_c)
+        situation = Situation(
+            q=q,
+            approach=np.where(step == 0.0, phase.approach, np.sign(step)) if moving else phase.approach + 0.0 * q,
+            last_step=step,
+            since_rest_s=np.zeros(len(q)) if moving else time_s - phase.rest_since_s,
+            time_s=time_s,
+            air_c=air_c,
+            joints_c=air_c[:, None] + arm.rise,
+            others=self._other_postures(arm, {}, len(q)),
+            T_B_others=self._T_B_others(arm),
+            mechanism=arm.mechanism,
+        )
+        posture, _ = self._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None])
+        return self._apparent_smr(arm, situation, posture)
 
     def move_tracker(self, T_C_M: Array) -> None:
         """Set the tracker up at another pose (4, 4) in the cell, now."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from drivers.plant.mechanism import (
     with_true_masses,
 )
 from drivers.plant.motion import AnyMotion
+from drivers.plant.trail import LONGEST, Phase
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +59,7 @@ class TrueArm:
     streamed: Array | None = None  # (N,) where a stream of positions last set its goal; None without a stream
     load_deflection: Deflection = NO_DEFLECTION  # last solution, the initial value of the next one
     resting: tuple[Array, Array] | None = None  # SMR and its viewing direction, of an arm at rest without effects
+    trail: deque[Phase] = field(default_factory=lambda: deque(maxlen=LONGEST))  # what it did a moment ago
 
 
 def largest_change(before: Deflection, after: Deflection) -> float:

@@ -17,7 +17,7 @@ from cellapp.ground.grouping import grouped
 SessionEnd = Literal["complete", "accurate enough", "stopped", "aborted", "failed"]
 """How a collecting session ended; "accurate enough": the asked standard errors were reached early."""
 OutcomeKind = Literal["not measured", "left out"]
-_SINCE, _SINCE_AGAIN = 4, 8
+_SINCE, _SINCE_AGAIN = 4, 9
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from cellapp.cell.run.schema import schema_version
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.estimation.readings.readings import Reading, Readings
 
-_SINCE = 8
+_SINCE = 9
 """The schema from which on a stop may be measured again."""
 
 

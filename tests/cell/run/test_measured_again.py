@@ -69,14 +69,14 @@ def test_what_cannot_be_stored_leaves_the_stop_as_it_was(run: RunFile) -> None:
     assert replaced_counts(run) == {}
 
 
-def test_a_file_of_the_seventh_schema_has_none_and_takes_some(run: RunFile) -> None:
+def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> None:
     session = run.begin_session()
     run.end_session(session, "complete", "")
     run.close()
     with contextlib.closing(sqlite3.connect(run.path)) as connection:
         connection.execute("DROP TABLE earlier_reading")
         connection.execute("ALTER TABLE session DROP COLUMN again")
-        connection.execute("PRAGMA user_version=7")
+        connection.execute("PRAGMA user_version=8")
         connection.commit()
     with RunFile.open(run.folder) as older:
         assert len(earlier_readings(older, "left").readings) == 0
