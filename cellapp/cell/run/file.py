@@ -372,10 +372,10 @@ class RunFile:
 
     # -- collecting --------------------------------------------------------------------------------------------------
 
-    def begin_session(self) -> int:
-        """Record that collecting begins; return the session's number."""
+    def begin_session(self, again: str = "") -> int:
+        """Record that collecting begins, or measuring the stops ``again`` once more; return the session's number."""
         with self.change() as connection:
-            return insert_session(connection, utc_now())
+            return insert_session(connection, utc_now(), again)
 
     def record_request(self, session: int, kind: str, reason: str) -> None:
         """Record a request of a person, or what suspended or resumed a session."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,12 +48,17 @@ def mean_temperatures(connection: sqlite3.Connection) -> dict[str, dict[str, flo
     return means
 
 
-def select_readings(connection: sqlite3.Connection, arm: str, joints: int) -> Readings:
-    """All readings of one arm, ordered by configuration; columns that an older schema lacks have no values."""
+def select_readings(
+    connection: sqlite3.Connection, arm: str, joints: int, table: Literal["reading", "earlier_reading"] = "reading"
+) -> Readings:
+    """All readings of one arm, ordered by configuration; columns that an older schema lacks have no values.
+
+    Those of the table ``earlier_reading`` of one configuration stand in the order in which they were replaced.
+    """
     version = schema_version(connection)
     names = [column.sql_name if column.since <= version else "NULL" for column in COLUMNS]
     rows = connection.execute(
-        f"SELECT {', '.join(names)}, extras FROM reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
+        f"SELECT {', '.join(names)}, extras FROM {table} WHERE arm = ? ORDER BY configuration, rowid", (arm,)
     ).fetchall()
     *columns, extras = zip(*rows, strict=True) if rows else [()] * (len(COLUMNS) + 1)
     values = {
