@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TypeVar
 
+import numpy as np
+
 from cellapp.cell.driving.cell import Cell, start_tracker
 from cellapp.cell.driving.details import missed_sentence, point_measured, record_sentence, state_of
 from cellapp.cell.driving.forbidden import forbidden_stops
@@ -24,6 +26,7 @@ from cellapp.cell.driving.travel import Travel
 from cellapp.cell.driving.work import StopQueue, Work
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.collection_rows import OutcomeKind
+from cellapp.cell.run.measured_again import replace_stop
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.estimation.readings import Reading
@@ -87,6 +90,8 @@ class CollectSession:
         self._nests = Nests.of(profile, self.bodies)
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
         stored = {name: self.run.readings(name) for name in self.work.plan}
+        if self.work.again:  # the model is to judge them anew
+            stored = {name: its.take(~np.isin(its.configuration, self.work.stops)) for name, its in stored.items()}
         self._model = LiveModel(profile, self.work.plan, stored, self._log)
         self._sweeps = Sweeps(self.run, self.cell, self.bodies, self.number, self._note)
         self._travel = Travel(profile, self._mover, self.work)
@@ -164,13 +169,13 @@ class CollectSession:
         self._queue.done()
         if recorded := self._sweeps.at_stop(stop, self.work.targets(stop), self._supervisor.checkpoint):
             self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded)} are recorded")
-        if outcomes and self._queue.replace() is not None:
+        if outcomes and self._queue.replace() is not None:  # stops that are measured again have no reserves
             self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
         self._travel.stop_visited()
         self._until_reference -= 1
         self._report(stop, rows)
         self._check_missed(rows)
-        return self._model.accurate_enough(self._queue.finished)
+        return not self.work.again and self._model.accurate_enough(self._queue.finished)
 
     def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
         """Refit the running model and say what it shows; suspicions are logged."""
@@ -382,7 +387,10 @@ class CollectSession:
         """Store a stop; where the disk refuses, hold for a person, who may free it, and try again."""
         while True:
             try:
-                self.run.add_stop(stop, rows, outcomes, further)
+                if self.work.again:
+                    replace_stop(self.run, stop, rows, outcomes, further)
+                else:
+                    self.run.add_stop(stop, rows, outcomes, further)
                 return
             except InputError as error:
                 if not self._supervisor.hold(str(error)):

@@ -46,6 +46,7 @@ from cellapp.cell.run.readings_table import (
     mean_temperatures,
     select_readings,
     select_stops_done,
+    stop_rows,
     update_splits,
 )
 from cellapp.cell.run.rows import Document, Event, StageRow, insert_document, utc_now
@@ -62,7 +63,7 @@ from cellapp.cell.run.sqlite_file import (
     sentences,
     sync_folder,
 )
-from cellapp.estimation.readings.readings import Reading, Readings, joined
+from cellapp.estimation.readings.readings import Reading, Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -256,13 +257,7 @@ class RunFile:
         ValueError
             If an array has the wrong shape or a required value is not finite.
         """
-        batches = {
-            arm: joined([one.as_readings(configuration) for one in (reading, *further[arm])])
-            if further.get(arm)
-            else reading.as_readings(configuration)
-            for arm, reading in rows.items()
-        }
-        self._add(batches, outcomes)
+        self._add(stop_rows(configuration, rows, further), outcomes)
 
     def add_readings(self, arm: str, readings: Readings) -> None:
         """Store readings of one arm in one transaction. Raises as ``add_stop`` does."""
@@ -398,10 +393,10 @@ class RunFile:
 
     # -- collecting --------------------------------------------------------------------------------------------------
 
-    def begin_session(self) -> int:
-        """Record that collecting begins; return the session's number."""
+    def begin_session(self, again: str = "") -> int:
+        """Record that collecting begins, or measuring the stops ``again`` once more; return the session's number."""
         with self.change() as connection:
-            return insert_session(connection, utc_now())
+            return insert_session(connection, utc_now(), again)
 
     def record_request(self, session: int, kind: str, reason: str) -> None:
         """Record a request of a person, or what suspended or resumed a session."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.schema import schema_version
 from cellapp.estimation.readings.columns import COLUMNS, MEASURED_POINT, SPLITS, Column, Values
-from cellapp.estimation.readings.readings import Readings, readings_from_columns
+from cellapp.estimation.readings.readings import Reading, Readings, joined, readings_from_columns
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
@@ -23,6 +23,16 @@ def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings
         f"INSERT INTO reading ({', '.join(names)}) VALUES ({places})",
         ((arm, *row) for row in _rows(readings)),
     )
+
+
+def stop_rows(
+    configuration: int, rows: Mapping[str, Reading], further: Mapping[str, Sequence[Reading]]
+) -> dict[str, Readings]:
+    """Readings of each arm at one stop, behind those in ``rows`` the ``further`` ones of other nests."""
+    found = {arm: reading.as_readings(configuration) for arm, reading in rows.items()}
+    for arm, nests in further.items():
+        found[arm] = joined([found[arm], *(one.as_readings(configuration) for one in nests)])
+    return found
 
 
 def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, int]]:
@@ -49,12 +59,17 @@ def mean_temperatures(connection: sqlite3.Connection) -> dict[str, dict[str, flo
     return means
 
 
-def select_readings(connection: sqlite3.Connection, arm: str, joints: int) -> Readings:
-    """All readings of one arm, ordered by configuration; columns that an older schema lacks have no values."""
+def select_readings(
+    connection: sqlite3.Connection, arm: str, joints: int, table: Literal["reading", "earlier_reading"] = "reading"
+) -> Readings:
+    """All readings of one arm, ordered by configuration; columns that an older schema lacks have no values.
+
+    Those of the table ``earlier_reading`` of one configuration stand in the order in which they were replaced.
+    """
     version = schema_version(connection)
     names = [column.sql_name if column.since <= version else "NULL" for column in COLUMNS]
     rows = connection.execute(
-        f"SELECT {', '.join(names)}, extras FROM reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
+        f"SELECT {', '.join(names)}, extras FROM {table} WHERE arm = ? ORDER BY configuration, rowid", (arm,)
     ).fetchall()
     *columns, extras = zip(*rows, strict=True) if rows else [()] * (len(COLUMNS) + 1)
     values = {

@@ -6,7 +6,6 @@ is designed again; measured stops never change.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -37,7 +36,7 @@ from cellapp.commands.plan.request import PlanRequest
 from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.record import Work
 from cellapp.ground.control import JobControl
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, listed_numbers
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
@@ -46,7 +45,6 @@ from cellapp.ground.threads import one_blas_thread
 
 _CHANGED = "plan changed: "
 """Begins the line of the log for each change of a plan; their number varies the seed of the next one."""
-_NUMBERS = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
 _SEED = 0xADD
 """Beside the profile's seed: other candidates than those of which some could not be reached."""
 
@@ -72,7 +70,7 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | View
 def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
     with RunFile.open(folder, write=True) as opened:
         if request.freeze is not None:
-            return freeze_stops(opened, stop_numbers(request.freeze), work.control)
+            return freeze_stops(opened, listed_numbers(request.freeze, "configurations"), work.control)
         if request.add is not None:
             return extend_plan(opened, request.add, work.listener, work.control)
         return replan(opened, work.listener, work.control)
@@ -343,24 +341,6 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
         frozen = np.isin(np.arange(len(stops)), list(chosen))
         write_planned_stops(run, replace(stops, frozen=frozen), proposed=proposed)
         return plan_result(run, [f"{int(frozen.sum())} of {counted(len(stops), 'stop is', 'stops are')} frozen"])
-
-
-def stop_numbers(text: str) -> tuple[int, ...]:
-    """The numbers that a text such as ``0-9,12`` lists, ascending; none for ``none``.
-
-    Raises
-    ------
-    InputError
-        If it is no such list.
-    """
-    found: set[int] = set()
-    for part in () if text.strip() == "none" else text.split(","):
-        match = _NUMBERS.fullmatch(part.strip())
-        if match is None:
-            raise InputError(f"'{part.strip()}': expected configurations such as 0-9,12, or none")
-        first, last = int(match[1]), int(match[2] or match[1])
-        found |= {*range(first, last + 1)}
-    return tuple(sorted(found))
 
 
 @dataclass(frozen=True)

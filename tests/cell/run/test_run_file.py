@@ -530,9 +530,9 @@ def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_
     with RunFile.create(folder, profile) as run:
         run.append_stage("calibrate", None, "{}", None)
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        older_reading_table(connection, 3)
         for table in ("session", "request", "outcome", "reference", "recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
-        older_reading_table(connection, 3)
         connection.execute("PRAGMA user_version=3")
         connection.commit()
     with RunFile.open(folder) as run:
