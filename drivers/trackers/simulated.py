@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.plant import Plant
+from drivers.plant.lines import quaternion, rigid
 from drivers.plant.sweep import DYNAMIC_M
 from drivers.trackers.imperfections import PERFECT, Imperfections, refractivity
 from drivers.trackers.protocol import (
@@ -115,6 +116,7 @@ class SimulatedTracker:
         self._blind_until_s = -math.inf
         """Until when a beam that broke cannot be locked again [s]."""
         self._dynamic = np.random.default_rng([plant.config.seed, 3])
+        self._turns = np.random.default_rng([plant.config.seed, 5])
         self._connected = False
         self._link_cut = False
         self._down_until_s = -math.inf
@@ -240,7 +242,18 @@ class SimulatedTracker:
             host_time_s=self._plant.clock_s,
             reflector=self._settings.reflector or REFLECTORS[0],
             quality=warnings,
+            quaternion_M=self._orientation(locked),
+            sigma_rad=None if locked.R_M_S is None else locked.sigma_rad,
         )
+
+    def _orientation(self, locked: Smr) -> Vector | None:
+        """Return the measured orientation of a 6-D probe (4,)."""
+        if locked.R_M_S is None:
+            return None
+        error = np.zeros(6)
+        if self._plant.config.noise:
+            error[3:] = locked.sigma_rad * self._turns.standard_normal(3)
+        return quaternion(rigid(error)[:3, :3] @ locked.R_M_S)
 
     # -- following a moving SMR ----------------------------------------------------------------------------------------
 

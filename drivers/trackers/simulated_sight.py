@@ -14,19 +14,26 @@ from drivers.plant.clearance import segment_distances
 from drivers.plant.lines import carry
 from drivers.plant.mechanism import Posture, nominal
 from drivers.plant.optics import why_hidden
+from drivers.plant.recent import recent_smr
 
 Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Smr:
-    """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible)."""
+    """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible).
+
+    ``nest`` is the name of a further SMR on a flange; ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
+    """
 
     owner: str
     arm: str | None
     p_M: Vector
     hidden: str
     moving: bool = False
+    nest: str = ""
+    R_M_S: Vector | None = None
+    sigma_rad: float = 0.0
 
 
 class Sight:
@@ -51,8 +58,10 @@ class Sight:
         """Return all SMRs of arms and nests, without regard to bodies in the beam."""
         found = []
         for target in self._plant.targets():
-            why = "something covers it" if target.arm in self.covered else target.hidden
-            found.append(Smr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving))
+            owner = f"arm {target.arm}, nest {target.nest}" if target.nest else f"arm {target.arm}"
+            why = "something covers it" if {target.arm, owner} & self.covered else target.hidden
+            probe = (target.nest, target.R_M_S, target.sigma_rad)
+            found.append(Smr(owner, target.arm, target.p_M, why, target.moving, *probe))
         for name, p_M in self._nests.items():
             facing = -p_M / np.linalg.norm(p_M)
             why = "something covers it" if name in self.covered else ""
@@ -100,13 +109,13 @@ class Sight:
     def recent(self, locked: Smr, time_s: Vector) -> tuple[Vector, Vector]:
         """Positions and viewing directions (n, 3) of an SMR at recent times (n,)."""
         if locked.arm is not None:
-            return self._plant.recent_smr(locked.arm, time_s)
+            return recent_smr(self._plant, locked.arm, time_s, locked.nest)
         p_M = np.repeat(locked.p_M[None], len(time_s), axis=0)
         return p_M, -p_M / np.linalg.norm(p_M, axis=1, keepdims=True)
 
     def hidden(self, locked: Smr, p_M: Vector, normal_M: Vector) -> str:
         """Why an SMR at ``p_M`` (3,) is not seen now; empty if it is."""
-        if (locked.arm or locked.owner.removeprefix("nest ")) in self.covered:
+        if {locked.arm, locked.owner, locked.owner.removeprefix("nest ")} & self.covered:
             return "something covers it"
         acceptance = math.pi
         if locked.arm is not None:
