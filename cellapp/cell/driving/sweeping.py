@@ -16,7 +16,7 @@ from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states, store_recording
 from cellapp.cell.run.recordings_csv import RecordedStreams, checked_recording
-from cellapp.cell.run.stream_columns import POINT
+from cellapp.cell.run.stream_columns import POINT, TRIGGER, pulse_column
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -162,4 +162,7 @@ def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
     points = {"time_s": track.device_time_s, **dict(zip(POINT, track.p_M.T, strict=True))}
     if np.isfinite(track.sigma_m).all():
         points["sigma_m"] = track.sigma_m
+    for its, stamps_s in ((samples, joints.triggers_s), (points, track.triggers_s)):
+        if len(stamps_s) and len(its["time_s"]) > len(stamps_s):
+            its[TRIGGER] = pulse_column(its["time_s"], stamps_s)
     return samples, points
