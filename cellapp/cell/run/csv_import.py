@@ -252,7 +252,7 @@ def _check_header(table: CsvTable, problems: Problems) -> None:
         if not column.required and any(name in names for name in column.csv):
             for name in column.csv:
                 if name not in names:
-                    problems.add(1, name, f"the column is missing; give all six ({', '.join(column.csv)}) or none")
+                    problems.add(1, name, f"the column is missing; give all of {', '.join(column.csv)} or none")
     problems.check()
     if not table.lines:
         raise InputError(f"{table.place(1)}: there is a header row but no reading; expected a row per arm per stop")
@@ -376,7 +376,7 @@ def _read_arm(cells: _ArmCells, arm: str, joints: int, limits: NDArray[np.float6
             cells.check(column, matrix, joints, limits)
         values[name] = column.missing(len(cells.rows), joints) if matrix is None else column.from_matrix(matrix)
     configuration = cells.whole_numbers(CONFIGURATION.name)
-    _check_once(cells, configuration, arm)
+    _check_once(cells, configuration, arm, words)
     if problems.count > before:
         return None
     extras = {name: tuple(map(unquoted_text, cells.texts(name))) for name in cells.table.names if not is_known(name)}
@@ -417,16 +417,23 @@ def _check_joint_columns(cells: _ArmCells, arm: str, joints: int) -> None:
                 cells.refuse(filled[0], name, f"there is a value, but arm {arm} has {joints} joints in the profile")
 
 
-def _check_once(cells: _ArmCells, configuration: NDArray[np.int64], arm: str) -> None:
-    first: dict[int, int] = {}
-    for index, number in enumerate(configuration.tolist()):
-        if number in first:
-            before = cells.table.row_words(cells.line(first[number]))
-            cells.refuse(
-                index, "configuration", f"{number} of arm {arm} was given in {before} already; give one row per stop"
-            )
+def _check_once(
+    cells: _ArmCells,
+    configuration: NDArray[np.int64],
+    arm: str,
+    words: Mapping[str, tuple[str | None, ...] | None],
+) -> None:
+    """Check that an arm has one row per stop, or one by nest and station where these are named."""
+    named = [its for name in ("smr", "station") if (its := words[name]) is not None]
+    once = "give one row per stop" + (", nest and station" if named else "")
+    first: dict[tuple[int | str | None, ...], int] = {}
+    for index, key in enumerate(zip(configuration.tolist(), *named, strict=True)):
+        if key in first:
+            before = cells.table.row_words(cells.line(first[key]))
+            text = f"{key[0]} of arm {arm} was given in {before} already; {once}"
+            cells.refuse(index, "configuration", text)
             return
-        first[number] = index
+        first[key] = index
 
 
 def _notes(table: CsvTable, joint_counts: Mapping[str, int], readings: Mapping[str, Readings]) -> list[str]:

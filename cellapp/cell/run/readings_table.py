@@ -53,7 +53,7 @@ def select_readings(connection: sqlite3.Connection, arm: str, joints: int) -> Re
     version = schema_version(connection)
     names = [column.sql_name if column.since <= version else "NULL" for column in COLUMNS]
     rows = connection.execute(
-        f"SELECT {', '.join(names)}, extras FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
+        f"SELECT {', '.join(names)}, extras FROM reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
     ).fetchall()
     *columns, extras = zip(*rows, strict=True) if rows else [()] * (len(COLUMNS) + 1)
     values = {
@@ -102,14 +102,14 @@ def check_splits(words: Sequence[str | None]) -> None:
 
 def update_splits(connection: sqlite3.Connection, arm: str, names: Sequence[str | None]) -> None:
     """Store the split of each reading of an arm, in the order of ``select_readings``."""
-    stops = connection.execute(
-        "SELECT configuration FROM reading WHERE arm = ? ORDER BY configuration", (arm,)
+    rows = connection.execute(
+        "SELECT rowid FROM reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
     ).fetchall()
-    if len(stops) != len(names):
-        raise ValueError(f"{len(names)} splits for the {counted(len(stops), 'reading')} of arm {arm}")
+    if len(rows) != len(names):
+        raise ValueError(f"{len(names)} splits for the {counted(len(rows), 'reading')} of arm {arm}")
     connection.executemany(
-        "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
-        ((name, arm, stop) for name, (stop,) in zip(names, stops, strict=True)),
+        "UPDATE reading SET split = ? WHERE rowid = ?",
+        ((name, row) for name, (row,) in zip(names, rows, strict=True)),
     )
 
 
