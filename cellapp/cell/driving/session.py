@@ -135,7 +135,7 @@ class CollectSession:
                 end = "accurate enough"
                 break
         else:
-            for stop in self._sweeps.stops:  # of stops that were measured in an earlier session
+            for stop in () if self.work.again else self._sweeps.stops:  # of stops of an earlier session
                 self._with_recovery(partial(self._sweep, stop))
         self._queue.close()
         self._until_reference = 0
