@@ -24,8 +24,8 @@ from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import prior_sigmas
 
 _INDEPENDENT_S = 0.5
-"""Time after which a point of a motion tells as much as one at rest does: 240 000 points of 16 min of sweeps of the twin
-were worth some two a second."""
+"""Time after which a point of a motion tells as much as one at rest does: those of sweeps of the twin were worth some
+two a second."""
 _SAMPLE_S = 0.04
 
 
@@ -52,9 +52,7 @@ def forecast_sweeps(profile: Profile, stops: PlannedStops, sweeps: Sequence[Plan
         }
         stated, wanted = prior_sigmas(model.nominal, profile.calibration.priors), profile.calibration.parameter_set
         try:
-            accuracy, laws = forecast_motion(
-                model.geometry, wanted, stated, sources, stops.q[name], EXPECTED_SCATTER_M
-            )
+            accuracy, laws = forecast_motion(model.geometry, wanted, stated, sources, stops.q[name], EXPECTED_SCATTER_M)
         except ValueError as error:
             raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
         found[name] = SweepForecast(accuracy=accuracy, laws=tuple(LawInMotion.like(law) for law in laws))

@@ -49,6 +49,8 @@ def path_tables(result: PathResult) -> list[Table]:
         tables.append(_reversals(planned))
     if any(_measured(path) for path in planned):
         tables.append(_distances(planned))
+    if any(path.driven is not None and path.driven.in_time is not None for path in planned):
+        tables.append(_in_time(planned))
     return tables
 
 
@@ -149,6 +151,36 @@ def _distances(paths: list[PathRecord]) -> Table:
                 expanded, verdict = (driven.expanded_mm, driven.verdict) if decides else (None, "")
                 rows.append((path.name, by, how, errors.n, errors.mean, errors.p95, errors.max, expanded, verdict))
     return Table("Distance of measured points from the path", columns, tuple(rows))
+
+
+def _in_time(paths: list[PathRecord]) -> Table:
+    columns = (
+        Column("path"),
+        number_column("later", ".2f", "ms"),
+        number_column("U", ".2f", "ms"),
+        number_column("off then, rms", ".3f", "mm"),
+        number_column("largest", ".3f", "mm"),
+        number_column("speed", ".2f", "mm/s"),
+        number_column("measured", ".2f", "mm/s"),
+        number_column("U of it", ".2f", "mm/s"),
+        number_column("fluctuation", ".2f", "mm/s"),
+    )
+    found = [(path.name, path.driven.in_time) for path in paths if path.driven and path.driven.in_time]
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (
+            name,
+            one.delay_ms,
+            one.delay_expanded_ms,
+            one.rms_mm,
+            one.largest_mm,
+            one.speed_mm_s,
+            one.mean_mm_s,
+            one.expanded_mm_s,
+            one.fluctuation_mm_s,
+        )
+        for name, one in found
+    )
+    return Table("In time: delay, which is taken out, and speed", columns, rows)
 
 
 def _measured(path: PathRecord) -> bool:

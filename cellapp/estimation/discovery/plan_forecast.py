@@ -18,8 +18,8 @@ from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.parameters import (
-    ParameterSet,
     EXPECTED_SCATTER_M,
+    ParameterSet,
     determined_set,
     estimated_parameters,
     gram_matrix,
@@ -189,8 +189,8 @@ def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
 def accuracy_of(
     nominal: Geometry, estimated: ParameterSet, priors: Array, information: Array, J: Array, scatter_m: float
 ) -> PlannedAccuracy:
-    """Standard errors that ``information`` (k, k) on the ``estimated`` parameters beside their ``priors`` (k,) gives: of
-    SMR positions with the columns ``J`` (3, k, n), and of the parameters as the table will have them."""
+    """Standard errors from ``information`` (k, k) on the ``estimated`` parameters and their ``priors`` (k,): of SMR
+    positions with the columns ``J`` (3, k, n), and of the parameters as the table will have them."""
     unit = np.where(np.isfinite(priors), priors, 1.0)  # numbers of comparable size
     precision = (information + np.diag(priors**-2.0)) * unit * unit[:, None]
     covariance = inverse_psd(precision) * unit * unit[:, None]

@@ -32,7 +32,6 @@ from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, up_in_tracker
 
 LAG_TITLE = "delay of a joint behind the others"
 
@@ -62,7 +61,6 @@ def with_motion(
     for name, its, told in each_recorded(recordings, listener, cancel or CancelToken()):
         started = time.perf_counter()
         arm = recorded_arm(profile, name, stops[name], its)
-        arm = replace(arm, bodies=bodies_of(profile.arms[name]), up_M=up_in_tracker(profile))
         motion = effects_in_motion(arm, told)
         held_out = HeldOut.of(readings[name], conditions[name])
         if not len(stops[name].in_split("validate")):  # samples stand for poses at rest: without what only motion has

@@ -70,6 +70,11 @@ class _Seen:
         """Degrees of freedom that parameters leave the functions of posture."""
         return max(len(self.r) - float(np.count_nonzero(~self.laws)), _FEWEST_FREE)
 
+    def normal(self, level: tuple[float, ...]) -> Array:
+        """Products of columns and residuals (K + 1, K + 1) of the rest, by the inverse of each source's level."""
+        parts = [bands.normal() / its for bands, its in zip(self.rest, level, strict=True)]
+        return np.asarray(np.sum(parts, axis=0))
+
 
 @dataclass(frozen=True, eq=False)
 class _Missing:
@@ -181,7 +186,7 @@ def _rest(X: Array, r: Array, basis: Array, *, in_time: bool) -> Bands:
 def _missing(seen: _Seen, level: tuple[float, ...], precision: Array, towards_prior: Array) -> _Missing:
     """Sizes of what lacks by restricted maximum likelihood."""
     both = np.column_stack([seen.X, seen.r])
-    rest = sum(bands.normal() / its for bands, its in zip(seen.rest, level, strict=True))
+    rest = seen.normal(level)
     laws, pull = np.flatnonzero(seen.laws), np.zeros(seen.X.shape[1])
     pull[~seen.laws] = towards_prior
     noise = math.log(float(np.mean(level)))
@@ -225,7 +230,7 @@ def _weighed(
     own[~seen.laws], own[seen.laws], pull[~seen.laws] = precision, missing.precision, towards_prior
     weighed = seen.X / missing.variance[:, None]
     known = Modelled(weighed.T @ seen.X, weighed.T @ seen.X, seen.freedom)
-    rest = sum(bands.normal() / its for bands, its in zip(seen.rest, level, strict=True))
+    rest = seen.normal(level)
     A, b = known.information + rest[:-1, :-1], weighed.T @ seen.r + rest[:-1, -1] + pull
     unit = 1.0 / np.sqrt(np.diag(A) + own + 1e-300)
     step = unit * solve_psd(A * unit * unit[:, None] + np.diag(own * unit**2), unit * b)

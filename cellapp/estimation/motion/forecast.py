@@ -2,8 +2,8 @@
 
 Points of a motion are alike: one of each half second counts as a reading of its own, with the noise of the tracker and
 the scatter of the arm, as recordings of the twin have it (handbook, chapter "motion"). Information of stops and sweeps
-adds up. A law of joints is seen in a joint from the size on that is ``SHOWN`` standard errors of its parameter, with the
-geometry, the law of the other joints and, in motion, the delay between the clocks unknown.
+adds up. A law of joints is seen in a joint from the size on that is ``SHOWN`` standard errors of its parameter, with
+the geometry, the law of the other joints and, in motion, the delay between the clocks unknown.
 """
 
 from __future__ import annotations
@@ -72,9 +72,7 @@ def forecast_motion(
     told["both"] = np.sum(list(told.values()), axis=0)
     _, J = jacobian(nominal, JointAngles.of(at), estimated.columns)
     k = len(estimated.columns)
-    accuracy = {
-        name: accuracy_of(nominal, estimated, priors, its[:k, :k], J, scatter_m) for name, its in told.items()
-    }
+    accuracy = {name: accuracy_of(nominal, estimated, priors, its[:k, :k], J, scatter_m) for name, its in told.items()}
     sizes = {name: _smallest(its, priors, laws) for name, its in told.items()}
     forecasts = tuple(
         LawForecast(
@@ -103,9 +101,7 @@ def _names(terms: tuple[JointTerm, ...]) -> list[str]:
     return [f"joint {term.joint + 1}" for term in terms if not term.sine]
 
 
-def _information(
-    nominal: Geometry, estimated: ParameterSet, terms: tuple[JointTerm, ...], expected: Expected
-) -> Array:
+def _information(nominal: Geometry, estimated: ParameterSet, terms: tuple[JointTerm, ...], expected: Expected) -> Array:
     """Information on the geometry, the terms, and last the delay between the clocks."""
     state, k = expected.state, len(estimated.columns)
     thetas = tuple(6 + 5 * joint for joint in range(nominal.joints))
