@@ -22,7 +22,7 @@ from cellapp.commands.view.acceptance_words import (
     verdict_of,
 )
 from cellapp.commands.view.parts import Facts, Section
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
 from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
@@ -141,12 +141,18 @@ def _statements(result: CertificateResult) -> list[str]:
 
 def targets_table(result: CertificateResult) -> Table:
     """Every verified target: where it is in the tracker frame, its error as found and as left [mm]."""
-    rows = tuple(
-        (one.name, one.arm, *(one.wanted_M_mm or _NOWHERE), one.found_mm, one.left_mm) for one in result.targets
+    return table_of(
+        "Verified targets [mm]",
+        result.targets,
+        ("target", "name"),
+        ("arm", "arm"),
+        *(
+            (f"{axis} (tracker)", lambda one, place=place: (one.wanted_M_mm or _NOWHERE)[place], ".1f")
+            for place, axis in enumerate("xyz")
+        ),
+        ("as found", "found_mm", ".3f"),
+        ("as left", "left_mm", ".3f"),
     )
-    axes = (number_column(f"{axis} (tracker)", ".1f") for axis in "xyz")
-    errors = (number_column(title, ".3f") for title in ("as found", "as left"))
-    return Table("Verified targets [mm]", (Column("target"), Column("arm"), *axes, *errors), rows)
 
 
 def errors_table(result: CertificateResult) -> Table:
@@ -220,13 +226,13 @@ def budget_table(result: CertificateResult) -> Table:
 
 def instruments_table(result: CertificateResult) -> Table:
     """What was measured with."""
-    columns = tuple(map(Column, ("instrument", "model", "serial", "calibrated", "due", "certificate")))
-    rows = tuple(
-        (one.role, *(text or NOT_GIVEN for text in texts))
-        for one in result.instruments
-        for texts in [(one.model, one.serial, one.calibrated, one.due, one.certificate)]
+    fields = ("model", "serial", "calibrated", "due", "certificate")
+    return table_of(
+        "Instruments",
+        result.instruments,
+        ("instrument", "role"),
+        *((name, lambda one, name=name: getattr(one, name) or NOT_GIVEN) for name in fields),
     )
-    return Table("Instruments", columns, rows)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
