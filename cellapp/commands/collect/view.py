@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult
+from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult, SessionRecord
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.collect.charts import drift_by_reference, drift_chart
 from cellapp.commands.record import Request, View
@@ -165,9 +165,14 @@ def _sessions(state: CollectionResult) -> Table:
         ("session", lambda one: str(one.number)),
         ("began (UTC)", lambda one: _time(one.began)),
         ("ended (UTC)", lambda one: _time(one.ended)),
-        ("outcome", lambda one: (one.outcome or "the program died") + (f", stops {one.again} again" if one.again else "")),
+        ("outcome", _outcome_words),
         ("reason", lambda one: one.reason or ""),
     )
+
+
+def _outcome_words(session: SessionRecord) -> str:
+    again = f", stops {session.again} again" if session.again else ""
+    return f"{session.outcome or 'the program died'}{again}"
 
 
 def _requests(state: CollectionResult) -> Table:
