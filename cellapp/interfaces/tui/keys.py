@@ -100,9 +100,10 @@ WAYS: Mapping[str, tuple[Step, str]] = {
 """Verb -> the screen and the meaning of the key that does it; the palette does the others."""
 _EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook"}
 """Verb -> the meaning of the key that does it on every screen; the palette has no such verb."""
+_VARIANTS = "|".join(re.escape(word) for verb in VERBS for word in verb.variants)
 _COMMAND = re.compile(
     r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
-    r"|\bcellapp ([a-z][\w-]*)(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
+    rf"|\bcellapp ([a-z][\w-]*)(?: (?:{_VARIANTS})\b)?(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
 )
 
 
