@@ -141,7 +141,9 @@ def network_tables(calibrate: CalibrateResult) -> list[Table]:
 
 
 def _network_shape(network: NetworkResult | NetworkTrial) -> str:
-    inputs = {"sincos": "sines and cosines", "angles": "scaled angles"}[network.inputs]
+    inputs = {"sincos": "sines and cosines", "angles": "scaled angles", "both": "angles, sines and cosines"}[
+        network.inputs
+    ]
     turning = ", rotating with joint 1" if network.turning else ""
     return f"{inputs}, {' + '.join(str(width) for width in network.hidden)}{turning}"
 

@@ -74,7 +74,7 @@ def _network(training: Training) -> NetworkResult:
     of_all = batches is not None and batches.used
     return NetworkResult(
         used=training.network is not None,
-        inputs="sincos" if of_all else training.shape.inputs,
+        inputs="both" if of_all else training.shape.inputs,
         hidden=batches.hidden if batches is not None and of_all else (training.shape.hidden,),
         turning=training.shape.rotates_with_joint_1,
         left_out_rms_mm=training.left_out_rms * 1e3,

@@ -1,4 +1,4 @@
-"""The residual network as a profile asks for it: the committee, or one from all readings where that is better.
+"""The residual network as a profile asks for it: the committee, or one that goes on from it with all readings.
 
 Both are judged on the same left-out blocks of time: each reading by the member that did not learn from its block.
 Neighbours in time are alike, in a motion more than at stops; a reading between two that were learnt from would judge
@@ -24,12 +24,14 @@ from cellapp.estimation.calibration.network_training import (
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import CancelToken, Report, ignore_report
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model.network import ResidualNetwork, network_inputs, rotate_about_z
+from cellapp.robot.model.network import Layers, ResidualNetwork, network_inputs, rotate_about_z
 
 _BLOCKS_A_FOLD = 8
 _SURE = 2.0
 """Standard errors by which a network in batches must be better than the committee."""
 _SEED = 0xBA7C
+_STRAIGHT = 1e-4
+"""Size of the argument at which tanh is the identity: within 3e-9 of it, and far above rounding."""
 
 
 def learning_steps(network: Network) -> int:
@@ -101,20 +103,55 @@ def _in_batches(
     cancel: CancelToken,
     report: Report,
 ) -> tuple[ResidualNetwork, str]:
-    """A network from all readings, in the frame that suits the committee; and the device that trained it."""
+    """A network from all readings: the committee, if it helps, and beside it what batches add; and what trained it."""
     low, high = q.min(axis=0), q.max(axis=0)
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
     rotates = committee.shape.rotates_with_joint_1
+    x = network_inputs("both", low, high, q)
+    y = rotate_about_z(residual / scale, -q[:, 0]) if rotates else residual / scale
+    known = _known_layers(committee, q.shape[1], int(fold.max()) + 1, scale)
     trained = train_members(
-        network_inputs("sincos", low, high, q),
-        rotate_about_z(residual / scale, -q[:, 0]) if rotates else residual / scale,
+        x,
+        np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known]),
         fold,
         seed=seed,
         cancel=cancel,
         told=lambda words: report(training_steps(), f"{len(q)} readings: {words}"),
     )
-    margin = MARGIN * np.maximum(high - low, 1e-3)
-    return ResidualNetwork("sincos", low, high, margin, rotates, scale, trained.members), trained.device
+    members = tuple(_beside(first, second) for first, second in zip(known, trained.members, strict=True))
+    return ResidualNetwork(
+        "both", low, high, MARGIN * np.maximum(high - low, 1e-3), rotates, scale, members
+    ), trained.device
+
+
+def _known_layers(committee: Training, joints: int, folds: int, scale: float) -> list[Layers]:
+    """Layers of the committee's members for inputs ``both`` and outputs in ``scale`` [m]; zero without a network."""
+    if committee.network is None:
+        return [((np.zeros((0, 3 * joints)), np.zeros(0)), (np.zeros((3, 0)), np.zeros(3)))] * folds
+    columns = slice(0, joints) if committee.network.inputs == "angles" else slice(joints, 3 * joints)
+    ratio = committee.network.scale / scale
+    found: list[Layers] = []
+    for (weights, offsets), (to_outputs, last) in committee.network.members:
+        W = np.zeros((len(weights), 3 * joints))
+        W[:, columns] = weights
+        found.append(((W, offsets), (to_outputs * ratio, last * ratio)))
+    return found
+
+
+def _beside(known: Layers, added: Layers) -> Layers:
+    """One perceptron that gives the sum of one with a hidden layer and one with two.
+
+    Units of the former pass the second layer where tanh is straight: ``tanh(e h) / e = h`` within e^2 / 3.
+    """
+    (W, b), (V, c) = known
+    (W1, b1), (W2, b2), (W3, b3) = added
+    passing = np.eye(len(W)) * _STRAIGHT
+    second = np.block([[passing, np.zeros((len(W), len(W1)))], [np.zeros((len(W2), len(W))), W2]])
+    return (
+        (np.vstack([W, W1]), np.concatenate([b, b1])),
+        (second, np.concatenate([np.zeros(len(W)), b2])),
+        (np.hstack([V / _STRAIGHT, W3]), c + b3),
+    )
 
 
 def _better(

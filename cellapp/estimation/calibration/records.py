@@ -18,6 +18,7 @@ from cellapp.ground.results import (
     Stage,
     StageErrors,
 )
+from cellapp.robot.model.network import Inputs
 
 
 class Scatter(Record):
@@ -30,7 +31,7 @@ class Scatter(Record):
 class NetworkTrial(Record):
     """A network shape that was compared on left-out folds of the training split."""
 
-    inputs: Literal["sincos", "angles"]
+    inputs: Inputs
     hidden: tuple[int, ...]
     turning: bool = False
     left_out_rms_mm: float
@@ -60,7 +61,7 @@ class NetworkResult(Record):
     """
 
     used: bool
-    inputs: Literal["sincos", "angles"]
+    inputs: Inputs
     hidden: tuple[int, ...]
     turning: bool = False
     left_out_rms_mm: float

@@ -37,10 +37,10 @@ def noise(n, seed=1):
 @pytest.fixture(scope="module")
 def trained():
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    q = poses(12_000)
+    q = poses(8_000)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(batch_training, "_FEWEST_STEPS", 700)
-        return learn(BATCHES, q, fine(q) + noise(len(q)), np.arange(12_000.0), seed=3)
+        patched.setattr(batch_training, "_FEWEST_STEPS", 500)
+        return learn(BATCHES, q, fine(q) + noise(len(q)), np.arange(8_000.0), seed=3)
 
 
 def rms(vectors):
@@ -50,7 +50,7 @@ def rms(vectors):
 def test_all_readings_show_what_a_sample_of_them_does_not(trained):
     assert trained.batches is not None
     assert trained.batches.used
-    assert trained.batches.readings == 12_000
+    assert trained.batches.readings == 8_000
     assert trained.left_out_rms == trained.batches.left_out_rms < 0.5 * trained.batches.committee_rms
     new = poses(2000, seed=9)
     assert rms(fine(new) - trained.network.correct(new)) < 0.2 * rms(fine(new))
