@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.request import VERB
@@ -13,7 +14,8 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.import_.run import import_new_run
 from cellapp.estimation.calibration import batch_training
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.interfaces.cli import main
+from cellapp.ground.errors import InputError
+from cellapp.interfaces.cli.app import app
 from tests.commands.moved_arms import true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
 
@@ -31,7 +33,7 @@ def test_a_recording_teaches_and_the_comparison_is_said(folder: Path, monkeypatc
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
     monkeypatch.setattr(batch_training, "_FEWEST_STEPS", 60)
     with RunFile.open(folder, write=True) as run:
-        assert run.profile.network.kind == "mlp"
+        assert run.profile.network.kind == "none"
         result = calibrate_run(run, network="batches")
     network = result.arms["left"].network
     assert network is not None
@@ -46,16 +48,14 @@ def test_a_recording_teaches_and_the_comparison_is_said(folder: Path, monkeypatc
     assert "batches" in kept
 
 
-def test_without_torch_the_command_says_what_to_install(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_torch_the_command_says_what_to_install(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    assert main(["calibrate", str(folder), "--network", "batches"]) == 2
-    said = capsys.readouterr().err
-    assert "pip install 'cellapp[learn]'" in " ".join(said.split())
-    assert "Traceback" not in said
+    ended = CliRunner().invoke(app, ["calibrate", str(folder), "--network", "batches"])
+    assert isinstance(ended.exception, InputError)  # which ends the program with 2 and this sentence
+    assert "pip install 'cellapp[learn]'" in str(ended.exception)
 
 
-def test_another_network_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["calibrate", str(folder), "--network", "deep"]) == 2
-    assert "batches" in capsys.readouterr().err
+def test_another_network_is_refused(folder: Path) -> None:
+    ended = CliRunner().invoke(app, ["calibrate", str(folder), "--network", "deep"])
+    assert ended.exit_code == 2
+    assert "batches" in ended.output

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 
 from cellapp.cell.run.csv_import import is_known
@@ -26,7 +27,7 @@ def write_readings_csv(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) ->
         If there are no readings, or the file cannot be written.
     """
     path = Path(path)
-    arms = {arm: run.readings(arm) for arm in run.arms()}
+    arms = {arm: run.rows(arm) for arm in run.arms()}
     if not arms:
         raise InputError(f"{run.path} holds no readings yet; there is nothing to export")
     names = _header(arms, run.columns)
@@ -34,7 +35,8 @@ def write_readings_csv(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) ->
         itertools.chain.from_iterable(
             zip(readings.configuration.tolist(), itertools.repeat(order), _rows(arm, readings, names))
             for order, (arm, readings) in enumerate(arms.items())
-        )
+        ),
+        key=itemgetter(0, 1),
     )
     write_csv(path, names, (row for _, _, row in rows), outputs)
 

@@ -23,7 +23,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _BY_NAME = {column.name: column for column in COLUMNS}
-_SHAPES = {"scalar": "(n,)", "joints": "(n, {joints})", "point": "(n, 3)", "symmetric": "(n, 3, 3)"}
+_SHAPES = {
+    "scalar": "(n,)",
+    "joints": "(n, {joints})",
+    "point": "(n, 3)",
+    "quaternion": "(n, 4)",
+    "symmetric": "(n, 3, 3)",
+}
 
 
 def is_frame(value: object) -> TypeGuard[pd.DataFrame]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cellapp.ground.units import first_in_degrees
 
-Shape = Literal["scalar", "joints", "point", "symmetric"]
+Shape = Literal["scalar", "joints", "point", "symmetric", "quaternion"]
 Values: TypeAlias = NDArray[Any] | tuple[str | None, ...]
 """One column of n readings: an array of n rows, or n texts."""
 
@@ -31,6 +31,10 @@ _FURTHEST_M = 100.0
 """No laser tracker measures beyond 80 m (Leica AT960); a larger coordinate is not in metres."""
 _LEAST_SIGMA_M, _LARGEST_SIGMA_M = 1e-10, 1.0
 """Standard uncertainties of points that instruments state [m]; beyond these their squares lose all meaning."""
+_UNIT_LENGTH, _ROUNDED = 1e-3, 1e-12
+"""By how much a quaternion's length may differ from one: four digits; beyond the second, it is made one."""
+_LEAST_SIGMA_RAD, _LARGEST_SIGMA_RAD = 1e-9, 0.1
+"""Standard uncertainties of orientations that instruments state [rad]; a larger one is in degrees or mrad."""
 _REVOLUTION = 2.0 * math.pi
 _LONGEST_S = 1e11
 """Seconds; clocks that count from 1970 are below 1e10."""
@@ -60,7 +64,8 @@ class Column:
     csv : tuple of str
         Names in a CSV file; of a quantity per joint the stem, to which the joint's number is appended.
     shape : str
-        Of one reading's value: ``scalar`` (), ``joints`` (N,), ``point`` (3,), ``symmetric`` (3, 3).
+        Of one reading's value: ``scalar`` (), ``joints`` (N,), ``point`` (3,), ``quaternion`` (4,), ``symmetric``
+        (3, 3).
     dtype : type
         np.float64, np.int64, np.int8 or str.
     sql : str
@@ -117,7 +122,8 @@ class Column:
 
     def array_shape(self, n: int, joints: int) -> tuple[int, ...]:
         """Shape of the column of n readings."""
-        return {"scalar": (n,), "joints": (n, joints), "point": (n, 3), "symmetric": (n, 3, 3)}[self.shape]
+        shapes = {"scalar": (), "joints": (joints,), "point": (3,), "quaternion": (4,), "symmetric": (3, 3)}
+        return (n, *shapes[self.shape])
 
     def missing(self, n: int, joints: int) -> NDArray[Any] | None:
         """The column of n readings of which none has a value."""
@@ -132,10 +138,14 @@ class Column:
         return values[:, np.newaxis] if self.shape == "scalar" else values
 
     def from_matrix(self, matrix: NDArray[Any]) -> NDArray[Any]:
-        """The column of which ``matrix`` (n, w) is the matrix; NaN becomes ``fill`` where there is one."""
+        """The column of which ``matrix`` (n, w) is the matrix; NaN becomes ``fill`` where there is one, and quaternions
+        that were rounded get the length one."""
         if self.fill is not None:
             matrix = np.where(np.isnan(matrix), self.fill, matrix)
         matrix = matrix.astype(self.dtype)
+        if self.shape == "quaternion":
+            length = np.linalg.norm(matrix, axis=1, keepdims=True)
+            return np.where(np.abs(length - 1.0) > _ROUNDED, matrix / length, matrix)
         if self.shape == "symmetric":
             values: NDArray[Any] = np.empty((len(matrix), 3, 3), dtype=self.dtype)
             values[:, _UPPER[0], _UPPER[1]] = matrix
@@ -213,6 +223,33 @@ def _positive(sigma: NDArray[Any]) -> Fault | None:
     return Fault(int(wrong[0]), 0, f"expected an uncertainty above 0 m, got {sigma[wrong[0], 0]:g}")
 
 
+def _positive_angle(sigma: NDArray[Any]) -> Fault | None:
+    wrong = np.flatnonzero((sigma[:, 0] < _LEAST_SIGMA_RAD) | (sigma[:, 0] > _LARGEST_SIGMA_RAD))
+    if not len(wrong):
+        return None
+    value = sigma[wrong[0], 0]
+    guess = "; degrees or mrad?" if value > _LARGEST_SIGMA_RAD else ""
+    text = f"expected {_LEAST_SIGMA_RAD:g} to {_LARGEST_SIGMA_RAD:g} rad, got {value:g}{guess}"
+    return Fault(int(wrong[0]), 0, text)
+
+
+def _of_unit_length(quaternions: NDArray[Any]) -> Fault | None:
+    """Check quaternions (n, 4), scalar first."""
+    missing = np.isnan(quaternions)
+    incomplete = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
+    if len(incomplete):
+        row = int(incomplete[0])
+        return Fault(row, int(np.argmax(missing[row])), "the value is missing; give all four of the quaternion or none")
+    length = np.linalg.norm(quaternions, axis=1)
+    wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT_LENGTH)
+    if not len(wrong):
+        return None
+    row = int(wrong[0])
+    guess = "; are these angles in degrees?" if np.abs(quaternions[row]).max() > 1.0 + _UNIT_LENGTH else ""
+    text = f"expected a unit quaternion, scalar first, got one of length {length[row]:.4g}{guess}"
+    return Fault(row, None, text)
+
+
 def _positive_definite(triangles: NDArray[Any]) -> Fault | None:
     """Check upper triangles (n, 6) by their correlations: 1e-12 m^2 is a usual variance, not a sign of singularity."""
     missing = np.isnan(triangles)
@@ -286,6 +323,15 @@ COLUMNS: tuple[Column, ...] = (
         expected="-1, 0 (unknown) or 1",
     ),
     Column("payload_kg", "kg", ("payload_kg",), check=_within(0.0, 1e4, "kg")),
+    Column(
+        "payload_center_F",
+        "m",
+        ("payload_cx_m", "payload_cy_m", "payload_cz_m"),
+        "point",
+        sql="payload_center_f",
+        check=_within(-10.0, 10.0, "m"),
+        since=8,
+    ),
     Column("temperature_c", "degC", ("temperature_c",), check=_DEGREES_C),
     Column("joint_temperature_c", "degC", ("joint_temperature",), "joints", check=_DEGREES_C),
     Column("step", "rad", ("step",), "joints", check=_within(-1e3, 1e3, "rad"), since=2),
@@ -300,6 +346,12 @@ COLUMNS: tuple[Column, ...] = (
         sql="covariance_m2",
         check=_positive_definite,
     ),
+    Column("quaternion_M", "", ("quat_w", "quat_x", "quat_y", "quat_z"), "quaternion", check=_of_unit_length, since=8),
+    Column("sigma_rad", "rad", ("sigma_rad",), check=_positive_angle, since=8),
+    Column("tau_nm", "Nm", ("tau",), "joints", check=_within(-1e5, 1e5, "Nm"), since=8),
+    Column("current_a", "A", ("current",), "joints", check=_within(-1e4, 1e4, "A"), since=8),
+    Column("smr", "", ("smr",), dtype=str, since=8),
+    Column("station", "", ("station",), dtype=str, since=8),
     Column("point", "", ("point",), dtype=str, since=7),
     Column("split", "", ("split",), dtype=str, allowed=SPLITS, expected="identify, train, validate or nothing"),
 )

@@ -38,8 +38,20 @@ class Reading:
         Each joint's last motion before the stop, with its sign [rad].
     dwell_s : float or None
         Time from standstill to the measurement [s].
+    payload_center_F : array, shape (3,), or None
+        Centre of mass of the payload in F [m].
     covariance_M : array, shape (3, 3), or None
         Covariance of ``p_M`` [m^2]; the run file stores its upper triangle.
+    quaternion_M : array, shape (4,), or None
+        Orientation of the probe's frame S in M, unit quaternion, scalar first.
+    sigma_rad : float or None
+        Standard uncertainty of the orientation about each axis [rad].
+    tau_nm, current_a : array, shape (N,), or None
+        Measured joint torques [Nm] and motor currents [A].
+    smr : str or None
+        Name of the nest on the flange that was measured; None for the only one.
+    station : str or None
+        Name of the tracker station, in whose frame the measurement is; None for the only one.
     point : str or None
         Name of the fixed but unknown point that the ball's centre rests in; ``p_M`` is then NaN.
     split : str or None
@@ -60,6 +72,13 @@ class Reading:
     dwell_s: float | None = None
     covariance_M: _Floats | None = None
     sigma_m: float | None = None
+    payload_center_F: _Floats | None = None
+    quaternion_M: _Floats | None = None
+    sigma_rad: float | None = None
+    tau_nm: _Floats | None = None
+    current_a: _Floats | None = None
+    smr: str | None = None
+    station: str | None = None
     point: str | None = None
     split: str | None = None
     extras: dict[str, str] = field(default_factory=dict)
@@ -128,6 +147,18 @@ class Readings:
         Covariance of ``p_M`` [m^2].
     sigma_m : array, shape (n,), or None
         Isotropic standard uncertainty of ``p_M`` [m].
+    payload_center_F : array, shape (n, 3), or None
+        Centre of mass of the payload in F [m].
+    quaternion_M : array, shape (n, 4), or None
+        Orientation of the probe's frame S in M, unit quaternion, scalar first; NaN in rows where it was not measured.
+    sigma_rad : array, shape (n,), or None
+        Standard uncertainty of the orientation about each axis [rad].
+    tau_nm, current_a : array, shape (n, N), or None
+        Measured joint torques [Nm] and motor currents [A].
+    smr : tuple of n (str or None), or None
+        Names of the nests on the flange that were measured; a stop has a row for each.
+    station : tuple of n (str or None), or None
+        Names of the tracker stations, in whose frames the measurements are.
     point : tuple of n str, or None
         Names of fixed but unknown points that the ball's centre rests in, instead of ``p_M``, which is NaN in all rows.
     distances : tuple of Distance
@@ -151,6 +182,13 @@ class Readings:
     dwell_s: _Floats | None = None
     covariance_M: _Floats | None = None
     sigma_m: _Floats | None = None
+    payload_center_F: _Floats | None = None
+    quaternion_M: _Floats | None = None
+    sigma_rad: _Floats | None = None
+    tau_nm: _Floats | None = None
+    current_a: _Floats | None = None
+    smr: tuple[str | None, ...] | None = None
+    station: tuple[str | None, ...] | None = None
     point: tuple[str | None, ...] | None = None
     distances: tuple[Distance, ...] = ()
     split: tuple[str | None, ...] | None = None
@@ -189,11 +227,15 @@ class Readings:
             for entry in fields(self)
             if isinstance(getattr(self, entry.name), np.ndarray)
         }
+        words: dict[str, Any] = {
+            column.name: tuple(getattr(self, column.name)[index] for index in chosen)
+            for column in COLUMNS
+            if column.dtype is str and getattr(self, column.name) is not None
+        }
         return replace(
             self,
             **arrays,
-            point=None if self.point is None else tuple(self.point[index] for index in chosen),
-            split=None if self.split is None else tuple(self.split[index] for index in chosen),
+            **words,
             extras={name: tuple(texts[index] for index in chosen) for name, texts in self.extras.items()},
         )
 

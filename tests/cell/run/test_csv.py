@@ -170,7 +170,7 @@ def test_a_bad_cell_is_named_with_file_line_and_column(
         ("y_m", "x_m", "x_m", "the column is there twice; keep one"),
         ("mood", "split", "split", "the column is there twice; keep one"),
         ("mood", "", "column 12", "has no name"),
-        ("mood", "sxx", "sxy", "the column is missing; give all six (sxx, sxy, sxz, syy, syz, szz) or none"),
+        ("mood", "sxx", "sxy", "the column is missing; give all of sxx, sxy, sxz, syy, syz, szz or none"),
         ("mood", "approach1", "approach2", "the column is missing; arm left has 2 joints"),
         ("mood", "joint_temperature2", "joint_temperature1", "the column is missing; arm left has 2 joints"),
     ],

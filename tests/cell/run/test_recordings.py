@@ -18,8 +18,8 @@ from cellapp.cell.run.recordings import read_recordings_of, recording_states, re
 from cellapp.cell.run.recordings_csv import read_recordings
 from cellapp.cell.run.recordings_export import write_recordings_csv
 from cellapp.cell.run.stream_codes import packed, unpacked
-from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
+from tests.cell.run.older_files import older_reading_table
 from tests.cell.run.recorded_motion import Columns, joint_columns, point_columns, write_columns
 from tests.cell.run.two_arm_cell import two_arms
 
@@ -275,10 +275,10 @@ def test_a_run_of_an_older_schema_has_no_recordings_and_takes_some(tmp_path: Pat
     with imported(tmp_path, joint_columns(), point_columns()) as run:
         path = run.path
     with sqlite3.connect(path) as connection:
-        for column in (one.sql_name for one in COLUMNS if one.since > 5):
-            connection.execute(f"ALTER TABLE reading DROP COLUMN {column}")
-        for statement in ("DROP TABLE recording", "DROP TABLE stream", "PRAGMA user_version=5"):
-            connection.execute(statement)
+        older_reading_table(connection, 5)
+        for table in ("recording", "stream"):
+            connection.execute(f"DROP TABLE {table}")
+        connection.execute("PRAGMA user_version=5")
     connection.close()
     with RunFile.open(path.parent, write=True) as older:
         assert recording_states(older) == ()

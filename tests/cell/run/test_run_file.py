@@ -25,6 +25,7 @@ from cellapp.cell.run import Outcome, RunFile
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+from tests.cell.run.older_files import older_reading_table
 from tests.cell.run.spoiled import SPOILED
 from tests.cell.run.two_arm_cell import assert_same, two_arms
 
@@ -502,10 +503,7 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
     with RunFile.create(folder, profile) as run:
         run.add_stop(1, {"left": reading(1)})
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        connection.execute("ALTER TABLE reading DROP COLUMN step")
-        connection.execute("ALTER TABLE reading DROP COLUMN dwell_s")
-        connection.execute("ALTER TABLE reading DROP COLUMN sequence")
-        connection.execute("ALTER TABLE reading DROP COLUMN point")
+        older_reading_table(connection, 1)
         for table in ("stage", "session", "request", "outcome", "reference", "recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
         connection.execute("UPDATE meta SET value = '1' WHERE key = 'version'")
@@ -532,10 +530,9 @@ def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_
     with RunFile.create(folder, profile) as run:
         run.append_stage("calibrate", None, "{}", None)
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        older_reading_table(connection, 3)
         for table in ("session", "request", "outcome", "reference", "recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
-        connection.execute("ALTER TABLE reading DROP COLUMN sequence")
-        connection.execute("ALTER TABLE reading DROP COLUMN point")
         connection.execute("PRAGMA user_version=3")
         connection.commit()
     with RunFile.open(folder) as run:
@@ -556,10 +553,9 @@ def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Prof
         run.add_stop(1, {"left": reading(1)})
         session = run.begin_session()
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        connection.execute("ALTER TABLE reading DROP COLUMN sequence")
+        older_reading_table(connection, 4)
         for table in ("recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
-        connection.execute("ALTER TABLE reading DROP COLUMN point")
         connection.execute("PRAGMA user_version=4")
         connection.commit()
     with RunFile.open(folder) as run:
@@ -568,6 +564,26 @@ def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Prof
         run.add_stop(2, {"left": replace(reading(2), sequence=1.0)})
         run.end_session(session, "stopped", "by a person")
         np.testing.assert_array_equal(run.readings("left").sequence, [np.nan, 1.0])
+
+
+@pytest.mark.fast
+def test_a_file_of_the_seventh_schema_takes_several_nests_at_a_stop(profile: Profile, folder: Path) -> None:
+    with RunFile.create(folder, profile) as run:
+        run.add_stop(1, {"left": reading(1)})
+        before = run.readings("left")
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        older_reading_table(connection, 7)
+        connection.execute("PRAGMA user_version=7")
+        connection.commit()
+    with RunFile.open(folder) as run:
+        assert_same(run.readings("left"), before)
+    with RunFile.open(folder, write=True) as run:
+        for nest in ("B", "A"):
+            run.add_stop(2, {"left": replace(reading(2), smr=nest)})
+        with pytest.raises(InputError, match="a stop is measured once"):
+            run.add_stop(2, {"left": replace(reading(3), smr="A")})
+        left = run.rows("left")
+    assert left.smr == (None, "B", "A")
 
 
 @pytest.mark.fast

@@ -24,6 +24,7 @@ from cellapp.cell.run import (
 from cellapp.estimation.readings import Reading, Readings, readings
 from cellapp.estimation.readings.columns import COLUMNS, Column, Fault
 from cellapp.ground.errors import InputError
+from tests.cell.run.older_files import older_reading_table
 from tests.cell.run.two_arm_cell import two_arms
 
 pytestmark = pytest.mark.fast
@@ -99,8 +100,8 @@ def test_an_older_file_without_the_column_gets_it_with_the_first_change(tmp_path
     with RunFile.create(tmp_path / "run", two_arms()) as run:
         run.log("info", "made")
     with contextlib.closing(sqlite3.connect(tmp_path / "run" / "run.sqlite")) as connection:
-        for name in ("torque_nm", "step", "dwell_s", "sequence", "point"):
-            connection.execute(f"ALTER TABLE reading DROP COLUMN {name}")
+        older_reading_table(connection, 1)
+        connection.execute("ALTER TABLE reading DROP COLUMN torque_nm")
         for table in ("stage", "session", "request", "outcome", "reference", "recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
         connection.execute("PRAGMA user_version=1")

@@ -1,0 +1,91 @@
+"""Orientation, torques, currents, nests and stations of a reading: stored, exported bit for bit, refused by row."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.run import RunFile, import_csv, read_readings_csv, write_readings_csv
+from cellapp.estimation.readings import joined
+from cellapp.ground.errors import InputError
+from tests.cell.run.two_arm_cell import assert_same, two_arms
+
+pytestmark = pytest.mark.fast
+
+HEADER = (
+    "configuration,arm,q1,q2,payload_kg,payload_cx_m,payload_cy_m,payload_cz_m,x_m,y_m,z_m,"
+    "quat_w,quat_x,quat_y,quat_z,sigma_rad,tau1,tau2,current1,current2,smr,station"
+)
+ROWS = (
+    "0,left,0.1,0.2,2.5,0.01,0,0.05,1,2,3,0.5,0.5,-0.5,0.5,4e-05,10.5,-3,1.5,0.25,A,north",
+    "0,left,0.1,0.2,,,,,1,2,3,,,,,,,,,,B,north",
+    "1,left,0.3,0.4,,,,,1,2,3,0.8,0,0.6,0,4e-05,11,-4,,,A,south",
+)
+
+
+def written(path: Path, *rows: str, header: str = HEADER) -> Path:
+    path.write_text("\n".join([header, *rows]) + "\n", "utf-8")
+    return path
+
+
+def test_every_quantity_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    readings, notes = read_readings_csv(written(tmp_path / "in.csv", *ROWS), {"left": 2})
+    left = readings["left"]
+    assert not notes
+    assert left.smr == ("A", "B", "A")
+    assert left.station == ("north", "north", "south")
+    assert left.quaternion_M is not None
+    np.testing.assert_array_equal(left.quaternion_M[:2], [[0.5, 0.5, -0.5, 0.5], [np.nan] * 4])
+    assert left.payload_center_F is not None
+    np.testing.assert_array_equal(left.payload_center_F[0], [0.01, 0.0, 0.05])
+    assert left.tau_nm is not None
+    np.testing.assert_array_equal(left.tau_nm, [[10.5, -3.0], [np.nan, np.nan], [11.0, -4.0]])
+    with RunFile.create(tmp_path / "run", two_arms()) as run:
+        run.add_readings("left", left)
+        stored = run.rows("left")
+        write_readings_csv(run, tmp_path / "out.csv")
+    again, _ = read_readings_csv(tmp_path / "out.csv", {"left": 2})
+    assert_same(stored, left)
+    assert_same(again["left"], left)
+    assert joined([left.take([0]), left.take([1, 2])]).smr == left.smr
+
+
+def test_a_quaternion_of_four_digits_gets_the_length_one(tmp_path: Path) -> None:
+    rows = [row.replace("0.8,0,0.6,0", "0.7071,0,0.7071,0") for row in ROWS]
+    readings, _ = read_readings_csv(written(tmp_path / "in.csv", *rows), {"left": 2})
+    found = readings["left"].quaternion_M
+    assert found is not None
+    np.testing.assert_allclose(found[2], [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("row", "old", "new", "column", "says"),
+    [
+        (0, "0.5,0.5,-0.5,0.5", "0.5,0.5,-0.5,0.4", "quat_w..quat_z", "expected a unit quaternion, scalar first, got"),
+        (2, "0.8,0,0.6,0", "12.5,-30,90,0", "quat_w..quat_z", "are these angles in degrees?"),
+        (2, "0.8,0,0.6,0", "0.8,0,,0", "quat_y", "the value is missing; give all four of the quaternion or none"),
+        (0, "4e-05", "0.4", "sigma_rad", "expected 1e-09 to 0.1 rad, got 0.4; degrees or mrad?"),
+        (0, "4e-05", "0", "sigma_rad", "expected 1e-09 to 0.1 rad, got 0"),
+        (2, "11,-4", "11,1e6", "tau2", "expected -100000 to 100000 Nm"),
+        (0, "0.01,0,0.05", "10.5,0,50", "payload_cx_m", "expected -10 to 10 m, got 10.5"),
+        (1, ",B,", ",A,", "configuration", "give one row per stop, nest and station"),
+    ],
+)
+def test_a_bad_value_is_named_by_row(tmp_path: Path, row: int, old: str, new: str, column: str, says: str) -> None:
+    rows = list(ROWS)
+    assert old in rows[row]
+    rows[row] = rows[row].replace(old, new, 1)
+    path = written(tmp_path / "in.csv", *rows)
+    with pytest.raises(InputError) as caught:
+        import_csv(two_arms(), path, tmp_path / "run")
+    assert str(caught.value).startswith(f"{path}:{row + 2}: {column}: ")
+    assert says in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_component_that_has_no_column_is_named(tmp_path: Path) -> None:
+    path = written(tmp_path / "in.csv", *ROWS, header=HEADER.replace("quat_z", "qz"))
+    with pytest.raises(InputError, match="quat_z: the column is missing; give all of quat_w, quat_x, quat_y, quat_z"):
+        read_readings_csv(path, {"left": 2})
