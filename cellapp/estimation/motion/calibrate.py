@@ -12,7 +12,13 @@ from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
 from cellapp.estimation.calibration.evaluation import evaluate, repeatability
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.learning import require_learner
-from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, MotionResult, RecordingResult
+from cellapp.estimation.calibration.records import (
+    ClockResult,
+    ClockSegmentResult,
+    MotionResult,
+    RecordingResult,
+    TriggerResult,
+)
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
 from cellapp.estimation.motion.learning import train_arm_in_motion
 from cellapp.estimation.motion.observe import Stops
@@ -249,4 +255,5 @@ def _clock(clock: ClockFit) -> ClockResult:
         steps_of_joints=tuple((step.at_s, step.step_s) for step in clock.steps_of_joints),
         steps_of_points=tuple((step.at_s, step.step_s) for step in clock.steps_of_points),
         segments=tuple(ClockSegmentResult.like(one) for one in segments),
+        trigger=None if clock.trigger is None else TriggerResult.like(clock.trigger),
     )

@@ -2,6 +2,7 @@
 
 from cellapp.ground.profile.schema import (
     Arm,
+    CellKind,
     CellPoint,
     Discovery,
     Network,
@@ -15,6 +16,7 @@ from cellapp.ground.profile.schema import (
 
 __all__ = [
     "Arm",
+    "CellKind",
     "CellPoint",
     "Discovery",
     "Network",
