@@ -60,7 +60,8 @@ def replace_stop(
     with run.change() as connection:
         for arm, readings in batches.items():
             split = _set_aside(connection, arm, stop)
-            insert_readings(connection, arm, readings if split is None else replace(readings, split=split * len(readings)))
+            kept = readings if split is None else replace(readings, split=split * len(readings))
+            insert_readings(connection, arm, kept)
         for outcome in outcomes:
             if not _has_reading(connection, outcome.arm, stop):
                 insert_outcome(connection, outcome)
