@@ -14,10 +14,9 @@ import numpy as np
 
 from drivers.plant.climate import joint_rise
 from drivers.plant.config import Array
-from drivers.plant.effect import Situation
-from drivers.plant.mechanism import NO_DEFLECTION
 from drivers.plant.plant import Plant
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
+from drivers.plant.trail import phase_of
 from drivers.plant.true_arm import TrueArm
 
 _STEP_S = 1e-3
@@ -27,7 +26,8 @@ _REST_S = 0.5
 _AT_ONCE = 4096
 """Points whose equilibrium is found together."""
 DYNAMIC_M = 5e-6
-"""Standard deviation that following a moving SMR adds to the distance [m]."""
+"""Standard deviation that following a moving SMR adds to the distance [m]: half of the AT960's +-10 um for a dynamic
+lock. Other errors of a single point are those of an averaged one, as the maximum permissible error holds for both."""
 
 
 @dataclass(frozen=True)
@@ -168,33 +168,12 @@ def _points(plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, be
     segment = np.searchsorted(time_s[turns[1:-1]], seen, side="right")
     for number, first in enumerate(turns[:-1]):
         rows = np.flatnonzero(segment == number)
+        phase = phase_of(arm, began_s)
         for at in range(0, len(rows), _AT_ONCE):
             some = rows[at : at + _AT_ONCE]
-            points[some] = _points_without_reversal(plant, arm, q_seen[some], began_s + seen[some])
+            points[some], _ = plant._smr_in(arm, phase, q_seen[some], began_s + seen[some], moving=True)
         _note_turn(arm, q[first], q[turns[number + 1]], q[min(turns[number + 1] + 1, len(q) - 1)])
     return points
-
-
-def _points_without_reversal(plant: Plant, arm: TrueArm, q: Array, time_s: Array) -> Array:
-    """Points (n, 3) of an arm that moves from where its joints turned last to each ``q`` (n, N)."""
-    n = len(q)
-    step = q - arm.q
-    air_c = np.full(n, plant.air_temperature_c)
-    situation = Situation(
-        q=q,
-        approach=np.where(step == 0.0, arm.approach, np.sign(step)),
-        last_step=step,
-        since_rest_s=np.zeros(n),
-        time_s=time_s,
-        air_c=air_c,
-        joints_c=air_c[:, None] + arm.rise,
-        others=plant._other_postures(arm, {}, n),
-        T_B_others=plant._T_B_others(arm),
-        mechanism=arm.mechanism,
-    )
-    memories = [effect.memory_after_motion(memory, q) for effect, memory in zip(arm.effects, arm.memories, strict=True)]
-    posture, _ = plant._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None])
-    return plant._apparent_smr(arm, situation, posture)[0]
 
 
 def _note_turn(arm: TrueArm, begun: Array, turned: Array, after: Array) -> None:

@@ -32,6 +32,12 @@ class Imperfections:
         Pressure and humidity of the true air; its temperature is the plant's.
     clock_offset_s, clock_rate : float
         Its own clock against the plant's: ``offset + (1 + rate) t``.
+    packet_jitter_s : float
+        Packets of a stream arrive late by up to this much [s].
+    lost_beams_per_min, longest_loss_s : float
+        How often the beam to a moving SMR breaks, and how long it cannot be locked again, at most [s].
+    saturated : float
+        Share of packets of a stream whose points are lost because the receiver is too slow.
     """
 
     warm_up_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -46,6 +52,14 @@ class Imperfections:
     humidity_percent: float = 50.0
     clock_offset_s: float = 0.0
     clock_rate: float = 0.0
+    packet_jitter_s: float = 0.0
+    lost_beams_per_min: float = 0.0
+    longest_loss_s: float = 1.0
+    saturated: float = 0.0
+
+    def own_time_s(self, time_s: Array) -> Array:
+        """Its own clock (n,) at times (n,) of the plant [s]."""
+        return self.clock_offset_s + (1.0 + self.clock_rate) * time_s
 
     def pointed(self, p_M: Array, face: int, cold: float) -> Array:
         """The point (3,) [m] as the head points at it in a face; ``cold`` is the share of the warm-up that is left."""

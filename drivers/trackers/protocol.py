@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +93,10 @@ class Point:
         Reflector type whose offset was applied; empty: not reported.
     quality : tuple of str
         Warnings of the tracker about this point.
+    quaternion_M : array, shape (4,), or None
+        Orientation of a 6-D probe in the tracker frame, unit quaternion, scalar first; None: not measured.
+    sigma_rad : float or None
+        Its standard uncertainty about each axis [rad].
     """
 
     p_M: NDArray[np.float64]
@@ -108,6 +112,8 @@ class Point:
     host_time_s: float | None = None
     reflector: str = ""
     quality: tuple[str, ...] = ()
+    quaternion_M: NDArray[np.float64] | None = None
+    sigma_rad: float | None = None
 
 
 @dataclass(frozen=True)
@@ -251,37 +257,142 @@ class Tracker(Protocol):
         """Release the tracker and close the link; harmless when closed."""
 
 
+PACKETS_HZ = 50.0
+"""Most packets a tracker sends in a second: one carries several points, so that only their own stamps tell when."""
+
+
+@dataclass(frozen=True)
+class StreamLimits:
+    """What a tracker can stream: shortest and longest time between two points of a moving SMR [s]."""
+
+    shortest_s: float
+    longest_s: float
+
+    def check(self, interval_s: float) -> None:
+        """Raise ``ValueError`` for a time between two points that the tracker does not have."""
+        if not self.shortest_s * (1.0 - 1e-9) <= interval_s <= self.longest_s * (1.0 + 1e-9):
+            raise ValueError(
+                f"tracker: a point each {interval_s:g} s was asked for; it measures one each {self.shortest_s:g} to"
+                f" {self.longest_s:g} s"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Packet:
+    """Points that came together.
+
+    Attributes
+    ----------
+    device_time_s : array, shape (n,)
+        Their stamps by the tracker's own clock [s].
+    p_M : array, shape (n, 3)
+        SMR centres [m].
+    sigma_m : array, shape (n,)
+        Standard uncertainty of a coordinate of each [m]; NaN: not known.
+    arrived_s : float
+        When they arrived, on the cell's clock [s]: late by up to some 40 ms.
+    triggers_s : array, shape (k,)
+        Stamps of pulses at the tracker's trigger input since the last packet [s].
+    """
+
+    device_time_s: NDArray[np.float64]
+    p_M: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
+    arrived_s: float
+    triggers_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+
 @dataclass(frozen=True, eq=False)
 class Track:
     """Points of a moving SMR, measured continuously.
 
     Attributes
     ----------
-    time_s : array, shape (n,)
-        Times on the cell's clock [s].
+    device_time_s : array, shape (n,)
+        Stamps by the tracker's own clock [s].
     p_M : array, shape (n, 3)
         SMR centres [m].
+    sigma_m : array, shape (n,)
+        Standard uncertainty of a coordinate of each [m]; NaN: not known.
+    arrived_s : array, shape (n,)
+        When the packet of each point arrived, on the cell's clock [s].
+    triggers_s : array, shape (k,)
+        Stamps of pulses at the trigger input [s].
     """
 
-    time_s: NDArray[np.float64]
+    device_time_s: NDArray[np.float64]
     p_M: NDArray[np.float64]
+    sigma_m: NDArray[np.float64]
+    arrived_s: NDArray[np.float64]
+    triggers_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    @classmethod
+    def of(cls, packets: Sequence[Packet]) -> Self:
+        """All points of ``packets``, which are in order."""
+        counts = [len(packet.device_time_s) for packet in packets]
+        return cls(
+            np.concatenate([np.empty(0), *(packet.device_time_s for packet in packets)]),
+            np.concatenate([np.empty((0, 3)), *(packet.p_M for packet in packets)]),
+            np.concatenate([np.empty(0), *(packet.sigma_m for packet in packets)]),
+            np.repeat([packet.arrived_s for packet in packets], counts).astype(np.float64),
+            np.concatenate([np.empty(0), *(packet.triggers_s for packet in packets)]),
+        )
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Times on the cell's clock (n,) [s]: the stamps, shifted by the shortest delay of a packet.
+
+        What the shortest delay is, and 0.1 ms a minute for each 2 ppm by which both clocks run apart, remains.
+        """
+        if not len(self.device_time_s):
+            return self.device_time_s
+        return np.asarray(self.device_time_s + (self.arrived_s - self.device_time_s).min())
+
+    def within(self, rows: NDArray[np.bool_]) -> Track:
+        """The points of ``rows`` (n,), with all pulses."""
+        return Track(
+            self.device_time_s[rows], self.p_M[rows], self.sigma_m[rows], self.arrived_s[rows], self.triggers_s
+        )
+
+    def missing(self, interval_s: float) -> int:
+        """How many points, one each ``interval_s``, did not come: the tracker could not send them."""
+        steps = np.rint(np.diff(self.device_time_s) / interval_s)
+        return int(np.maximum(steps - 1.0, 0.0).sum())
+
+
+def no_packet(packet: Packet) -> None:
+    """For those who look at the whole track only."""
 
 
 @runtime_checkable
 class StreamingTracker(Protocol):
-    """What a tracker can do besides, if it measures an SMR while it moves."""
+    """What a tracker can do besides, if its driver measures an SMR while it moves; see ``stream_of``."""
+
+    def stream_limits(self) -> StreamLimits | None:
+        """Return what the tracker can stream; None if it cannot. Known when connected; raises ``TrackerLinkLost``."""
 
     def start_track(
-        self, expected_M: NDArray[np.float64], interval_s: float, lost: Callable[[TrackerError], None]
+        self,
+        expected_M: NDArray[np.float64],
+        interval_s: float,
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Packet], None] = no_packet,
     ) -> None:
         """Lock the SMR at ``expected_M`` (3,) [m], at rest, and measure it each ``interval_s`` [s] from now on.
 
-        ``lost`` is called, from any thread, when the beam breaks; the track then has no further points. Raises like
-        ``Tracker.measure``.
+        ``received`` is called with each packet and ``lost`` when the beam breaks or the tracker dies, both from any
+        thread; they return soon. A broken track has no further points. While a track is on, ``confirm`` fetches what
+        has come and is called several times a second; another measurement ends it. Raises like ``Tracker.measure``,
+        and ``ValueError`` beyond ``stream_limits``.
         """
 
     def end_track(self) -> Track:
-        """End measuring and return all points. Raises ``TrackerLinkLost``."""
+        """End measuring and return all points, also those before the beam broke. Raises ``TrackerLinkLost``."""
+
+
+def stream_of(tracker: Tracker) -> StreamingTracker | None:
+    """The tracker, if it can measure an SMR while it moves. Raises ``TrackerLinkLost``."""
+    return tracker if isinstance(tracker, StreamingTracker) and tracker.stream_limits() is not None else None
 
 
 def checked_point(

@@ -13,16 +13,19 @@ from numpy.typing import NDArray
 
 from drivers.plant import Plant
 from drivers.plant.clearance import segment_distances
-from drivers.plant.lines import carry
+from drivers.plant.lines import carry, quaternion, rigid
 from drivers.plant.mechanism import Posture, nominal
 from drivers.plant.optics import why_hidden
+from drivers.plant.sweep import DYNAMIC_M
 from drivers.trackers.imperfections import PERFECT, Imperfections, refractivity
 from drivers.trackers.protocol import (
     Face,
     Halted,
     Inclination,
+    Packet,
     Point,
     Preparation,
+    StreamLimits,
     TargetLost,
     Track,
     TrackerError,
@@ -32,8 +35,10 @@ from drivers.trackers.protocol import (
     Unstable,
     WrongTarget,
     checked_point,
+    no_packet,
     require_ready,
 )
+from drivers.trackers.simulated_stream import STREAM_LIMITS, SimulatedStream
 
 Vector = NDArray[np.float64]
 
@@ -48,9 +53,6 @@ SETTLE_S = 0.1
 INCLINATION_THRESHOLD_RAD = 15e-6
 REFLECTORS = ("simulated 1.5 in",)
 
-DYNAMIC_M = 5e-6
-"""Standard deviation that following a moving SMR adds to the distance [m]: half of the AT960's +-10 um for a dynamic
-lock. Other errors of a single point are those of an averaged one, as the maximum permissible error holds for both."""
 _WATCH_S = 0.02
 """Interval of checking the target while anything moves: 5 mm at 0.25 m/s."""
 _MOVED_M = 5e-6
@@ -61,13 +63,18 @@ _STANDARD_AIR = (20.0, 1013.25, 50.0)
 
 @dataclass(frozen=True, eq=False)
 class _Smr:
-    """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible)."""
+    """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible).
+
+    ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
+    """
 
     owner: str
     arm: str | None
     p_M: Vector
     hidden: str
     moving: bool = False
+    R_M_S: Vector | None = None
+    sigma_rad: float = 0.0
 
 
 class SimulatedTracker:
@@ -126,9 +133,12 @@ class SimulatedTracker:
         self._initialised = True
         self._tilt_drift_rad = 0.0
         self._halt = threading.Event()
-        self._track: list[tuple[float, Vector]] | None = None
-        """Points of the SMR that is followed; None if none is."""
+        self._stream: SimulatedStream | None = None
+        """Of the SMR that is followed; None if none is."""
+        self._blind_until_s = -math.inf
+        """Until when a beam that broke cannot be locked again [s]."""
         self._dynamic = np.random.default_rng([plant.config.seed, 3])
+        self._turns = np.random.default_rng([plant.config.seed, 5])
         self._connected = False
         self._link_cut = False
         self._down_until_s = -math.inf
@@ -218,6 +228,9 @@ class SimulatedTracker:
         require_ready(self.unmet())
         expected = checked_point(expected_M, averaging_s)
         self._halt.clear()
+        if self._stream is not None:  # another measurement ends it
+            self._stream.end()
+            self._stream = None
         return expected
 
     def _measure(self, expected: Vector, averaging_s: float, face: Face) -> Point:
@@ -251,51 +264,86 @@ class SimulatedTracker:
             host_time_s=self._plant.clock_s,
             reflector=self._settings.reflector or REFLECTORS[0],
             quality=warnings,
+            quaternion_M=self._orientation(locked),
+            sigma_rad=None if locked.R_M_S is None else locked.sigma_rad,
         )
+
+    def _orientation(self, locked: _Smr) -> Vector | None:
+        """Return the measured orientation of a 6-D probe (4,)."""
+        if locked.R_M_S is None:
+            return None
+        error = np.zeros(6)
+        if self._plant.config.noise:
+            error[3:] = locked.sigma_rad * self._turns.standard_normal(3)
+        return quaternion(rigid(error)[:3, :3] @ locked.R_M_S)
 
     # -- following a moving SMR ----------------------------------------------------------------------------------------
 
-    def start_track(self, expected_M: Vector, interval_s: float, lost: Callable[[TrackerError], None]) -> None:
+    def stream_limits(self) -> StreamLimits:
+        """Return those of an AT960: up to 1000 points a second."""
+        self._link()
+        return STREAM_LIMITS
+
+    def start_track(
+        self,
+        expected_M: Vector,
+        interval_s: float,
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Packet], None] = no_packet,
+    ) -> None:
         """Lock the SMR and measure it each ``interval_s``, while others let the plant's time pass."""
+        STREAM_LIMITS.check(interval_s)
         expected = self._checked_request(expected_M, interval_s)
         self._wait(POINTING_S)
+        if self._plant.clock_s < self._blind_until_s:
+            raise TargetLost("tracker: the SMR cannot be locked again yet")
         locked = self._lock(expected)
-        track: list[tuple[float, Vector]] = []
-        self._track = track
-        self._take(track, locked, interval_s, lost)
+
+        def broken(error: TrackerError) -> None:
+            self._blind_until_s = self._plant.clock_s + self._dynamic.uniform(0.0, self._errors.longest_loss_s)
+            lost(error)
+
+        self._stream = SimulatedStream(
+            self._plant,
+            self._errors,
+            lambda: self._followed(locked.owner),
+            self._points,
+            interval_s,
+            self._dynamic,
+            broken,
+            received,
+        )
+        self._stream.begin()
 
     def end_track(self) -> Track:
         """End measuring and return all points."""
-        track, self._track = self._track or [], None
+        stream, self._stream = self._stream, None
         self._link()
-        self.measured += len(track)
-        points = np.array([p_M for _, p_M in track], dtype=np.float64).reshape(-1, 3)
-        return Track(np.array([time_s for time_s, _ in track]), points)
+        track = Track.of([]) if stream is None else stream.end()
+        self.measured += len(track.p_M)
+        return track
 
-    def _take(
-        self,
-        track: list[tuple[float, Vector]],
-        locked: _Smr,
-        interval_s: float,
-        lost: Callable[[TrackerError], None],
-    ) -> None:
-        """Take one point and enter the next into the plant's schedule, until the track ends or the beam breaks."""
-        if self._track is not track:
-            return
-        now = self._behind_bodies(next(target for target in self._targets() if target.owner == locked.owner))
-        if now.hidden or self._down():
-            why = now.hidden or f"the simulated link is {self._down()}"
-            self._track = None
-            lost(TargetLost(f"tracker: the beam to the SMR of {locked.owner} broke while it was followed: {why}"))
-            return
+    def _followed(self, owner: str) -> _Smr:
+        """The SMR of ``owner`` now, hidden also where the link is cut."""
+        now = self._behind_bodies(next(one for one in self._targets() if one.owner == owner))
+        down = self._down()
+        return replace(now, hidden=f"the simulated link is {down}") if down else now
+
+    def trigger(self) -> None:
+        """A pulse came at the trigger input now."""
+        if self._stream is not None:
+            self._stream.trigger()
+
+    def _points(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
+        """Measured points (n, 3) and their standard uncertainties (n,) of true ones."""
         air = (self._plant.air_temperature_c, self._errors.pressure_hpa, self._errors.humidity_percent)
-        read, _ = self._plant.measure_positions(now.p_M[None])
-        p_M = self._with_errors(read[0], 1, air, self._applied(air)[0])
-        if self._plant.config.noise and now.moving:
-            p_M = p_M * (1.0 + DYNAMIC_M * self._dynamic.standard_normal() / float(np.linalg.norm(p_M)))
-        track.append((self._plant.clock_s, p_M))
-        time_s = self._plant.clock_s + interval_s
-        self._plant.schedule.at(time_s, lambda: self._take(track, locked, interval_s, lost))
+        read, covariance = self._plant.measure_positions(p_M)
+        applied = self._applied(air)[0]
+        read = np.array([self._with_errors(one, 1, air, applied) for one in read]).reshape(-1, 3)
+        if self._plant.config.noise and moving:
+            distance = np.linalg.norm(read, axis=1, keepdims=True)
+            read = read * (1.0 + DYNAMIC_M * self._dynamic.standard_normal(distance.shape) / distance)
+        return read, np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
 
     def _lock(self, expected: Vector) -> _Smr:
         around = []
@@ -314,8 +362,10 @@ class SimulatedTracker:
         """Return all SMRs of arms and nests, without regard to bodies in the beam."""
         found = []
         for target in self._plant.targets():
-            why = "something covers it" if target.arm in self.covered else target.hidden
-            found.append(_Smr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving))
+            owner = f"arm {target.arm}, nest {target.nest}" if target.nest else f"arm {target.arm}"
+            why = "something covers it" if {target.arm, owner} & self.covered else target.hidden
+            probe = (target.R_M_S, target.sigma_rad)
+            found.append(_Smr(owner, target.arm, target.p_M, why, target.moving, *probe))
         for name, p_M in self._nests.items():
             facing = -p_M / np.linalg.norm(p_M)
             why = "something covers it" if name in self.covered else ""

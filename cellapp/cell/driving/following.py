@@ -27,7 +27,7 @@ from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.lag import Lag, lag, rehearsed
 from cellapp.robot.paths.timing import Trajectory
 from drivers.arms.protocol import FollowedPath, PathFollower
-from drivers.trackers.protocol import StreamingTracker, Track, TrackerError
+from drivers.trackers.protocol import Track, TrackerError, stream_of
 
 INTERVAL_S = 0.01
 """Of points measured while the arm moves: 1 mm at 100 mm/s."""
@@ -216,7 +216,7 @@ def follow_and_track(
     def beam_lost(error: TrackerError) -> None:
         reaction.trigger(StopCause("tracker", str(error)))
 
-    streaming = tracker if start_M is not None and isinstance(tracker, StreamingTracker) else None
+    streaming = None if start_M is None else stream_of(tracker)
     if streaming is not None and start_M is not None:
         streaming.start_track(start_M, interval_s, beam_lost)
     began_s = cell.clock.now_s()
@@ -225,7 +225,7 @@ def follow_and_track(
         return None, followed
     track = streaming.end_track()
     within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
-    return Track(track.time_s[within], track.p_M[within]), followed
+    return track.within(within), followed
 
 
 def run_up(q: Array) -> Array:

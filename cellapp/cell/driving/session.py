@@ -337,6 +337,8 @@ class CollectSession:
             step=self._mover.step(name),
             dwell_s=None if rested_s is None else max(rested_s - 0.5 * point.averaging_s, 0.0),
             covariance_M=point.covariance_M,
+            quaternion_M=point.quaternion_M,
+            sigma_rad=point.sigma_rad,
             split=self.work.split,
         )
 

@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 
 from drivers.trackers.protocol import (
     Inclination,
+    Packet,
     Point,
     Preparation,
     StreamingTracker,
+    StreamLimits,
     Track,
     Tracker,
     TrackerError,
     TrackerIdentity,
     TrackerLinkLost,
     TwoFace,
+    no_packet,
 )
 
 Died = Callable[[str], None]
@@ -198,11 +201,19 @@ class StreamingTrackerMonitor(TrackerMonitor):
         super().__init__(tracker)
         self._streaming = streaming
 
+    def stream_limits(self) -> StreamLimits | None:
+        """Call the tracker's ``stream_limits``."""
+        return self._alone(self._streaming.stream_limits)
+
     def start_track(
-        self, expected_M: NDArray[np.float64], interval_s: float, lost: Callable[[TrackerError], None]
+        self,
+        expected_M: NDArray[np.float64],
+        interval_s: float,
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Packet], None] = no_packet,
     ) -> None:
         """Call the tracker's ``start_track``."""
-        self._alone(self._streaming.start_track, expected_M, interval_s, lost)
+        self._alone(self._streaming.start_track, expected_M, interval_s, lost, received)
 
     def end_track(self) -> Track:
         """Call the tracker's ``end_track``."""

@@ -211,7 +211,7 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
     floor_mm, noise_rad = held_out.noise_floor_mm(), noise_of(found.data).get("noise_rad")
     scan = remaining_scan(searched)
-    probable = posteriors_of(searched, scan)
+    probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
@@ -331,6 +331,7 @@ def _search_rows(
         to_all = refit_to_all(found, everything)
         return _Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))
     to_all, fitted_model = fit_to_all(found, everything, max(found.threshold, SCORE_MARGIN))
+    to_all = replace(to_all, posteriors=None)
     return _Searched(to_all, to_all, fitted_model, len(rows))
 
 
@@ -356,7 +357,10 @@ def _without_harm(result: _Searched, held_out: HeldOut) -> _Searched:
 
 
 def _with_what_was_left_out(sentence: str, result: _Searched) -> str:
-    """The sentence of the verdict, with effects that did harm, and with the readings that were left out."""
+    """The sentence of the verdict, with effects that were left out, and with the readings that were left out."""
+    if result.found.improbable:
+        odds = ", ".join(f"{EFFECTS[slug].title} ({p:.0%})" for slug, p in result.found.improbable.items())
+        sentence = f"{sentence}; more probably not there than there, and left out: {odds}"
     if result.harmful:
         sentence = (
             f"{sentence}; {_titles(result.harmful)} made held-out errors larger and was left out: measure more stops"

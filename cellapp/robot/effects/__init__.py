@@ -5,6 +5,7 @@ from cellapp.robot.effects.context import EffectContext, MeasurementConditions, 
 from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses, Scaled
 from cellapp.robot.effects.meaning import Meaning, SizeSource, enumeration, place_in_words
+from cellapp.robot.effects.own_law import Linear, Tuned, own_law
 from cellapp.robot.effects.registry import EFFECTS, registered
 from cellapp.robot.effects.term import Displacement, EffectTerm, displacement, term_from_json, term_to_json
 
@@ -22,16 +23,19 @@ __all__ = [
     "EffectTerm",
     "Law",
     "LawForm",
+    "Linear",
     "Meaning",
     "MeasurementConditions",
     "NeighbouringPauses",
     "Scaled",
     "SizeSource",
     "TemperatureRecord",
+    "Tuned",
     "Wave",
     "displacement",
     "enumeration",
     "joint_column",
+    "own_law",
     "place_in_words",
     "registered",
     "shift_column",

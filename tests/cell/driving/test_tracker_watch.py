@@ -12,7 +12,14 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.tracker_watch import monitored, unwatched, watched
-from drivers.trackers.protocol import StreamingTracker, Tracker, TrackerLinkLost, TrackerTimeout
+from drivers.trackers.protocol import (
+    StreamingTracker,
+    StreamLimits,
+    Tracker,
+    TrackerLinkLost,
+    TrackerTimeout,
+    stream_of,
+)
 
 pytestmark = pytest.mark.fast
 _PATIENT_S = 20.0
@@ -145,7 +152,10 @@ def test_a_silent_tracker_at_rest_is_seen_only_and_reported_at_the_next_motion()
 class Streaming(Answering):
     """It measures moving SMRs, as it says."""
 
-    def start_track(self, expected_M: Any, interval_s: float, lost: Any) -> None:
+    def stream_limits(self) -> StreamLimits:
+        return cast(StreamLimits, self._call(lambda: StreamLimits(0.001, 1.0)))
+
+    def start_track(self, expected_M: Any, interval_s: float, lost: Any, received: Any) -> None:
         self._call(lambda: None)
 
     def end_track(self) -> str:
@@ -157,5 +167,6 @@ def test_a_monitor_can_do_what_its_tracker_can() -> None:
     monitor = monitored(as_tracker(Streaming()))
     assert isinstance(monitor, StreamingTracker)
     monitor.start_track(np.zeros(3), 0.01, lambda error: None)
+    assert stream_of(monitor) is monitor
     assert monitor.end_track() == "a track"  # type: ignore[comparison-overlap]
     assert monitor.data_age_s() == 0.0

@@ -166,7 +166,7 @@ def test_a_path_that_cannot_be_driven_is_not_driven(run: RunFile, cells: list[An
 
 
 def test_a_tracker_that_cannot_follow_measures_at_rest(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(following, "StreamingTracker", JobControl)
+    monkeypatch.setattr(following, "stream_of", lambda tracker: None)
     (path,) = follow_run(run, [spec()], driving="verify").paths
     assert path.driven is not None
     assert (path.driven.moving, path.driven.judged, path.driven.verdict) == (None, "at rest", "cannot say")

@@ -149,7 +149,7 @@ def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discov
 
 def a_term() -> EffectTerm:
     """A pull of joint 2."""
-    law = EFFECTS[HOSE].law("taut", {"slack": 1.0})
+    law = EFFECTS[HOSE].law("own", {"slack": 1.0})
     return EffectTerm(HOSE, ("pull2",), np.array([3e-4]), np.array([1e-6]), ("rad/rad",), law)
 
 

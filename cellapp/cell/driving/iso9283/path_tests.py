@@ -34,7 +34,7 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.timing import Trajectory
 from drivers.arms.protocol import PathFollower
-from drivers.trackers.protocol import StreamingTracker, TrackerError
+from drivers.trackers.protocol import TrackerError, stream_of
 
 _CLOSE = 2000
 """Points of the commanded zigzag."""
@@ -83,7 +83,7 @@ class PathTests:
 
     def _refusal(self, name: str) -> str:
         """Why no path of an arm can be measured; empty if they can."""
-        if not isinstance(self.cell.tracker, StreamingTracker):
+        if stream_of(self.cell.tracker) is None:
             return "this tracker's driver cannot measure a moving SMR"
         if not isinstance(self.cell.arms[name], PathFollower):
             return f"the driver of arm {name} cannot follow a stream of joint positions"

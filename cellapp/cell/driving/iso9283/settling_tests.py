@@ -20,7 +20,7 @@ from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme
 from cellapp.ground.control import JobControl
 from cellapp.ground.profile import Profile
-from drivers.trackers.protocol import StreamingTracker, TrackerError
+from drivers.trackers.protocol import StreamingTracker, TrackerError, stream_of
 
 NO_STREAM = "this tracker's driver cannot measure a moving SMR"
 _INTERVAL_S = 0.005
@@ -46,8 +46,8 @@ class SettlingTests:
 
     def drive(self, name: str, commands: tuple[IsoCommands, ...]) -> None:
         """Record the motions of an arm with each kind of commands; why they cannot be recorded is kept."""
-        tracker = self.cell.tracker
-        if not isinstance(tracker, StreamingTracker):
+        tracker = stream_of(self.cell.tracker)
+        if tracker is None:
             self.findings.refuse(name, ["stabilisation"], NO_STREAM)
             return
         for kind in commands:
