@@ -196,8 +196,8 @@ class NestsResult(Record):
     """Several SMRs on a flange.
 
     ``found`` are the nests by name. Of so many ``stops``, some are ``with_orientation``, which is known to
-    ``orientation_mrad`` about each axis; those ``left_out`` had neither the first nest nor three others. ``noise_mm``
-    is the scatter of a coordinate about the rigid figure of the nests.
+    ``orientation_mrad`` about the axis that is known least; those ``left_out`` had neither the first nest nor three
+    others. ``noise_mm`` is the scatter of a coordinate about the rigid figure of the nests.
     """
 
     found: Mapping[str, NestEstimate]
