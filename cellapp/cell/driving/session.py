@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import TypeVar
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell, start_tracker
 from cellapp.cell.driving.details import missed_sentence, point_measured, record_sentence, state_of
+from cellapp.cell.driving.driven_sweep import SweepDriver
 from cellapp.cell.driving.forbidden import forbidden_stops
 from cellapp.cell.driving.measuring import SmrMeasurement
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
@@ -93,7 +95,10 @@ class CollectSession:
         if self.work.again:  # the model is to judge them anew
             stored = {name: its.take(~np.isin(its.configuration, self.work.stops)) for name, its in stored.items()}
         self._model = LiveModel(profile, self.work.plan, stored, self._log)
-        self._sweeps = Sweeps(self.run, self.cell, self.bodies, self.number, self._note)
+        driver = SweepDriver(
+            self.cell, self._mover, self.bodies, self.reaction, self.control, 1.0 / self._settings.motion_rate
+        )
+        self._sweeps = Sweeps(self.run, driver, self.number, self._note, self._say)
         self._travel = Travel(profile, self._mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None
@@ -115,7 +120,7 @@ class CollectSession:
         """
         self._with_recovery(self._wait_for_tracker)
         self._with_recovery(self._leave_out_forbidden_stops)
-        if self._queue.next() is None:
+        if self._queue.next() is None and not self._sweeps.stops:
             return "complete"
         self._with_recovery(self._confirm_first_motion)
         self._with_recovery(self._warm_up)
@@ -123,9 +128,15 @@ class CollectSession:
         while (stop := self._queue.next()) is not None:
             self._emit(note=f"stop {stop + 1}")
             self._with_recovery(self._measure_references)
-            if self._with_recovery(self._visit_next):
+            accurate = self._with_recovery(self._visit_next)
+            if self._queue.next() != stop and stop in self.run.stops_done():  # neither deferred nor left out
+                self._with_recovery(partial(self._sweep, stop))
+            if accurate:
                 end = "accurate enough"
                 break
+        else:
+            for stop in () if self.work.again else self._sweeps.stops:  # of stops of an earlier session
+                self._with_recovery(partial(self._sweep, stop))
         self._queue.close()
         self._until_reference = 0
         self._with_recovery(self._measure_references)
@@ -167,8 +178,6 @@ class CollectSession:
         rows, outcomes, further = self._measure(stop, states)
         self._store(stop, rows, outcomes, further)
         self._queue.done()
-        if recorded := self._sweeps.at_stop(stop, self.work.targets(stop), self._supervisor.checkpoint):
-            self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded)} are recorded")
         if outcomes and self._queue.replace() is not None:  # stops that are measured again have no reserves
             self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
         self._travel.stop_visited()
@@ -176,6 +185,25 @@ class CollectSession:
         self._report(stop, rows)
         self._check_missed(rows)
         return not self.work.again and self._model.accurate_enough(self._queue.finished)
+
+    def _sweep(self, stop: int) -> None:
+        """Record the sweeps that are left about a stop, the arms resting at it; stops that were left out have none."""
+        if stop not in self._sweeps.stops or stop in self._forbidden:
+            return
+        at = self.work.targets(stop)
+        try:
+            if not self._mover.rests_at(at):
+                self._travel.to_stop(stop)
+            recorded = self._sweeps.at_stop(stop, at, self._supervisor.checkpoint)
+        except MotionRefused as error:
+            self._sweeps.leave_out(stop, str(error))
+        except (TargetLost, WrongTarget) as error:
+            self._sweeps.leave_out(stop, str(error))
+        else:
+            self._say(f"stop {stop + 1}: sweeps of {' and '.join(recorded) or 'no arm'} are recorded")
+
+    def _say(self, text: str) -> None:
+        self._emit(note=text)
 
     def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
         """Refit the running model and say what it shows; suspicions are logged."""

@@ -60,8 +60,8 @@ def replace_stop(
     with run.change() as connection:
         for arm, readings in batches.items():
             split = _set_aside(connection, arm, stop)
-            kept = readings if split is None else replace(readings, split=split * len(readings))
-            insert_readings(connection, arm, kept)
+            its = None if split is None else split * len(readings)
+            insert_readings(connection, arm, readings if its is None else replace(readings, split=its))
         for outcome in outcomes:
             if not _has_reading(connection, outcome.arm, stop):
                 insert_outcome(connection, outcome)
