@@ -274,7 +274,8 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         identified=identification.estimated.names,
         covariance=identification.estimated_covariance,
     )
-    its, geometries = measured_quantities(held_out), {"nominal": nominal, "geometry": identification.geometry}
+    its = measured_quantities(held_out)
+    geometries: dict[Stage, Geometry] = {"nominal": nominal, "geometry": identification.geometry}
     stages: dict[Stage, StageErrors] = {
         stage: evaluate_quantities(its, smr_positions(geometry, its.readings.q, its.R_M_S))
         for stage, geometry in geometries.items()

@@ -230,8 +230,8 @@ class NestsResult(Record):
     """Several SMRs on a flange.
 
     ``found`` are the nests by name. Of so many ``stops``, some are ``with_orientation``, which is known to
-    ``orientation_mrad`` about each axis; those ``left_out`` had neither the first nest nor three others. ``noise_mm``
-    is the scatter of a coordinate about the rigid figure of the nests.
+    ``orientation_mrad`` about the axis that is known least; those ``left_out`` had neither the first nest nor three
+    others. ``noise_mm`` is the scatter of a coordinate about the rigid figure of the nests.
     """
 
     found: Mapping[str, NestEstimate]
@@ -247,7 +247,8 @@ class ArmCalibrationResult(Record):
 
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
     those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
-    uncertainty, ``tracker_mm`` the rms length of the stated noise. Where an earlier calibration was taken as ``prior``,
+    uncertainty, ``excess_mrad`` that of an orientation where it was measured, ``tracker_mm`` the rms length of the
+    stated noise. Where an earlier calibration was taken as ``prior``,
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
@@ -266,6 +267,7 @@ class ArmCalibrationResult(Record):
     observability: Mapping[str, float | None]
     scatter: Scatter
     excess_mm: float | None = None
+    excess_mrad: float | None = None
     degrees_of_freedom: int
     splits: Mapping[str, int]
     tracker_mm: float | None = None
@@ -278,7 +280,7 @@ class ArmCalibrationResult(Record):
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
     nests: NestsResult | None = None
-    omitted_when_none = frozenset({"prior", "clocks", "motion", "nests"})
+    omitted_when_none = frozenset({"excess_mrad", "prior", "clocks", "motion", "nests"})
 
     @property
     def best_stage(self) -> Stage:
