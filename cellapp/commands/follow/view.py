@@ -140,33 +140,19 @@ def _distances(paths: list[PathRecord]) -> Table:
 
 
 def _in_time(paths: list[PathRecord]) -> Table:
-    columns = (
-        Column("path"),
-        number_column("later", ".2f", "ms"),
-        number_column("U", ".2f", "ms"),
-        number_column("off then, rms", ".3f", "mm"),
-        number_column("largest", ".3f", "mm"),
-        number_column("speed", ".2f", "mm/s"),
-        number_column("measured", ".2f", "mm/s"),
-        number_column("U of it", ".2f", "mm/s"),
-        number_column("fluctuation", ".2f", "mm/s"),
+    return table_of(
+        "In time: delay, which is taken out, and speed",
+        [(path.name, path.driven.in_time) for path in paths if path.driven and path.driven.in_time],
+        ("path", lambda one: one[0]),
+        ("later", lambda one: one[1].delay_ms, ".2f", "ms"),
+        ("U", lambda one: one[1].delay_expanded_ms, ".2f", "ms"),
+        ("off then, rms", lambda one: one[1].rms_mm, ".3f", "mm"),
+        ("largest", lambda one: one[1].largest_mm, ".3f", "mm"),
+        ("speed", lambda one: one[1].speed_mm_s, ".2f", "mm/s"),
+        ("measured", lambda one: one[1].mean_mm_s, ".2f", "mm/s"),
+        ("U of it", lambda one: one[1].expanded_mm_s, ".2f", "mm/s"),
+        ("fluctuation", lambda one: one[1].fluctuation_mm_s, ".2f", "mm/s"),
     )
-    found = [(path.name, path.driven.in_time) for path in paths if path.driven and path.driven.in_time]
-    rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (
-            name,
-            one.delay_ms,
-            one.delay_expanded_ms,
-            one.rms_mm,
-            one.largest_mm,
-            one.speed_mm_s,
-            one.mean_mm_s,
-            one.expanded_mm_s,
-            one.fluctuation_mm_s,
-        )
-        for name, one in found
-    )
-    return Table("In time: delay, which is taken out, and speed", columns, rows)
 
 
 def _measured(path: PathRecord) -> bool:

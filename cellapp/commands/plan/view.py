@@ -38,7 +38,7 @@ def view(
     planned = () if result.stops else ("no stops are planned",)
     design = result.design
     told: tuple[Table | str, ...] = () if design is None else (*design_tables(design), *design_sentences(design))
-    swept = (*sweep_tables(result.sweeps), *sweep_sentences(result.sweeps))
+    swept: tuple[Table | str, ...] = (*sweep_tables(result.sweeps), *sweep_sentences(result.sweeps))
     return View((*plan_tables(result), *planned, *told, *swept))
 
 
