@@ -25,6 +25,7 @@ from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import Problem, Solution, solve
 from cellapp.estimation.motion.identify import RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.lines import line_powers
+from cellapp.estimation.motion.loops import Loop, loops
 from cellapp.estimation.motion.noise import whitening_filter
 from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.records import MotionFit
@@ -104,7 +105,8 @@ class MotionEffect:
 class MotionDiscovery:
     """The fit with all effects that were found, in the order in which they entered, and the errors without any.
 
-    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``.
+    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``; ``loops`` are those of
+    the joints that show lost motion.
     """
 
     fit: MotionFit
@@ -112,6 +114,7 @@ class MotionDiscovery:
     heldout_before_mm: float
     heldout_after_mm: float
     covariance: Array = field(repr=False)
+    loops: tuple[Loop, ...] = ()
 
     def lags_s(self, joints: int) -> Array:
         """Lag of each joint (N,) behind the mean of all [s]; zero where none shows."""
@@ -183,7 +186,9 @@ class _Search:
         at_rest = [term for law in laws_at_rest for term in _shown(final, law, steps)]
         places = [*range(final.problem.layout.geometric), *_places(final, at_rest)]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
-        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance)
+        lost = {joint for one in effects if Law(one.slug) in (Law.PLAY, Law.WINDUP) for joint in one.joints}
+        drawn = loops(final.problem, final.solution, sorted(lost))
+        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, drawn)
 
     def _with_exact_counts(self, state: _State, steps: list[_Step]) -> tuple[_State, list[_Step]]:
         """Lines at the counts that are best beside all other terms: the first ones entered before these were known.
