@@ -23,6 +23,7 @@ from cellapp.commands.discover.words import (
     contradiction_sentences,
     description_sentences,
     misfit_sentences,
+    orientation_sentences,
     picture_words,
     remainder_sentences,
     rival_sentences,
@@ -120,6 +121,7 @@ def _remarks(arm: ArmDiscoveryResult) -> list[str]:
     possible = also_possible(arm)
     hidden = [f"{one.effect} ({short_reason(one.reason)})" for one in arm.invisible]
     return [
+        *orientation_sentences(arm),
         *contradiction_sentences(arm),
         *_motion_sentences(arm),
         *rival_sentences(arm),

@@ -43,7 +43,7 @@ KEYS: Mapping[str, Key] = {
     "import": Key("i", "i", "take from elsewhere: readings, an earlier run, the file of a certificate"),
     "save": Key("w", "w", "save what is shown: a list, tables, the log"),
     "copy": Key("y", "y", "copy what is shown or marked"),
-    "add": Key("plus,insert", "+", "add: a profile, stops, a target, a key that signs"),
+    "add": Key("plus,insert", "+", "add: a profile, stops, a target, a key that signs, a network from all readings"),
     "remove": Key("minus,delete", "-", "remove the row"),
     "mark": Key("space", "Space", "mark the row"),
     "undo": Key("ctrl+z", "Ctrl+Z", "take back the last edit"),
