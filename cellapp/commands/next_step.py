@@ -47,7 +47,7 @@ def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> 
 def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> NextVerb:
     if not any(arm.measured or arm.recorded for arm in arms.values()):
         return "collect" if any(arm.planned for arm in arms.values()) else ""  # a run of tests alone has no plan
-    sessions = run.sessions()
+    sessions = [one for one in run.sessions() if not one.again]
     ended = sessions[-1].outcome if sessions else None
     if ended == "complete" and _has_new_stops(run):
         return "collect"

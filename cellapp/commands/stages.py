@@ -376,9 +376,15 @@ def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
 
 
 def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, ReadingsBasis]) -> list[str]:
-    before, after = (sum(arm.n for arm in arms.values()) for arms in (then, now))
-    if after > before:
-        return [f"{counted(after - before, 'reading was', 'readings were')} added since"]
+    before, after = (
+        (sum(arm.n for arm in arms.values()), sum(arm.again for arm in arms.values())) for arms in (then, now)
+    )
+    changes = zip(("added", "measured again"), before, after, strict=True)
+    more = [
+        f"{counted(new - old, 'reading was', 'readings were')} {what} since" for what, old, new in changes if new > old
+    ]
+    if more:
+        return more
     same = then.keys() == now.keys() and all(now[name].is_same(arm) for name, arm in then.items())
     return [] if same else ["the readings or their splits were changed since"]
 

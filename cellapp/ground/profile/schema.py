@@ -47,6 +47,9 @@ from drivers.trackers.settings import TrackerSettings
 VERSION = 1
 """Version of the profile's format; ``Profile.version`` accepts this one only."""
 
+CellKind = Literal["simulated", "emulated", "real", "none"]
+"""What moves in a cell: simulated arms, controllers emulated on this computer, real arms, or nothing (imported)."""
+
 CellPoint = tuple[CellLength, CellLength, CellLength]
 
 _ROUNDING_RAD = 1e-9
@@ -317,6 +320,16 @@ class Profile(Section, defer_build=True):
     def moves_hardware(self) -> bool:
         """Whether a motion in this cell moves a real arm."""
         return any(arm.driver.moves_hardware for arm in self.arms.values())
+
+    @property
+    def cell_kind(self) -> CellKind:
+        """What moves in this cell: real arms if any arm is real, simulated ones if all are simulated."""
+        drivers = [arm.driver for arm in self.arms.values()]
+        if self.moves_hardware:
+            return "real"
+        if not any(driver.has_device for driver in drivers):
+            return "none"
+        return "simulated" if all(driver.needs_plant for driver in drivers) else "emulated"
 
     @property
     def is_simulated(self) -> bool:

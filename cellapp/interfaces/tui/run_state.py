@@ -215,7 +215,8 @@ def run_state(workspace: Workspace, record: JobRecord, running: Job | None = Non
 
 def _outcome(workspace: Workspace) -> str:
     collection = workspace.collection
-    return "" if collection is None else collection.sessions[-1].outcome or ""
+    last = None if collection is None else collection.last
+    return "" if last is None else last.outcome or ""
 
 
 def drift_exceeded(workspace: Workspace) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import shutil
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 from textual.pilot import Pilot
+from textual.widgets import Static
 
 from cellapp.cell.run import ReferenceRow, RunFile
+from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.plan.run import plan_new_run
 from cellapp.commands.record import Verb
@@ -576,6 +579,44 @@ async def test_a_click_on_a_residual_puts_the_cursor_on_its_stop(measured_run: P
         assert stops.chosen is not None
         assert stops.chosen.arm == "right"
         assert stops_of(app)[stops.table.cursor_row][:2] == ("12", "right")
+
+
+async def test_marked_stops_are_measured_again_after_a_question(measured_run: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(measured_run, tmp_path / "again"))
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(120, 40)) as pilot:
+        await show_stops(pilot, app, run)
+        await pilot.press("s", "s", "f", "space")  # the gross error alone
+        assert stops_of(app)[0][0] == "* 12"
+        assert "1 stop is marked: r measures them again." in " ".join(shown_text(app).split())
+        await pilot.press("r")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        assert isinstance(app.screen, Choice)
+        asked = "Measure 1 stop again, all arms: 12. The readings before are kept and not used"
+        assert asked in str(app.screen.query_one(".text", Static).content)
+        await pilot.press("n")
+        assert not app.jobs.running
+        await pilot.press("r", "b")
+        await until(pilot, lambda: app.record.name == "collect again", "the job")
+        await ended(pilot, app)
+        stops = app.day_screen.query_one(CollectedStops)
+        await until(pilot, lambda: not stops.table.row_count, "the stops as they are now, none suspicious")
+        await pilot.press("f")
+        rows = [row for row in stops_of(app) if row[0] == "12"]
+        assert [row[5] for row in rows] == ["again", "again"]
+    with RunFile.open(run) as opened:
+        assert [one.again for one in opened.sessions()] == ["", "12"]
+        assert earlier_readings(opened, "right").readings.configuration.tolist() == [11]
+
+
+async def test_without_a_mark_the_stop_under_the_cursor_is_proposed(measured_run: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_stops(pilot, app, measured_run)
+        await pilot.press("down", "down", "space", "space", "r")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        assert isinstance(app.screen, Choice)
+        assert "all arms: 2." in str(app.screen.query_one(".text", Static).content)
 
 
 async def test_without_a_collection_the_stops_say_why() -> None:

@@ -85,6 +85,8 @@ and what you can do now. **{go}** begins, or goes on with what is left; real arm
 - **{tab}** goes from the log to the plots, the stops and the tables of what is stored; **{plots}** shows the plots.
 - Stops one by one: **{sort}** sorts by the next column, **{filter}** shows only suspicious ones. The plot marks the
   residual of the row under the cursor; **{before}** and **{after}** go to another stop, there and in the plots.
+- **{mark}** marks a stop, **{again}** measures the marked ones again, all arms, as they were planned. What was measured
+  before is kept and not used; a calibration is out of date then.
 
 Log: up and down choose a line, with Shift more; **End** follows the newest line.
 """
@@ -92,6 +94,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Begin", "measure the stops that are left: THE ARMS MOVE"),
         bind("drift", "accept_drift", "Accept drift", "count drift from new first measurements, and resume"),
+        bind("again", "measure_again", "Measure again", "visit the marked stops again: THE ARMS MOVE", show=False),
         bind("plots", "view('plots')", "Plots", "show the plots; again: the next one"),
         bind("tab", "next_tab", "Next tab", "from the log to the plots, the stops, the tables"),
         bind("search", "search", "Search", "search in the log"),
@@ -177,7 +180,9 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         idle, state = not self.cell_app.jobs.running, self.state
         free = idle and state.left > 0 and not (state.in_use or state.read_only or state.no_run)
         drift = free and state.drift if idle else holds_for_drift(self.cell_app.record)
-        return {"begin": free, "accept_drift": drift}.get(action, True)
+        again = idle and not (state.in_use or state.read_only or state.no_run)
+        again = again and self.has_class("stops") and bool(self.query_one(CollectedStops).again)
+        return {"begin": free, "accept_drift": drift, "measure_again": again}.get(action, True)
 
     def action_begin(self) -> None:
         """Collect the planned run that is open, or what an interrupted one lacks."""
@@ -195,13 +200,22 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         what = f"{counted(self.state.left, 'stop')}; drift of the references counts from new first measurements"
         self._collect("Accept the drift and resume?", what, resume=True, accept_drift=True)
 
-    def _collect(self, title: str, what: str, *, resume: bool, accept_drift: bool = False) -> None:
+    def action_measure_again(self) -> None:
+        """Measure the marked stops again, or the one under the cursor."""
+        stops = self.query_one(CollectedStops).again
+        listed = ", ".join(str(stop + 1) for stop in stops)
+        what = f"{counted(len(stops), 'stop')} again, all arms: {listed}. The readings before are kept and not used"
+        if self.state.stored == "calibrated":
+            what += "; what was calibrated with them is out of date then"
+        self._collect("Measure again?", what, again=listed.replace(" ", ""))
+
+    def _collect(self, title: str, what: str, **asked: bool | str) -> None:
         """Ask, then start. Real arms ask themselves, with the first path, before they move."""
         folder, kind = self.workspace.folder, self.workspace.kind
         if folder is None:
             return
-        job = jobs.job_of(COLLECT, folder=folder, resume=resume, accept_drift=accept_drift)
-        if kind == "real" and not accept_drift:
+        job = jobs.job_of(COLLECT, folder=folder, **asked)
+        if kind == "real" and not {"accept_drift", "again"} & asked.keys():
             self.start(job)
             return
         moves = arms_words(self.workspace) + (", after one more question" if kind == "real" else "")
