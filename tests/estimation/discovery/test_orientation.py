@@ -28,7 +28,7 @@ SOFT = 1e-6
 
 
 def turned_arm(n, seed):
-    """An arm whose last joint errs twice a turn, with the probe's origin on its axis, where points see nothing of it."""
+    """An arm whose last joint errs twice a turn, with the probe's origin on its axis: points see nothing of it."""
     rng = np.random.default_rng(seed)
     nominal = nominal_arm(twin().arms["left"])
     T_M_B = np.eye(4)
