@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from cellapp.commands.calibrate.network_view import batches_words
 from cellapp.commands.calibrate.view import MM, merged_words
 from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
@@ -117,7 +118,12 @@ def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
             if arm.network is None
             else f"{arm.network.left_out_rms_mm:.4f}, without a network {arm.network.without_rms_mm:.4f}"
         ),
+        "network from all readings": _of_all_words(arm.network),
     }
+
+
+def _of_all_words(network: NetworkResult | None) -> str:
+    return "not asked for" if network is None or network.batches is None else batches_words(network.batches)
 
 
 def _network_words(network: NetworkResult | None) -> str:
@@ -142,7 +148,9 @@ def network_tables(calibrate: CalibrateResult) -> list[Table]:
 
 
 def _network_shape(network: NetworkResult | NetworkTrial) -> str:
-    inputs = {"sincos": "sines and cosines", "angles": "scaled angles"}[network.inputs]
+    inputs = {"sincos": "sines and cosines", "angles": "scaled angles", "both": "angles, sines and cosines"}[
+        network.inputs
+    ]
     turning = ", rotating with joint 1" if network.turning else ""
     return f"{inputs}, {' + '.join(str(width) for width in network.hidden)}{turning}"
 

@@ -20,8 +20,8 @@ from cellapp.estimation.calibration.gross_errors import (
     left_out_words,
     without,
 )
+from cellapp.estimation.calibration.learning import learning_steps
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
-from cellapp.estimation.calibration.network_training import training_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import measured_quantities, states_nothing
 from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
@@ -118,12 +118,12 @@ def discover_cell(
 
 def _total_steps(profile: Profile, arms: int) -> int:
     """Steps that discovery reports: search of every arm, training where it may be needed, and the pair."""
-    training = training_steps() if _may_train(profile) else 0
+    training = learning_steps(profile.network) if _may_train(profile) else 0
     return (SEARCH_STEPS + training) * arms + 1
 
 
 def _may_train(profile: Profile) -> bool:
-    return profile.network.kind == "mlp" and profile.discovery.network != "never"
+    return profile.network.kind != "none" and profile.discovery.network != "never"
 
 
 def _discover_arms(
@@ -152,7 +152,7 @@ def _discover_arms(
         for name, discovery in found.items():
             report = trained.part(f"arm {name}")
             if not needs_network(profile, discovery):
-                report(training_steps(), "no network is needed")
+                report(learning_steps(profile.network), "no network is needed")
                 continue
             report(0, "residual network beside the effects")
             good = ~np.isin(readings[name].configuration, discovery.result.left_out_configurations)
