@@ -28,6 +28,7 @@ from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.record import Request
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
+from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
@@ -110,11 +111,9 @@ tables; chapter *exports*.
 
     def action_begin(self) -> None:
         """Calibrate the run that is open."""
-        folder, results = self.open_folder(), self.workspace.results
-        if folder is not None:
-            found = None if results is None else results.calibrate
+        if folder := self.open_folder():
             job = work.job_of(request.VERB, folder=folder)
-            offer_again(self, "Calibrate again?", found, CALIBRATE, partial(self.start, job))
+            offer_again(self, "Calibrate again?", self._result, CALIBRATE, partial(self.start, job))
 
     def action_begin_with_prior(self) -> None:
         """Ask for an earlier run, and calibrate the run that is open with it as prior."""
@@ -127,7 +126,12 @@ tables; chapter *exports*.
                 self.start(work.job_of(request.VERB, folder=folder, prior=path.parent))
 
         title = f"{FILE_NAME} of the earlier run of the same arms"
-        self.app.push_screen(FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME), begin)
+        picker = FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME)
+
+        def ask() -> None:
+            self.app.push_screen(picker, begin)
+
+        offer_again(self, "Calibrate again, with a prior?", self._result, CALIBRATE, ask)
 
     def action_other_arm(self) -> None:
         """Show the next arm."""
@@ -180,12 +184,17 @@ tables; chapter *exports*.
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
+    @property
+    def _result(self) -> CalibrateResult | None:
+        results = self.workspace.results
+        return None if results is None else results.calibrate
+
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the calibration of the run."""
         if workspace is self._drawn:
             return
         self._drawn = workspace
-        result = None if workspace.results is None else workspace.results.calibrate
+        result = self._result
         tables, parameters = (
             self.query_one("#stage-tables", TablesView),
             self.query_one("#parameter-tables", TablesView),

@@ -127,6 +127,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1;
     }
     CollectScreen.-wide #plots ChartPlot { display: block; }
+    CollectScreen.-wide #plots ChartPlot.empty { display: none; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
     CollectScreen.stops #stops { display: block; }
     CollectScreen.-wide.plots #plots { width: 65%; }
@@ -330,7 +331,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             self.query_one(CollectedStops).show(state)
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
-            self.action_view("log" if workspace.collection is None else "collected")
+            self.action_view("log" if workspace.collection is None else "stops")
             if workspace.folder is not None:
                 self._read_log(workspace.folder)
 
@@ -358,7 +359,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
         """A job was begun: its log is what people look at."""
         self.query_one(LogPane).show_session(record)
-        if self.has_class("collected"):
+        if self.has_class("collected") or self.has_class("stops"):
             self.action_view("log")
         self._job = job
         self._opened = job.folder or self._opened  # what it stores is heard already
@@ -417,8 +418,10 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
                 self._plot_waits = True
                 self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
                 break
-        empty = all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot))
-        self.set_class(empty, "unplotted")
+        empty = {plot: plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot)}
+        for plot, nothing in empty.items():
+            plot.set_class(nothing, "empty")
+        self.set_class(all(empty.values()), "unplotted")
 
     @on(CollectedStops.Chosen)
     def mark_chosen(self) -> None:
