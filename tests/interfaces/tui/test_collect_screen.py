@@ -434,12 +434,20 @@ async def test_a_job_that_holds_for_a_drift_is_resumed_by_accepting_it() -> None
         await finished(pilot, app, held)
 
 
+async def show_tables(pilot: Pilot[None], app: CellApp, run: Path) -> None:
+    """What a run stores; it opens on the stops one by one."""
+    await show_collect(pilot, app, run)
+    await until(pilot, lambda: app.screen.has_class("stops"), "the stops")
+    await pilot.press("t")
+    await until(pilot, lambda: "Sessions of collecting" in shown_text(app), "the tables")
+
+
 async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> None:
     run = drifted_run(Path("logs/part"), 0.0)
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
-        await show_collect(pilot, app, run)
-        await until(pilot, lambda: "Sessions of collecting" in shown_text(app), "the tables")
+        await show_tables(pilot, app, run)
+        assert "Sessions of collecting" in shown_text(app)
         assert "failed" in shown_text(app)
         await pilot.press("t")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log")
@@ -460,8 +468,8 @@ async def test_missing_readings_are_listed_with_their_reasons() -> None:
     run = collected_run(Path("logs/part"), "stopped")
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
-        await show_collect(pilot, app, run)
-        await until(pilot, lambda: "Missing readings: 4" in shown_text(app), "the tables")
+        await show_tables(pilot, app, run)
+        assert "Missing readings: 4" in shown_text(app)
         assert "the session ended before" in shown_text(app)
 
 
