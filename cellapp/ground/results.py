@@ -130,7 +130,7 @@ class ErrorResult(Result):
 
 
 class ErrorSummary(Record):
-    """Statistics of n error magnitudes [mm]; ``mean_ci95`` is a bootstrap 95 % interval of the mean."""
+    """Statistics of n error magnitudes [mm, mrad]; ``mean_ci95`` is a bootstrap 95 % interval of the mean."""
 
     mean: float
     rms: float
@@ -155,13 +155,15 @@ class StageErrors(Record):
     """Held-out errors of one model of an arm: absolute, and ISO 9283 distance errors of all pairs of points.
 
     With a ball in sockets, a position error is the distance of its centre from the mean of all readings of its point,
-    and ``gauge_mm`` are the errors of known distances between these points.
+    and ``gauge_mm`` are the errors of known distances between these points. ``orientation_mrad`` are the angles between
+    measured and computed orientations, of a probe that measures them.
     """
 
     position_mm: ErrorSummary
+    orientation_mrad: ErrorSummary | None = None
     distance_mm: ErrorSummary | None = None
     gauge_mm: GaugeErrors | None = None
-    omitted_when_none = frozenset({"distance_mm", "gauge_mm"})
+    omitted_when_none = frozenset({"orientation_mrad", "distance_mm", "gauge_mm"})
 
 
 class Estimate(Record):

@@ -31,6 +31,12 @@ def available(*names: str) -> tuple[int, ...]:
     return tuple(int(getattr(signal, name)) for name in names if hasattr(signal, name))
 
 
+INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
+"""What ends a program on request."""
+HANGUP = available("SIGHUP")
+"""The terminal was closed. It may come twice: once from the system, once from the shell."""
+
+
 def ended_by(number: int) -> str:
     """Return what a run records as the cause of a stop by a signal that ends the program and is no key of a person."""
     name = signal.Signals(number).name

@@ -57,6 +57,15 @@ def checked_path(
     return path
 
 
+def driven(path: NDArray[np.float64], reached: float) -> NDArray[np.float64]:
+    """The part of ``path`` (m, N) that an arm followed; it came to rest at row ``reached``, which is the last one."""
+    if reached >= len(path) - 1:
+        return path
+    last = int(reached)
+    share = reached - last
+    return np.concatenate([path[: last + 1], ((1.0 - share) * path[last] + share * path[last + 1])[None]])
+
+
 def _refuse(name: str, wrong: NDArray[np.bool_], values: NDArray[np.float64], what: str, problem: str) -> None:
     if wrong.any():
         row, joint = (int(k) for k in np.argwhere(wrong)[0])

@@ -5,6 +5,7 @@ Joint vectors are read from the controller, shape (N,), radians. Every call retu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -279,10 +280,13 @@ class FollowedPath:
         Since the first position was sent [s].
     q : array, shape (m, N)
         Joint positions from the controller's encoders [rad].
+    reached : float
+        Row of the path at which the arm came to rest, between two rows too; inf: at its end.
     """
 
     time_s: NDArray[np.float64]
     q: NDArray[np.float64]
+    reached: float = math.inf
 
 
 @runtime_checkable
@@ -299,6 +303,12 @@ class PathFollower(Protocol):
         ``wait_settled`` waits for the end; everything that ends a motion ends the stream: ``brake`` and ``stop`` from
         any thread, a fault, a lost link, a computer that is late. Raises as ``Arm.start_move`` does, ``LimitExceeded``
         also where the arm is not at the beginning, or a step is faster than the limits allow.
+        """
+
+    def end_path(self) -> None:
+        """Slow down along the path in about a second, and come to rest on it; ``wait_settled`` returns then.
+
+        From any thread; harmless when no path is being followed. The arm stays ready to move. Raises ``LinkLost``.
         """
 
     def followed(self) -> FollowedPath:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arms.path_checks import checked_path
+from drivers.arms.path_end import slowed
 from drivers.arms.protocol import (
     ArmError,
     ArmIdentity,
@@ -24,6 +25,7 @@ from drivers.arms.protocol import (
     ProtectiveStop,
     Tool,
 )
+from drivers.arms.recording import JointRecord
 from drivers.plant import Plant
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
 
@@ -57,6 +59,9 @@ class SimulatedArm:
         self._listener: DoubtListener = lambda error: None
         self._stream: NDArray[np.float64] | None = None
         """The positions that are being streamed; another array, or None, once this has ended."""
+        self._sent = 0
+        self._reached = math.inf
+        self._record: list[tuple[float, NDArray[np.float64], NDArray[np.float64]]] | None = None
         self._stream_end_s = 0.0
         self._followed: list[tuple[float, NDArray[np.float64]]] = []
 
@@ -213,7 +218,7 @@ class SimulatedArm:
         limits = JointLimits(self._config.limits, self._config.speed, self._config.acceleration)
         path = checked_path(self._name, q, period_s, CYCLE_S, limits, here)
         self._cut_short = False
-        self._stream, self._followed = path, []
+        self._stream, self._followed, self._reached = path, [], math.inf
         self._stream_end_s = self._plant.clock_s + len(path) * CYCLE_S
         self._send(path, 0, self._plant.clock_s)
 
@@ -222,16 +227,60 @@ class SimulatedArm:
         if self._stream is not path:
             return
         self._followed.append((self._plant.clock_s - began_s, self._plant.q(self._name)))
+        self._sent = row
         if row == len(path):
             self._stream = None
             return
         self._plant.servo(self._name, path[row], servo_rate(LOOKAHEAD_S, GAIN))
         self._plant.schedule.at(began_s + (row + 1) * CYCLE_S, lambda: self._send(path, row + 1, began_s))
 
+    def end_path(self) -> None:
+        """Slow down along the path; harmless when none is being followed."""
+        path = self._stream
+        if path is None or math.isfinite(self._reached):
+            return
+        sent = self._sent + 1  # the row of this cycle was sent
+        tail, self._reached = slowed(path.tolist(), sent, CYCLE_S)
+        began_s = self._stream_end_s - len(path) * CYCLE_S
+        rest = np.concatenate([path[:sent], np.array(tail)])
+        self._stream, self._stream_end_s = rest, began_s + len(rest) * CYCLE_S
+        self._plant.schedule.at(began_s + sent * CYCLE_S, lambda: self._send(rest, sent, began_s))
+
     def followed(self) -> FollowedPath:
         """Return where the joints were in each cycle of the last path."""
         times = np.array([time_s for time_s, _ in self._followed])
-        return FollowedPath(times, np.array([q for _, q in self._followed]).reshape(len(times), self._config.joints))
+        q = np.array([q for _, q in self._followed]).reshape(len(times), self._config.joints)
+        return FollowedPath(times, q, self._reached)
+
+    # -- recording ----------------------------------------------------------------------------------------------------
+
+    def start_recording(self) -> None:
+        """Keep the joints of each control cycle, while others let the plant's time pass."""
+        self._link()
+        record: list[tuple[float, NDArray[np.float64], NDArray[np.float64]]] = []
+        self._record = record
+        self._keep(record, self._plant.clock_s, 0)
+
+    def _keep(
+        self, record: list[tuple[float, NDArray[np.float64], NDArray[np.float64]]], began_s: float, number: int
+    ) -> None:
+        """Keep one sample and enter the next into the plant's schedule."""
+        if self._record is not record:
+            return
+        record.append((self._plant.clock_s, self._plant.q(self._name), self._plant.speeds(self._name)))
+        self._plant.schedule.at(began_s + (number + 1) * CYCLE_S, lambda: self._keep(record, began_s, number + 1))
+
+    def pulse(self) -> bool:
+        """A simulated arm has no output."""
+        return False
+
+    def end_recording(self) -> JointRecord:
+        """Return all samples."""
+        self._link()
+        record, self._record = self._record or [], None
+        shape = (len(record), self._config.joints)
+        q, qd = (np.array([one[place] for one in record]).reshape(shape) for place in (1, 2))
+        return JointRecord(np.array([one[0] for one in record]), q, qd, CYCLE_S)
 
     def wait_settled(self, timeout_s: float) -> ArmState:
         """Advance until the arm was at rest for ``SETTLE_S``, or until the plant's schedule brings a fault.

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arms.path_checks import checked_path
-from drivers.arms.protocol import FollowedPath
+from drivers.arms.protocol import FollowedPath, LinkLost
+from drivers.arms.recording import JointRecord
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_answers import arm_error
 from drivers.arms.ur_checks import JOINTS
+from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S
 from drivers.arms.ur_motion import STILL_MOVING
+from drivers.arms.ur_recorder import UrRecorder
+from drivers.arms.ur_worker_process import WorkerGone, WorkerRefusal
 
 _CB3_PERIOD_S, _PERIOD_S = 0.008, 0.002
 """Control cycles of the CB3 series (125 Hz) and of all later ones (500 Hz)."""
@@ -19,6 +25,8 @@ _TRACE_WITHIN_S = 5.0
 
 class UrPathArm(UrArm):
     """One UR arm, see ``UrArm``; the whole path is handed to the worker, which sends it by its own clock."""
+
+    _recorder: UrRecorder | None = None
 
     @property
     def path_period_s(self) -> float:
@@ -46,8 +54,47 @@ class UrPathArm(UrArm):
             gain=self._settings.servo_gain,
         )
 
+    def end_path(self) -> None:
+        """Slow down along the path and rest on it; from any thread. Raises ``LinkLost``."""
+        worker = self._worker
+        if worker is None:
+            return
+        try:
+            worker.call("end_path", ANSWER_WITHIN_S)
+        except (WorkerGone, WorkerRefusal) as error:
+            raise LinkLost(f"arm {self._name}: the path could not be ended: {error}") from error
+
     def followed(self) -> FollowedPath:
         """Return what the controller reported of the joints while it followed the last path."""
         answer = self._call("followed", _TRACE_WITHIN_S)
         time_s = np.array(answer["time_s"], dtype=np.float64)
-        return FollowedPath(time_s, np.array(answer["q"], dtype=np.float64).reshape(len(time_s), JOINTS))
+        q = np.array(answer["q"], dtype=np.float64).reshape(len(time_s), JOINTS)
+        return FollowedPath(time_s, q, float(answer.get("reached", math.inf)))
+
+    # -- recording -----------------------------------------------------------------------------------------------------
+
+    def start_recording(self) -> None:
+        """Record every state of the controller over a connection of its own. Raises ``LinkLost``."""
+        self._end_recorder()
+        self._recorder = UrRecorder(self._name, self._host, self.path_period_s, self._settings.trigger_output)
+
+    def pulse(self) -> bool:
+        """Let the controller's output give a pulse; False without one."""
+        return self._recorder is not None and self._recorder.pulse()
+
+    def end_recording(self) -> JointRecord:
+        """Return all samples. Raises ``LinkLost`` if the connection ended before."""
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            raise LinkLost(f"arm {self._name}: it is not being recorded")
+        return recorder.end()
+
+    def disconnect(self) -> None:
+        """Stop the arm and close all connections."""
+        self._end_recorder()
+        super().disconnect()
+
+    def _end_recorder(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.close()

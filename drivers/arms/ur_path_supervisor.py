@@ -48,6 +48,15 @@ class PathSupervisor(Supervisor):
         """Return where the arm was while it followed the last path."""
         return {"time_s": [], "q": []} if self._stream is None else self._stream.answer()
 
+    def end_path(self) -> dict[str, Any]:
+        """Slow down along the path and rest on it; harmless when no path is being followed."""
+        stream = self._stream
+        if stream is not None and self._streams and not self._application.braked:
+            stream.slow_down()
+            if self._streamed is not None:
+                self._streamed.goal = stream.rows[-1]
+        return {}
+
     @property
     def _streams(self) -> bool:
         motion = self._motion

@@ -18,7 +18,7 @@ from drivers.arms.ur_links import RTDE_PORT, Connection
 from drivers.patience import Patience
 
 _HEADER = struct.Struct(">HB")
-_VERSION, _OUTPUTS, _START, _DATA = ord("V"), ord("O"), ord("S"), ord("U")
+_VERSION, _OUTPUTS, _INPUTS, _START, _DATA = ord("V"), ord("O"), ord("I"), ord("S"), ord("U")
 _FREQUENCY_HZ = 125.0
 """Rate that every series supports."""
 _MAX_PACKETS = 1000
@@ -181,39 +181,78 @@ def _watch_until_rest(host: str, patience: Patience, port: int, dwell_s: float) 
 
 def _samples(link: Connection, patience: Patience) -> Iterator[UrSample]:
     """Subscribe to the outputs and yield states as they come."""
-    refusal = link.refusal(patience)
-    if refusal:
-        raise LinkLost(f"{link.where}: no RTDE connection ({refusal})")
-    packets = _Packets(link, patience)
-    if packets.ask(_VERSION, struct.pack(">H", 2)) != b"\x01":
-        raise LinkLost(f"{link.where}: the controller does not speak RTDE protocol 2")
-    names: tuple[str, ...] = _REQUIRED + _OPTIONAL
-    types = _setup_outputs(packets, names)
-    if "NOT_FOUND" in types:
-        names = tuple(name for name, kind in zip(names, types, strict=True) if kind != "NOT_FOUND")
-        types = _setup_outputs(packets, names)
-    missing = [name for name in _REQUIRED if name not in names]
-    unknown = [kind for kind in types if kind not in _FORMATS]
-    if missing or unknown:
-        raise LinkLost(f"{link.where}: the controller's RTDE does not provide {', '.join(missing or unknown)}")
-    if packets.ask(_START, b"") != b"\x01":
-        raise LinkLost(f"{link.where}: the controller did not start to send its state")
-    formats = [struct.Struct(f">{_FORMATS[kind]}") for kind in types]
-    expected = 1 + sum(part.size for part in formats)
-    while True:
-        payload = packets.next_payload(_DATA)
-        if len(payload) != expected:
-            raise LinkLost(f"{link.where}: a state of {len(payload)} bytes came, expected {expected}")
-        values, at = {}, 1
-        for name, part in zip(names, formats, strict=True):
-            values[name] = part.unpack_from(payload, at)
-            at += part.size
+    for values in Outputs(link, patience, _REQUIRED, _OPTIONAL, _FREQUENCY_HZ).states(lambda: patience):
         yield _sample(link.where, values)
 
 
-def _setup_outputs(packets: _Packets, names: Sequence[str]) -> list[str]:
+class Outputs:
+    """A subscription to outputs of the controller.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The outputs that it sends: the ``required`` ones, and those of the ``optional`` ones that it has.
+    """
+
+    def __init__(
+        self,
+        link: Connection,
+        patience: Patience,
+        required: tuple[str, ...],
+        optional: tuple[str, ...],
+        frequency_hz: float,
+    ) -> None:
+        """Subscribe and let the controller send. Raises ``LinkLost`` if it does not have what is ``required``."""
+        refusal = link.refusal(patience)
+        if refusal:
+            raise LinkLost(f"{link.where}: no RTDE connection ({refusal})")
+        self._packets = packets = _Packets(link, patience)
+        if packets.ask(_VERSION, struct.pack(">H", 2)) != b"\x01":
+            raise LinkLost(f"{link.where}: the controller does not speak RTDE protocol 2")
+        names: tuple[str, ...] = required + optional
+        types = _setup_outputs(packets, names, frequency_hz)
+        if "NOT_FOUND" in types:
+            names = tuple(name for name, kind in zip(names, types, strict=True) if kind != "NOT_FOUND")
+            types = _setup_outputs(packets, names, frequency_hz)
+        missing = [name for name in required if name not in names]
+        unknown = [kind for kind in types if kind not in _FORMATS]
+        if missing or unknown:
+            raise LinkLost(f"{link.where}: the controller's RTDE does not provide {', '.join(missing or unknown)}")
+        if packets.ask(_START, b"") != b"\x01":
+            raise LinkLost(f"{link.where}: the controller did not start to send its state")
+        self.names = names
+        self._formats = [struct.Struct(f">{_FORMATS[kind]}") for kind in types]
+
+    def claim(self, inputs: tuple[str, ...]) -> Callable[[Sequence[int]], None]:
+        """Claim inputs of one byte each; returns what writes them. Raises ``LinkLost`` if another program has them."""
+        answer = self._packets.ask(_INPUTS, ",".join(inputs).encode("ascii"))
+        types = answer[1:].decode("ascii", errors="replace").strip(",").split(",")
+        if not answer or not answer[0] or types != ["UINT8"] * len(inputs):
+            raise LinkLost(f"{self._packets.where}: another program uses its digital outputs, or it has none")
+        number = answer[:1]
+
+        def write(values: Sequence[int]) -> None:
+            self._packets.send(_DATA, number + bytes(values))
+
+        return write
+
+    def states(self, patience: Callable[[], Patience]) -> Iterator[dict[str, tuple[float, ...]]]:
+        """Yield states as they come, output -> its numbers; ``patience`` gives the limit of each wait."""
+        expected = 1 + sum(part.size for part in self._formats)
+        while True:
+            payload = self._packets.next_payload(_DATA, patience())
+            if len(payload) != expected:
+                raise LinkLost(f"{self._packets.where}: a state of {len(payload)} bytes came, expected {expected}")
+            values, at = {}, 1
+            for name, part in zip(self.names, self._formats, strict=True):
+                values[name] = part.unpack_from(payload, at)
+                at += part.size
+            yield values
+
+
+def _setup_outputs(packets: _Packets, names: Sequence[str], frequency_hz: float) -> list[str]:
     """Request outputs and return their types, in order."""
-    answer = packets.ask(_OUTPUTS, struct.pack(">d", _FREQUENCY_HZ) + ",".join(names).encode("ascii"))
+    answer = packets.ask(_OUTPUTS, struct.pack(">d", frequency_hz) + ",".join(names).encode("ascii"))
     types = answer[1:].decode("ascii", errors="replace").strip(",").split(",")
     if len(types) != len(names):
         raise LinkLost(f"{packets.where}: {len(types)} types came for {len(names)} RTDE outputs")
@@ -253,13 +292,21 @@ class _Packets:
         self._received = bytearray()
 
     def ask(self, kind: int, payload: bytes) -> bytes:
+        self.send(kind, payload, self._patience)
+        return self.next_payload(kind, self._patience)
+
+    def send(self, kind: int, payload: bytes, patience: Patience | None = None) -> None:
+        """Send one packet; without ``patience`` at once, also beside a thread that reads."""
+        packet = _HEADER.pack(_HEADER.size + len(payload), kind) + payload
         try:
-            self._link.send(_HEADER.pack(_HEADER.size + len(payload), kind) + payload, self._patience)
+            if patience is None:
+                self._link.send_at_once(packet)
+            else:
+                self._link.send(packet, patience)
         except OSError as error:
             raise LinkLost(f"{self.where}: the RTDE link broke ({error})") from error
-        return self.next_payload(kind)
 
-    def next_payload(self, wanted: int) -> bytes:
+    def next_payload(self, wanted: int, patience: Patience) -> bytes:
         """Return the payload of the next packet of type ``wanted``; skip others."""
         for _ in range(_MAX_PACKETS):
             while True:
@@ -269,16 +316,16 @@ class _Packets:
                         raise LinkLost(f"{self.where}: the peer is not an RTDE server")
                     if len(self._received) >= size:
                         break
-                self._receive()
+                self._receive(patience)
             payload = bytes(self._received[_HEADER.size : size])
             del self._received[:size]
             if kind == wanted:
                 return payload
         raise LinkLost(f"{self.where}: the peer is not an RTDE server")
 
-    def _receive(self) -> None:
+    def _receive(self, patience: Patience) -> None:
         try:
-            more = self._link.receive(self._patience)
+            more = self._link.receive(patience)
         except OSError as error:
             raise LinkLost(f"{self.where}: the RTDE link broke ({error})") from error
         if more is None:

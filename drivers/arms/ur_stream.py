@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivers.arms.path_end import slowed
 from drivers.arms.ur_rtde_reader import UrSample
 
 SLIDER_UP = 0.995
@@ -38,6 +39,8 @@ class Stream:
         Controller time of the state from which the stream began [s].
     sent : int
         Number of positions sent; the last one is repeated until the arm is there.
+    reached : float or None
+        Row of the path at which ``slow_down`` ends it; None: it was not called.
     trace : list
         Controller time [s] and joint positions of every state since the first position was sent.
     """
@@ -50,6 +53,7 @@ class Stream:
     begun_s: float
     sent: int = 0
     ended_s: float | None = None
+    reached: float | None = None
     trace: list[tuple[float, tuple[float, ...]]] = field(default_factory=list)
 
     @property
@@ -63,6 +67,12 @@ class Stream:
         self.due_s = max(self.due_s, now - self.period_s) + self.period_s
         if self.sent >= len(self.rows) and self.ended_s is None:
             self.ended_s = now
+
+    def slow_down(self) -> None:
+        """End the path early, at rest."""
+        if self.reached is None and self.ended_s is None:
+            tail, self.reached = slowed(self.rows, self.sent, self.period_s)
+            self.rows = [*self.rows[: self.sent], *tail]
 
     def note_state(self, sample: UrSample) -> None:
         """Keep a new state of the arm."""
@@ -94,4 +104,5 @@ class Stream:
     def answer(self) -> dict[str, Any]:
         """Return the trace, as time since the first state [s] and joint positions [rad]."""
         start_s = self.trace[0][0] if self.trace else 0.0
-        return {"time_s": [time_s - start_s for time_s, _ in self.trace], "q": [list(q) for _, q in self.trace]}
+        trace = {"time_s": [time_s - start_s for time_s, _ in self.trace], "q": [list(q) for _, q in self.trace]}
+        return trace if self.reached is None else {**trace, "reached": self.reached}

@@ -199,6 +199,8 @@ class Worker:
                 return supervisor.move(request)
             case "path":
                 return supervisor.path(request)
+            case "end_path":
+                return supervisor.end_path()
             case "followed":
                 return supervisor.followed()
             case "settled":

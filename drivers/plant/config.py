@@ -61,6 +61,12 @@ class ArmConfig:
         SMR centre and viewing direction in the flange frame (D-H frame N).
     smr_acceptance : float
         Half-angle about the viewing direction within which the SMR returns the beam [rad].
+    nests : mapping
+        Further SMRs on the flange with the same viewing direction: name -> centre (3,) in the flange frame [m].
+    probe : array, shape (3, 3), or None
+        Rotation of a 6-D probe's frame, whose origin the SMR is, in the flange frame; None: there is no such probe.
+    probe_sigma : float
+        Standard deviation of a measured orientation about each axis [rad].
     masses, centers_of_mass : arrays, shapes (N,), (N, 3)
         Of the body fixed to D-H frame i, in that frame [kg, m].
     payload_mass, payload_center : float, array (3,)
@@ -87,6 +93,9 @@ class ArmConfig:
     capsules: tuple[CapsuleConfig, ...] = ()
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     home: Array | None = None
+    nests: Mapping[str, Array] = field(default_factory=dict)
+    probe: Array | None = None
+    probe_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.rows)
@@ -104,6 +113,10 @@ class ArmConfig:
         }
         if self.home is not None:
             shapes["home"] = (n,)
+        if self.probe is not None:
+            shapes["probe"] = (3, 3)
+        nests = {name: _array(f"arm {self.name}", f"nest {name}", value, (3,)) for name, value in self.nests.items()}
+        object.__setattr__(self, "nests", nests)
         for name, shape in shapes.items():
             object.__setattr__(self, name, _array(f"arm {self.name}", name, getattr(self, name), shape))
         if self.home is None:
@@ -144,7 +157,8 @@ class GeometryErrors:
 
     ``length`` [m]: offset of each axis line in both transverse directions. ``angle`` [rad]: its tilt about both, and
     the joint zero. ``base_length``, ``base_angle``: each coordinate of the base pose. ``smr`` [m]: each coordinate of
-    the SMR offset. ``mass``: mass of each body, relative to the nominal one.
+    the SMR offset. ``mass``: mass of each body, relative to the nominal one. ``probe`` [rad]: rotation of
+    a 6-D probe about each axis.
     """
 
     length: float = 0.0
@@ -153,6 +167,7 @@ class GeometryErrors:
     base_angle: float = 0.0
     smr: float = 0.0
     mass: float = 0.0
+    probe: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

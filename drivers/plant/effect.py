@@ -98,6 +98,10 @@ class Effect:
         """Return apparent positions (n, 3) of SMRs at ``p_M`` (n, 3) with viewing directions ``normal_M`` (n, 3)."""
         return p_M
 
+    def apparent_rotation(self, R_M_S: Array, situation: Situation) -> Array:
+        """Return apparent orientations (n, 3, 3) of 6-D probes."""
+        return R_M_S
+
 
 class Parameters:
     """Configured parameters of one effect. A wrong one raises ``ValueError`` with its place and what is expected."""

@@ -54,3 +54,16 @@ def across(direction: Array) -> Array:
     first = np.cross(direction, helper)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return np.stack([first, np.cross(direction, first)], axis=-2)
+
+
+def quaternion(turn: Array) -> Array:
+    """Return the unit quaternion (4,), scalar first and not negative, of a rotation (3, 3).
+
+    The eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix: well conditioned for every rotation.
+    """
+    K = np.empty((4, 4))
+    K[1:, 1:] = turn + turn.T - np.trace(turn) * np.eye(3)
+    K[0, 0] = np.trace(turn)
+    K[0, 1:] = K[1:, 0] = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    vector: Array = np.linalg.eigh(K)[1][:, -1]
+    return vector if vector[0] >= 0.0 else -vector

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Unpack
 
 import numpy as np
 
 from drivers.plant.clearance import Clearance
 from drivers.plant.climate import Air, joint_rise
+from drivers.plant.conditions import Conditions
 from drivers.plant.config import Array, PlantConfig, broadcast
 from drivers.plant.effect import Situation
 from drivers.plant.executed import Executed, executed_clearance
@@ -25,8 +27,8 @@ from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule
 from drivers.plant.servo import follow
-from drivers.plant.trail import Phase, joints_at, note_phase
-from drivers.plant.true_arm import Target, TrueArm, draw_true_arm, largest_change, watch
+from drivers.plant.trail import note_phase
+from drivers.plant.true_arm import Seen, Target, TrueArm, draw_true_arm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
 _MAX_ITERATIONS = 200
@@ -123,13 +125,24 @@ class Plant:
             f"arm {arm.config.name}: the hidden effects reach no equilibrium under gravity; their stiffness is too low"
         )
 
-    def _apparent_smr(self, arm: TrueArm, situation: Situation, posture: Posture) -> tuple[Array, Array]:
-        """Return the apparent SMR position and its viewing direction, (n, 3) each, in M."""
-        p_B, normal_B = posture.smr
+    def _apparent_smr(
+        self, arm: TrueArm, situation: Situation, posture: Posture, nest: str = ""
+    ) -> tuple[Array, Array]:
+        """Return the apparent position of an SMR and its viewing direction, (n, 3) each, in M."""
+        p_B, normal_B = posture.nest(nest) if nest else posture.smr
         p_M, normal_M = carry(arm.T_M_B, p_B), normal_B @ arm.T_M_B[:3, :3].T
         for effect in arm.effects:
             p_M = effect.apparent_position(p_M, normal_M, situation)
         return p_M, normal_M
+
+    def _apparent_probe(self, arm: TrueArm, situation: Situation, posture: Posture) -> Array | None:
+        """Return the apparent orientation of a 6-D probe in M, (n, 3, 3)."""
+        if arm.mechanism.probe is None:
+            return None
+        R_M_S = arm.T_M_B[:3, :3] @ posture.flange[:, :3, :3] @ arm.mechanism.probe
+        for effect in arm.effects:
+            R_M_S = effect.apparent_rotation(R_M_S, situation)
+        return R_M_S
 
     def _other_postures(
         self, arm: TrueArm, given: Mapping[str, Array], n: int, loads: Mapping[str, Array] | None = None
@@ -152,73 +165,55 @@ class Plant:
             if other is not arm
         }
 
-    def smr_positions(
-        self,
-        name: str,
-        q: Array,
-        *,
-        approach: Array | None = None,
-        others: Mapping[str, Array] | None = None,
-        other_payloads: Mapping[str, Array] | None = None,
-        time_s: Array | None = None,
-        last_step: Array | None = None,
-        since_rest_s: Array | None = None,
-        payload: Array | None = None,
-        payload_center: Array | None = None,
-        joints_c: Array | None = None,
-        air_c: Array | None = None,
-    ) -> Array:
+    def smr_positions(self, name: str, q: Array, *, nest: str = "", **conditions: Unpack[Conditions]) -> Array:
         """Return SMR centres (n, 3) in M of an arm at rest at ``q`` (n, N), with all effects, without random errors.
 
-        Parameters
-        ----------
-        approach : array, shape (n, N)
-            Sign of each joint's last motion; 0: in the middle of any play. Default: that of ``last_step``.
-        others : mapping
-            Joint angles (n, N) of other arms, by name; default: as they are now.
-        other_payloads : mapping
-            Loads (n,) [kg] of other arms, by name; default: as they are now.
-        time_s : array, shape (n,)
-            The cell's clock [s]; default: now. Temperatures at different times are one history.
-        last_step : array, shape (n, N)
-            The last motion of each joint, with its sign [rad]; default: a long one.
-        since_rest_s : array, shape (n,)
-            Time at rest [s]; default: infinite.
-        payload, payload_center : arrays, shapes (n,), (n, 3) or (3,)
-            Load [kg] and its centre in the flange frame [m]; default: the current ones.
-        joints_c, air_c : arrays, shapes (n, N), (n,)
-            Temperatures [degC]; default: the air at ``time_s``, and joints with their current rise above it.
-
-        Arguments are broadcast to their shapes. Raises ``ValueError`` for a wrong shape or a negative load.
+        ``nest`` is the name of a further SMR on the flange. ``conditions`` are broadcast to their shapes. Raises
+        ``ValueError`` for a wrong shape or a negative load.
         """
+        return self._apparent_smr(*self._at_rest(name, q, conditions), nest)[0]
+
+    def probe_rotations(self, name: str, q: Array, **conditions: Unpack[Conditions]) -> Array:
+        """Return orientations (n, 3, 3) in M of the 6-D probe of an arm at rest at ``q`` (n, N), without random errors.
+
+        Raises ``ValueError`` for an arm without a probe, and as ``smr_positions``.
+        """
+        R_M_S = self._apparent_probe(*self._at_rest(name, q, conditions))
+        if R_M_S is None:
+            raise ValueError(f"arm {name} has no 6-D probe")
+        return R_M_S
+
+    def _at_rest(self, name: str, q: Array, given: Conditions) -> tuple[TrueArm, Situation, Posture]:
+        """Return an arm at rest at ``q`` (n, N)."""
         arm = self._arm(name)
         q = np.asarray(q, dtype=np.float64)
         n, joints = len(q), arm.config.joints
-        step = broadcast("last_step", last_step, np.zeros_like(q), (n, joints))
-        times = broadcast("time_s", time_s, self._clock_s, (n,))
-        air = broadcast("air_c", air_c, self._air.temperature_c(times), (n,))
+        step = broadcast("last_step", given.get("last_step"), np.zeros_like(q), (n, joints))
+        times = broadcast("time_s", given.get("time_s"), self._clock_s, (n,))
+        air = broadcast("air_c", given.get("air_c"), self._air.temperature_c(times), (n,))
         mass, center = arm.mechanism.payload_mass, arm.mechanism.payload_center
         load = Load(
-            broadcast("payload", payload, mass, (n,)), broadcast("payload_center", payload_center, center, (n, 3))
+            broadcast("payload", given.get("payload"), mass, (n,)),
+            broadcast("payload_center", given.get("payload_center"), center, (n, 3)),
         )
         if (load.mass < 0.0).any():
             raise ValueError(f"payload must be at least 0 kg, not {load.mass.min():g}")
         situation = Situation(
             q=q,
-            approach=np.sign(broadcast("approach", approach, step, (n, joints))),
+            approach=np.sign(broadcast("approach", given.get("approach"), step, (n, joints))),
             last_step=step,
-            since_rest_s=broadcast("since_rest_s", since_rest_s, np.inf, (n,)),
+            since_rest_s=broadcast("since_rest_s", given.get("since_rest_s"), np.inf, (n,)),
             time_s=times,
             air_c=air,
-            joints_c=broadcast("joints_c", joints_c, air[:, None] + arm.rise, (n, joints)),
-            others=self._other_postures(arm, {} if others is None else others, n, other_payloads),
+            joints_c=broadcast("joints_c", given.get("joints_c"), air[:, None] + arm.rise, (n, joints)),
+            others=self._other_postures(arm, given.get("others") or {}, n, given.get("other_payloads")),
             T_B_others=self._T_B_others(arm),
             mechanism=arm.mechanism,
             load=load,
         )
         memories = [effect.assumed_memory(situation) for effect in arm.effects]
         posture, _ = self._equilibrium(arm, situation, memories, NO_DEFLECTION, None)
-        return self._apparent_smr(arm, situation, posture)[0]
+        return arm, situation, posture
 
     # -- time and motion ---------------------------------------------------------------------------------------------
 
@@ -378,16 +373,16 @@ class Plant:
 
     # -- tracker -----------------------------------------------------------------------------------------------------
 
-    def _current_smr(self, arm: TrueArm) -> tuple[Array, Array]:
-        """Return the current apparent position of an arm's SMR and its viewing direction, (3,) each, in M."""
+    def _current(self, arm: TrueArm) -> Seen:
+        """Return what a tracker could see of an arm now."""
         if arm.resting is None:
-            smr = self._apparent_now(arm)
+            seen = self._apparent_now(arm)
             if arm.effects or arm.motion is not None:
-                return smr
-            arm.resting = smr
+                return seen
+            arm.resting = seen
         return arm.resting
 
-    def _apparent_now(self, arm: TrueArm) -> tuple[Array, Array]:
+    def _apparent_now(self, arm: TrueArm) -> Seen:
         q = self._q(arm)[None]
         moving = arm.motion is not None
         memories, step, approach = arm.memories, arm.last_step, arm.approach
@@ -412,42 +407,9 @@ class Plant:
         posture, arm.load_deflection = self._equilibrium(
             arm, situation, memories, arm.load_deflection, arm.stop_error[None]
         )
-        p_M, normal_M = self._apparent_smr(arm, situation, posture)
-        return p_M[0], normal_M[0]
-
-    def recent_smr(self, name: str, time_s: Array) -> tuple[Array, Array]:
-        """Apparent positions and viewing directions of an arm's SMR, (n, 3) each, in M, at recent times (n,) [s].
-
-        The arm may have moved meanwhile; nothing older than a second or so is known.
-        """
-        arm = self._arm(name)
-        q, known = joints_at(arm, time_s, self._clock_s)
-        p_M, normal_M = np.empty((2, len(time_s), 3))
-        for phase, rows in known:
-            p_M[rows], normal_M[rows] = self._smr_in(arm, phase, q[rows], time_s[rows], moving=phase.motion is not None)
-        return p_M, normal_M
-
-    def _smr_in(self, arm: TrueArm, phase: Phase, q: Array, time_s: Array, *, moving: bool) -> tuple[Array, Array]:
-        """Apparent positions and viewing directions (n, 3) of an arm at ``q`` (n, N) in a phase without reversal."""
-        step = q - phase.q if moving else np.repeat(phase.last_step[None], len(q), axis=0)
-        memories = list(phase.memories)
-        if moving:
-            memories = [e.memory_after_motion(memory, q) for e, memory in zip(arm.effects, memories, strict=True)]
-        air_c = np.full(len(q), self.air_temperature_c)
-        situation = Situation(
-            q=q,
-            approach=np.where(step == 0.0, phase.approach, np.sign(step)) if moving else phase.approach + 0.0 * q,
-            last_step=step,
-            since_rest_s=np.zeros(len(q)) if moving else time_s - phase.rest_since_s,
-            time_s=time_s,
-            air_c=air_c,
-            joints_c=air_c[:, None] + arm.rise,
-            others=self._other_postures(arm, {}, len(q)),
-            T_B_others=self._T_B_others(arm),
-            mechanism=arm.mechanism,
-        )
-        posture, _ = self._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None])
-        return self._apparent_smr(arm, situation, posture)
+        smrs = {name: self._apparent_smr(arm, situation, posture, name) for name in ("", *arm.mechanism.nests)}
+        R_M_S = self._apparent_probe(arm, situation, posture)
+        return Seen({name: (p_M[0], n_M[0]) for name, (p_M, n_M) in smrs.items()}, None if R_M_S is None else R_M_S[0])
 
     def move_tracker(self, T_C_M: Array) -> None:
         """Set the tracker up at another pose (4, 4) in the cell, now."""
@@ -460,9 +422,12 @@ class Plant:
         """Return the SMRs of all arms at the current time."""
         found = []
         for name, arm in self._arms.items():
-            p_M, normal_M = self._current_smr(arm)
-            why = why_hidden(self.config.tracker, p_M, normal_M, arm.config.smr_acceptance)
-            found.append(Target(name, p_M, why, arm.motion is not None))
+            seen = self._current(arm)
+            for nest, (p_M, normal_M) in seen.smrs.items():
+                why = why_hidden(self.config.tracker, p_M, normal_M, arm.config.smr_acceptance)
+                R_M_S = None if nest else seen.R_M_S
+                moving = arm.motion is not None
+                found.append(Target(name, p_M, why, moving, nest, R_M_S, arm.config.probe_sigma))
         return found
 
     def measure_positions(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,12 +29,28 @@ from drivers.plant.trail import LONGEST, Phase
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """An SMR at the current time: its arm, position (3,) [m] in M, and why the tracker cannot see it ("" if it can)."""
+    """An SMR at the current time: its arm, position (3,) [m] in M, and why the tracker cannot see it ("" if it can).
+
+    ``nest`` is the name of a further SMR on the flange. ``R_M_S`` (3, 3) is the orientation of a 6-D probe, which is
+    measured with the standard deviation ``sigma_rad`` about each axis.
+    """
 
     arm: str
     p_M: Array
     hidden: str
     moving: bool
+    nest: str = ""
+    R_M_S: Array | None = None
+    sigma_rad: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What a tracker could see of an arm: position and viewing direction (3,) of each SMR in M by name ("": the one
+    that is no further nest), and the orientation (3, 3) of a 6-D probe."""
+
+    smrs: Mapping[str, tuple[Array, Array]]
+    R_M_S: Array | None
 
 
 @dataclass(eq=False)
@@ -58,7 +74,7 @@ class TrueArm:
     motion: AnyMotion | None = None
     streamed: Array | None = None  # (N,) where a stream of positions last set its goal; None without a stream
     load_deflection: Deflection = NO_DEFLECTION  # last solution, the initial value of the next one
-    resting: tuple[Array, Array] | None = None  # SMR and its viewing direction, of an arm at rest without effects
+    resting: Seen | None = None  # of an arm at rest without effects
     trail: deque[Phase] = field(default_factory=lambda: deque(maxlen=LONGEST))  # what it did a moment ago
 
 

@@ -51,9 +51,9 @@ _SILENT_SHARE = 0.9
 """Silence counts when this share of the time was spent looking for a line: a program that was not scheduled has not."""
 _CONFIRMING_TRIES = 3
 """A damaged line, or a connection that ended: a new one, and the question again."""
-_HALTABLE = ("prepare", "measure", "two-face")
+_HALTABLE = ("prepare", "measure", "two-face", "track")
 """Commands that ``halt`` ends."""
-_FROM_TRACKER = ("identify", "prepare", "unmet", "inclination", "confirm", "measure", "two-face")
+_FROM_TRACKER = ("identify", "prepare", "unmet", "inclination", "confirm", "measure", "two-face", "track", "end-track")
 """Commands that the tracker itself answers, not the bridge."""
 
 
@@ -65,7 +65,7 @@ class _Busy(Exception):
     """The tracker is at work on an earlier command."""
 
 
-class _UnknownCommand(ValueError):
+class UnknownCommand(ValueError):
     """The bridge is older than this client."""
 
 
@@ -143,7 +143,7 @@ class BridgeTracker:
     def prepare(self, settings: Preparation) -> None:
         """Initialise the tracker where needed and apply ``settings``, now and after every connect."""
         self._halting.clear()
-        self._command("prepare", wire.preparation_fields(settings) | {"id": _new_id()})
+        self._command("prepare", wire.preparation_fields(settings) | {"id": new_id()})
         self._settings = settings
 
     def unmet(self) -> list[str]:
@@ -162,12 +162,9 @@ class BridgeTracker:
             try:
                 if self._port is None or self._out_of_sync:
                     self._recover(until_s)
-                if self._confirms:
-                    self._exchange("confirm", {"within": wire.number(within_s)}, until_s)
-                else:
-                    self._exchange("unmet", {}, until_s)
+                self._ask(within_s, until_s)
                 return
-            except _UnknownCommand:
+            except UnknownCommand:
                 self._confirms = False
             except _Busy as error:
                 raise TrackerTimeout(f"tracker bridge {self._url}: {error}") from error
@@ -178,6 +175,13 @@ class BridgeTracker:
         if isinstance(problem, _Silent):
             problem = LinkFault(f"no answer from the tracker within {within_s:g} s")
         raise self._link_lost(problem) from problem
+
+    def _ask(self, within_s: float, until_s: float) -> None:
+        """Ask the tracker once for a sign of life."""
+        if self._confirms:
+            self._exchange("confirm", {"within": wire.number(within_s)}, until_s)
+        else:
+            self._exchange("unmet", {}, until_s)
 
     def data_age_s(self) -> float:
         """Return how long ago the tracker gave a sign of life [s]: it answered, or the bridge says how old its last is.
@@ -283,7 +287,7 @@ class BridgeTracker:
         if self._settings is None:
             raise NotReady(f"tracker bridge {self._url}: {problem}") from problem
         try:
-            self._exchange("prepare", wire.preparation_fields(self._settings) | {"id": _new_id()}, until_s)
+            self._exchange("prepare", wire.preparation_fields(self._settings) | {"id": new_id()}, until_s)
         except (LinkFault, _Busy) as error:
             self._out_of_sync = self._out_of_sync or isinstance(error, LinkFault)
             self._pause.wait(_RETRY_S)
@@ -393,7 +397,7 @@ class BridgeTracker:
         if kind in ("held", "refused", "version"):
             self._close()
         if kind == "unknown-command":
-            raise _UnknownCommand(f"tracker bridge {self._url}: the bridge does not know '{verb}'")
+            raise UnknownCommand(f"tracker bridge {self._url}: the bridge does not know '{verb}'")
         if kind == "bad-field":
             raise ValueError(f"tracker bridge {self._url}: '{verb}' was refused: {text}")
         raise wire.ERRORS.get(kind, TrackerError)(text)
@@ -467,7 +471,8 @@ class BridgeTracker:
             shut_down(port)
 
 
-def _new_id() -> str:
+def new_id() -> str:
+    """An identifier that was never used before."""
     return secrets.token_hex(8)
 
 
@@ -475,4 +480,4 @@ def _measure_fields(expected_M: NDArray[np.float64], averaging_s: float) -> dict
     """Return the fields of a measurement under a new id. Raises ``ValueError`` for an invalid point or time."""
     expected = checked_point(expected_M, averaging_s, _LONGEST_COMMAND_S)
     x, y, z = (wire.number(value) for value in expected)
-    return {"id": _new_id(), "x": x, "y": y, "z": z, "averaging": wire.number(averaging_s)}
+    return {"id": new_id(), "x": x, "y": y, "z": z, "averaging": wire.number(averaging_s)}

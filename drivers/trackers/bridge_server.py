@@ -15,12 +15,14 @@ from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from typing import Self
 
 import numpy as np
 
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_links import JOIN_S, Link, LinkServer, RateLimitedLog
+from drivers.trackers.bridge_points import ServedTracks
 from drivers.trackers.bridge_wire import BadField, Fields, Garbled, Line
 from drivers.trackers.bridge_worker import Reply, TrackerCall, TrackerWorker
 from drivers.trackers.protocol import Preparation, Tracker
@@ -34,6 +36,10 @@ _OLDEST_S = 1e6
 """Stands for a tracker that has given no sign of life."""
 _MAX_RESULTS = 64
 """Results kept for clients that ask again; BRIDGE.md promises it."""
+_STREAMING = ("stream-limits", "track", "end-track")
+_COMMANDS = ("identify", "unmet", "confirm", "prepare", "inclination", "measure", "two-face", *_STREAMING)
+"""Those that the tracker answers."""
+_MEASURING = ("measure", "two-face", "track")
 _MAX_BAD_LINES = 20
 _NOTICE_S = 0.2
 """Shortest time between two ``garbled`` errors, so that noise does not cause a flood of answers."""
@@ -143,6 +149,7 @@ class TrackerService:
         self._holder: Link | None = None
         self._active: _ActiveCommand | None = None
         self._prepared_for = ""
+        self._tracks = ServedTracks(tracker)
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -194,6 +201,7 @@ class TrackerService:
         self._boot = secrets.token_hex(8)
         self._results.clear()
         self._prepared_for = ""
+        self._tracks.forget()
         if self._active is not None:
             self._active.id = ""
         for link in list(self._links.links):
@@ -277,7 +285,9 @@ class TrackerService:
             case "bye":
                 self._answer(link, line.sequence, ("ok", {}))
                 self._links.drop(link, "the client ended its session")
-            case "identify" | "unmet" | "confirm" | "prepare" | "inclination" | "measure" | "two-face":
+            case "points":
+                self._answer(link, line.sequence, ("ok", self._tracks.points(line.fields)))
+            case verb if verb in _COMMANDS:
                 self._command(link, line)
             case _:
                 self._error(link, line.sequence, "unknown-command", f"unknown command '{line.word}'")
@@ -358,7 +368,7 @@ class TrackerService:
     def _command(self, link: Link, line: Line) -> None:
         """Start a command; if its id is known, answer with the result it had, or will have."""
         verb = line.word
-        measures = verb in ("measure", "two-face")
+        measures = verb in _MEASURING
         id_ = wire.read_id(line.fields) if measures or "id" in line.fields else ""
         active = self._active
         if id_ and id_ in self._results:
@@ -389,6 +399,10 @@ class TrackerService:
                 return lambda: self._confirm(within_s)
             case "inclination":
                 return lambda: wire.inclination_fields(tracker.inclination())
+            case "stream-limits":
+                return self._tracks.limits
+            case "end-track":
+                return partial(self._tracks.end, self._tracks.of(fields))
             case "prepare":
                 try:
                     settings = wire.read_preparation(fields)
@@ -397,6 +411,9 @@ class TrackerService:
                 return lambda: self._prepare(settings, client)
             case _:
                 expected_M = np.array([wire.read_number(fields, axis, -1e3, 1e3) for axis in ("x", "y", "z")])
+                if verb == "track":
+                    id_, interval_s = fields["id"], wire.read_number(fields, "interval", 1e-4, 60.0)
+                    return lambda: self._tracks.start(id_, expected_M, interval_s)
                 averaging_s = wire.read_number(fields, "averaging", 1e-3, 600.0)
                 if verb == "two-face":
                     return lambda: wire.two_face_fields(tracker.measure_two_face(expected_M, averaging_s))

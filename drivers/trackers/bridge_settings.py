@@ -82,10 +82,10 @@ class BridgeSettings(TrackerSettings):
 
     def open(self, tracker: TrackerContext) -> Tracker:
         """Return the driver, not connected yet; it prepares the tracker at every connect. Raises ``SettingError``."""
-        from drivers.trackers.bridge import BridgeTracker
+        from drivers.trackers.bridge_tracks import StreamingBridgeTracker
         from drivers.trackers.protocol import Preparation
 
-        return BridgeTracker(
+        return StreamingBridgeTracker(
             self.url,
             token=self.token(),
             timeout_s=self.timeout,

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.trackers.protocol import (
     ACCURACIES,
@@ -52,6 +53,9 @@ _TO_ESCAPE = re.compile(r"[^!-$&-)+-~]")  # not printable ASCII, a percent sign 
 _NUMBER = re.compile(r"[-+]?(?:[0-9]{1,20}\.?[0-9]{0,30}|\.[0-9]{1,30})(?:[eE][-+]?[0-9]{1,3})?")
 _IDENTIFIER = re.compile(r"[0-9A-Za-z_-]{8,64}")
 _AXES = ("x", "y", "z")
+_QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
+_UNIT_LENGTH, _ROUNDED = 1e-3, 1e-12
+"""By how much the length of a quaternion may differ from one; beyond the second, it is made one."""
 _UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 ERRORS: Mapping[str, type[TrackerError]] = {
@@ -249,6 +253,8 @@ def point_fields(point: Point, prefix: str = "") -> dict[str, str]:
         "tracker_time": point.tracker_time_s,
         "host_time": point.host_time_s,
     }
+    if point.quaternion_M is not None:
+        values |= dict(zip(_QUATERNION, point.quaternion_M, strict=True)) | {"sigma_rad": point.sigma_rad}
     if point.precision_M is not None:
         values |= {f"p{axis}": value for axis, value in zip(_AXES, point.precision_M, strict=True)}
     fields = {key: number(value) for key, value in values.items() if value is not None}
@@ -269,6 +275,7 @@ def read_point(fields: Fields, prefix: str = "") -> Point:
         covariance[i, j] = covariance[j, i] = read_number(own, f"c{_AXES[i]}{_AXES[j]}", low, 1.0)
     face: Face = 1 if read_number(own, "face", 1, 2) == 1 else 2
     precise = all(f"p{axis}" in own for axis in _AXES)
+    turned = _QUATERNION[0] in own
     return Point(
         p_M=np.array([read_number(own, axis, -1e3, 1e3) for axis in _AXES]),
         covariance_M=covariance,
@@ -283,7 +290,18 @@ def read_point(fields: Fields, prefix: str = "") -> Point:
         host_time_s=read_optional(own, "host_time"),
         reflector=own.get("reflector", ""),
         quality=tuple(own["quality"].split("; ")) if own.get("quality") else (),
+        quaternion_M=_read_quaternion(own) if turned else None,
+        sigma_rad=read_optional(own, "sigma_rad", 0.0, 0.1) if turned else None,
     )
+
+
+def _read_quaternion(fields: Fields) -> NDArray[np.float64]:
+    """Read a unit quaternion (4,), scalar first. Raises ``BadField``."""
+    values = np.array([read_number(fields, name, -1.001, 1.001) for name in _QUATERNION])
+    length = float(np.linalg.norm(values))
+    if abs(length - 1.0) > _UNIT_LENGTH:
+        raise BadField(f"{', '.join(_QUATERNION)} has the length {length:.4g}; expected a unit quaternion")
+    return values / length if abs(length - 1.0) > _ROUNDED else values
 
 
 def two_face_fields(pair: TwoFace) -> dict[str, str]:

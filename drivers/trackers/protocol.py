@@ -93,6 +93,10 @@ class Point:
         Reflector type whose offset was applied; empty: not reported.
     quality : tuple of str
         Warnings of the tracker about this point.
+    quaternion_M : array, shape (4,), or None
+        Orientation of a 6-D probe in the tracker frame, unit quaternion, scalar first; None: not measured.
+    sigma_rad : float or None
+        Its standard uncertainty about each axis [rad].
     """
 
     p_M: NDArray[np.float64]
@@ -108,6 +112,13 @@ class Point:
     host_time_s: float | None = None
     reflector: str = ""
     quality: tuple[str, ...] = ()
+    quaternion_M: NDArray[np.float64] | None = None
+    sigma_rad: float | None = None
+
+    @property
+    def orientation(self) -> tuple[NDArray[np.float64], float] | None:
+        """Quaternion and its standard uncertainty, 0 if not reported; None where no orientation was measured."""
+        return None if self.quaternion_M is None else (self.quaternion_M, self.sigma_rad or 0.0)
 
 
 @dataclass(frozen=True)

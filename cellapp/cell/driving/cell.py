@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile import Profile
+from cellapp.ground.profile.smr import Smr
+from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model.nominal import joint_rates, pose_matrix
 from drivers.arms.protocol import Arm, JointLimits
 from drivers.arms.settings import ArmContext
@@ -310,4 +312,19 @@ def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, obj
         ),
         effects=effects,
         home=None if arm.home is None else np.array(arm.home),
+        **_beside_the_smr(name, arm.smr),
     )
+
+
+def _beside_the_smr(name: str, smr: Smr) -> dict[str, Any]:
+    """Return further SMRs and the probe of an arm of the simulated cell. Raises ``InputError``."""
+    unknown = [nest for nest, its in smr.nests.items() if its.offset == "unknown"]
+    if unknown:
+        raise InputError(f"arms.{name}.smr.nests: a simulated arm needs a known 'offset' of nest {', '.join(unknown)}")
+    further: dict[str, Any] = {"nests": {nest: np.array(its.offset) for nest, its in smr.nests.items()}}
+    if smr.probe is None:
+        return further
+    if smr.probe.rpy == "unknown":
+        raise InputError(f"arms.{name}.smr.probe: a simulated arm needs a known 'rpy' of its probe")
+    roll, pitch, yaw = smr.probe.rpy
+    return {**further, "probe": rotation_zyx(yaw, pitch, roll), "probe_sigma": smr.probe.sigma}

@@ -12,6 +12,7 @@ from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.records import CollectResult, End
 from cellapp.cell.driving.session import CollectSession
 from cellapp.cell.driving.supervision import Opened, opening, reacting
+from cellapp.cell.driving.sweeping import sweeps_left
 from cellapp.cell.driving.work import Work, remaining_work, work_again
 from cellapp.cell.run import RunFile, SessionEnd
 from cellapp.cell.run.collected import missing_readings, missing_share, reference_drifts
@@ -58,7 +59,7 @@ def collect_run(
     """
     control = control or JobControl()
     work = work_again(run, again) if again is not None else remaining_work(run, resume=resume)
-    if not work.stops:
+    if not work.stops and not (again is None and sweeps_left(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
     bodies, before = cell_bodies(run.profile), replaced_counts(run)
     with opening(run.profile, control, opened, watch_clearance=watch_clearance) as cell:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,7 +99,18 @@ def mean_point(points: list[Point]) -> Point:
         averaging_s=last.time_s - first.time_s + 0.5 * (first.averaging_s + last.averaging_s),
         precision_M=positions.std(axis=0, ddof=1) / np.sqrt(len(points)),
         quality=tuple(dict.fromkeys(warning for point in points for warning in point.quality)),
+        quaternion_M=_mean_quaternion([point.quaternion_M for point in points]),
     )
+
+
+def _mean_quaternion(measured: Sequence[Vector | None]) -> Vector | None:
+    """Return the mean of orientations that differ by little; None where one was not measured."""
+    quaternions = [one for one in measured if one is not None]
+    if len(quaternions) < len(measured):
+        return None
+    first = quaternions[0]
+    total: Vector = np.sum([one if one @ first >= 0.0 else -one for one in quaternions], axis=0)
+    return np.asarray(total / np.linalg.norm(total))
 
 
 def _deviation_of_mean(points: list[Point]) -> float:

@@ -13,10 +13,10 @@ from pydantic import TypeAdapter, ValidationError
 from cellapp.cell.profile.draft import Filled, ProfileDraft, draft_to_yaml, fields_of, with_text
 from cellapp.cell.profile.loader import locate_meshes, read_arm_types, read_document
 from cellapp.cell.profile.messages import KeyPath, PlacedError, dotted, problems, value_message
-from cellapp.cell.profile.starters import starters_folder
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.obstacles import AnyObstacle, Obstacles
 from cellapp.ground.profile.schema import Arm, Pose, Profile
+from cellapp.ground.starters import starters_folder
 
 _OBSTACLE: TypeAdapter[AnyObstacle] = TypeAdapter(AnyObstacle)
 

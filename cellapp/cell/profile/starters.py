@@ -10,11 +10,10 @@ from pathlib import Path
 from cellapp.cell.profile.files import path_exists, write_new
 from cellapp.cell.profile.loader import load_profile, read_document
 from cellapp.ground.errors import InputError
+from cellapp.ground.starters import offered_profiles, starters_folder
 
-TWIN = "twin"
-"""The simulated cell that needs nothing but this program."""
 TWIN_SMALL = "twin-small"
-"""The same cell with fewer stops."""
+"""The twin with fewer stops."""
 FOLDER = "profiles"
 """Folder of a person's profiles, below the folder where they work."""
 READINGS = "readings"
@@ -31,30 +30,9 @@ class Starter:
     has_device: bool
 
 
-def starters_folder() -> Path:
-    """Folder of the starter profiles: ``starters`` in the installed package, ``profiles`` beside it in the source tree.
-
-    Raises
-    ------
-    InputError
-        If this installation lacks them.
-    """
-    package = Path(str(files("cellapp")))
-    for folder in (package / "starters", package.parent / "profiles"):
-        if (folder / f"{TWIN}.yaml").is_file():
-            return folder
-    raise InputError("this installation of cellapp lacks its starter profiles; install it again with pip")
-
-
 def starter_profiles() -> tuple[Starter, ...]:
     """Return all starter profiles, the twin first."""
     return tuple(_starter(path) for path in offered_profiles(starters_folder()))
-
-
-def offered_profiles(folder: Path) -> list[Path]:
-    """The profiles of a folder as they are offered: a person's own ones by name, then the starters, the twin first."""
-    starters = {path.stem for path in starters_folder().glob("*.yaml")}
-    return sorted(folder.glob("*.yaml"), key=lambda path: (path.stem in starters, path.stem != TWIN, path.stem))
 
 
 def arm_type_files() -> tuple[Path, ...]:

@@ -10,7 +10,8 @@ from pydantic import ValidationError, model_validator
 from cellapp.cell.profile.loader import is_number
 from cellapp.cell.profile.messages import dotted, value_message
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile.schema import ArmPoint, CellPoint
+from cellapp.ground.profile.schema import CellPoint
+from cellapp.ground.profile.smr import ArmPoint
 from drivers.quantities import Turn
 from drivers.settings import Section
 

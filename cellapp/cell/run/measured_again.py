@@ -5,10 +5,11 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from cellapp.cell.run.collection_rows import Outcome, insert_outcome
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.readings_table import check_readings, insert_readings, select_readings
+from cellapp.cell.run.readings_table import check_readings, insert_readings, select_readings, stop_rows
 from cellapp.cell.run.rows import utc_now
 from cellapp.cell.run.schema import schema_version
 from cellapp.estimation.readings.columns import COLUMNS
@@ -33,7 +34,13 @@ class Earlier:
     replaced: tuple[str, ...]
 
 
-def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+def replace_stop(
+    run: RunFile,
+    stop: int,
+    rows: Mapping[str, Reading],
+    outcomes: Sequence[Outcome] = (),
+    further: Mapping[str, Sequence[Reading]] = MappingProxyType({}),
+) -> None:
     """Store one stop that was measured again, in one transaction; on return it is on disk.
 
     The reading before is kept beside, and the new one takes its split: measuring again moves no stop between
@@ -47,13 +54,14 @@ def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes:
     ValueError
         If an array has the wrong shape or a required value is not finite.
     """
-    batches = {arm: reading.as_readings(stop) for arm, reading in rows.items()}
+    batches = stop_rows(stop, rows, further)
     for arm, readings in batches.items():
         check_readings(arm, len(run.profile.arms[arm].type.joints), readings)
     with run.change() as connection:
         for arm, readings in batches.items():
             split = _set_aside(connection, arm, stop)
-            insert_readings(connection, arm, readings if split is None else replace(readings, split=split))
+            its = None if split is None else split * len(readings)
+            insert_readings(connection, arm, readings if its is None else replace(readings, split=its))
         for outcome in outcomes:
             if not _has_reading(connection, outcome.arm, stop):
                 insert_outcome(connection, outcome)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.run.schema import schema_version
 from cellapp.estimation.readings.columns import COLUMNS, MEASURED_POINT, SPLITS, Column, Values
-from cellapp.estimation.readings.readings import Readings, readings_from_columns
-from cellapp.ground.counting import counted
+from cellapp.estimation.readings.readings import Reading, Readings, joined, readings_from_columns
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
@@ -26,10 +25,22 @@ def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings
     )
 
 
+def stop_rows(
+    configuration: int, rows: Mapping[str, Reading], further: Mapping[str, Sequence[Reading]]
+) -> dict[str, Readings]:
+    """Readings of each arm at one stop, behind those in ``rows`` the ``further`` ones of other nests."""
+    found = {arm: reading.as_readings(configuration) for arm, reading in rows.items()}
+    for arm, nests in further.items():
+        found[arm] = joined([found[arm], *(one.as_readings(configuration) for one in nests)])
+    return found
+
+
 def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, int]]:
     """Number of readings of each arm, by split; None is no split."""
     counts: dict[str, dict[str | None, int]] = {}
-    for arm, split, n in connection.execute("SELECT arm, split, COUNT(*) FROM reading GROUP BY arm, split"):
+    for arm, split, n in connection.execute(
+        "SELECT arm, split, COUNT(DISTINCT configuration) FROM reading GROUP BY arm, split"
+    ):
         counts.setdefault(arm, {})[split] = n
     return counts
 
@@ -105,16 +116,11 @@ def check_splits(words: Sequence[str | None]) -> None:
             raise ValueError(f"'{word}' is not a split; splits are {', '.join(SPLITS)}")
 
 
-def update_splits(connection: sqlite3.Connection, arm: str, names: Sequence[str | None]) -> None:
-    """Store the split of each reading of an arm, in the order of ``select_readings``."""
-    rows = connection.execute(
-        "SELECT rowid FROM reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
-    ).fetchall()
-    if len(rows) != len(names):
-        raise ValueError(f"{len(names)} splits for the {counted(len(rows), 'reading')} of arm {arm}")
+def update_splits(connection: sqlite3.Connection, arm: str, names: Mapping[int, str | None]) -> None:
+    """Store the split of all rows of an arm at each stop."""
     connection.executemany(
-        "UPDATE reading SET split = ? WHERE rowid = ?",
-        ((name, row) for name, (row,) in zip(names, rows, strict=True)),
+        "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
+        ((name, arm, stop) for stop, name in names.items()),
     )
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 from cellapp.commands.calibrate.motion_view import motion_sentences, motion_tables
+from cellapp.commands.calibrate.nests_view import nest_sentences, nest_tables
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
@@ -56,7 +57,7 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
             if method in result.pair
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *ERROR_COLUMNS), tuple(rows)))
-    return [*tables, *motion_tables(result), *gauge_tables(result), *prior_tables(result)]
+    return [*tables, *motion_tables(result), *nest_tables(result), *gauge_tables(result), *prior_tables(result)]
 
 
 def gauge_tables(result: CalibrateResult) -> list[Table]:
@@ -92,7 +93,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
             (METHOD_WORDS[key], *_detailed_cells(errors), _ratio(errors, noise)) for key, errors in summaries.items()
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
-    return [*tables, *motion_tables(result), *gauge_tables(result), *prior_tables(result)]
+    return [*tables, *motion_tables(result), *nest_tables(result), *gauge_tables(result), *prior_tables(result)]
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:
@@ -154,7 +155,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    return [*sentences, *motion_sentences(result), *prior_sentences(result)]
+    return [*sentences, *motion_sentences(result), *nest_sentences(result), *prior_sentences(result)]
 
 
 def distance_mm(first: float | None, second: float | None) -> float | None:

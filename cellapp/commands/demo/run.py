@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from cellapp.cell.profile.starters import FOLDER, TWIN, TWIN_SMALL, write_starter
+from cellapp.cell.profile.starters import FOLDER, TWIN_SMALL, write_starter
 from cellapp.commands.demo.request import DemoRequest
 from cellapp.commands.plan.run import default_folder
 from cellapp.commands.record import Work
 from cellapp.commands.run import run as whole
 from cellapp.commands.run.request import RunRequest
 from cellapp.commands.run.result import WholeRunResult
+from cellapp.ground.starters import TWIN
 
 _SWEEPS = 20
 """Stops of the demonstration in motion, each with a sweep of every arm."""

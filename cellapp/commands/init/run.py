@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from cellapp.cell.profile.starters import TWIN, write_starter
+from cellapp.cell.profile.starters import write_starter
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.init.request import InitRequest
 from cellapp.commands.init.result import InitResult
 from cellapp.commands.record import Work
+from cellapp.ground.starters import TWIN
 
 
 def run(request: InitRequest, work: Work) -> InitResult:

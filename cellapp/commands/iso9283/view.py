@@ -74,6 +74,7 @@ def _tables(result: Iso9283Result) -> list[tuple[bool, Table]]:
     tables = [
         (True, _judgements(result)),
         (True, _poses(result)),
+        (True, _orientations(result)),
         (False, _series(result)),
         *((False, table) for table in by_hand_tables(result)),
         (False, _axes(result)),
@@ -239,6 +240,35 @@ def _poses(result: Iso9283Result) -> Table:
         ("pose", "one.pose"),
         *pair_fields("AP", "RP"),
     )
+
+
+def _orientations(result: Iso9283Result) -> Table:
+    """Angles about the axes of the base, of the poses at which the orientation of a probe was measured."""
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        Column("pose"),
+        *(number_column(f"{what} {axis}", ".3f") for what in ("AP", "RP") for axis in "xyz"),
+        number_column("U(AP)", ".3f"),
+        number_column("U(RP)", ".3f"),
+        number_column("n", "d"),
+    )
+    rows = tuple(
+        (
+            name,
+            kind,
+            pose.pose,
+            *pose.orientation.accuracy_mrad,
+            *pose.orientation.repeatability_mrad,
+            pose.orientation.accuracy_expanded_mrad,
+            pose.orientation.repeatability_expanded_mrad,
+            pose.orientation.n,
+        )
+        for name, kind, tests in tests_of(result)
+        for pose in tests.pose
+        if pose.orientation is not None
+    )
+    return Table("Orientation accuracy AP and repeatability RP about the axes of the base [mrad]", columns, rows)
 
 
 def _measured_poses(result: Iso9283Result) -> list[Commanded]:

@@ -17,7 +17,7 @@ from cellapp.cell.run.sqlite_file import FILE_NAME
 from cellapp.commands.basis import counted_basis
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.runs.history_figures import run_figures
-from cellapp.commands.runs.result import CellKind, LastSession, RunsResult, RunSummary, StageSummary
+from cellapp.commands.runs.result import LastSession, RunsResult, RunSummary, StageSummary
 from cellapp.commands.stages import read_stages
 from cellapp.ground.asking import RUNS_NOW, who_uses
 from cellapp.ground.errors import CellappError, InputError
@@ -145,7 +145,7 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
     return RunSummary(
         run=known.run,
         profile=run.profile.name,
-        cell=cell_kind(run.profile),
+        cell=run.profile.cell_kind,
         began=run.created,
         changed=known.changed,
         arms=arms,
@@ -177,13 +177,3 @@ def _last_session(sessions: list[Session]) -> LastSession | None:
     """How the last session ended that collected what was left; None if there is none."""
     last = next((one for one in reversed(sessions) if not one.again), None)
     return None if last is None else last.outcome or "no end"
-
-
-def cell_kind(profile: Profile) -> CellKind:
-    """What moves in a cell: real arms if any arm is real, simulated ones if all are simulated."""
-    drivers = [arm.driver for arm in profile.arms.values()]
-    if profile.moves_hardware:
-        return "real"
-    if not any(driver.has_device for driver in drivers):
-        return "none"
-    return "simulated" if all(driver.needs_plant for driver in drivers) else "emulated"

@@ -9,10 +9,8 @@ from typing import Literal
 from cellapp.commands.next_step import ArmState
 from cellapp.commands.stages import NextVerb
 from cellapp.estimation.discovery.records import BeforeAfter, Place
+from cellapp.ground.profile import CellKind
 from cellapp.ground.results import Method, Record, Result, Stage, StageName, Verdict
-
-CellKind = Literal["simulated", "emulated", "real", "none"]
-"""What a run measures: simulated arms, controllers emulated on this computer, real arms, or nothing (imported)."""
 
 LastSession = Literal["complete", "accurate enough", "stopped", "aborted", "failed", "no end"]
 """How the last session of collecting ended; "no end": the program died in it, or it still runs."""

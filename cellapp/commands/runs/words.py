@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cellapp.commands.runs.result import CellKind, RunSummary
+from cellapp.commands.runs.result import RunSummary
+from cellapp.ground.profile import CellKind
 
 CELL_WORDS: dict[CellKind, str] = {
     "simulated": "simulated",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.planned_stops import PlannedStops
@@ -17,6 +18,8 @@ from cellapp.estimation.calibration.calibrate import profile_splits
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.transforms import Array
+from drivers.plant import Plant
+from drivers.plant.conditions import Conditions
 
 DURATION_S = 18000.0
 """Length of a run: five hours, as 400 stops of the real cell take."""
@@ -102,19 +105,19 @@ def blind_readings(
         others = {other: rows for other, rows in visits.q.items() if other != name}
         rise = rng.uniform(*_JOINT_RISE_K, q.shape[1]) * -np.expm1(-time_s[:, None] / _WARM_UP_S)
         joints_c = air_c[:, None] + rise
-        exact = plant.smr_positions(
-            name,
-            q + noise.repeatability * rng.standard_normal(q.shape),
-            approach=approach.astype(np.float64),
-            others=others,
-            other_payloads={other: loads_kg[other] for other in others},
-            time_s=time_s,
-            last_step=step,
-            since_rest_s=dwell_s,
-            payload=loads_kg[name],
-            joints_c=joints_c,
-            air_c=air_c,
-        )
+        stopped = q + noise.repeatability * rng.standard_normal(q.shape)
+        conditions: Conditions = {
+            "approach": approach.astype(np.float64),
+            "others": others,
+            "other_payloads": {other: loads_kg[other] for other in others},
+            "time_s": time_s,
+            "last_step": step,
+            "since_rest_s": dwell_s,
+            "payload": loads_kg[name],
+            "joints_c": joints_c,
+            "air_c": air_c,
+        }
+        exact = plant.smr_positions(name, stopped, **conditions)
         draw = np.random.default_rng([seed, place, 0x401])
         points, covariance = plant.measure_positions(exact, draw)
         if noise.kind == "heavy":
@@ -131,9 +134,25 @@ def blind_readings(
             step=step,
             dwell_s=dwell_s,
             covariance_M=covariance,
+            **_measured_orientation(profile, plant, name, stopped, conditions, [seed, place, 0x6D]),
         )
     splits, _ = profile_splits(profile, readings)
     return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}
+
+
+def _measured_orientation(
+    profile: Profile, plant: Plant, name: str, q: Array, conditions: Conditions, seed: Sequence[int]
+) -> dict[str, Any]:
+    """Measured orientations of a 6-D probe, and their uncertainty; nothing for an arm without one."""
+    probe = profile.arms[name].smr.probe
+    if probe is None:
+        return {}
+    exact = Rotation.from_matrix(plant.probe_rotations(name, q, **conditions))
+    error = Rotation.from_rotvec(probe.sigma * np.random.default_rng(seed).standard_normal((len(q), 3)))
+    return {
+        "quaternion_M": np.roll((error * exact).as_quat(), 1, axis=1),
+        "sigma_rad": np.full(len(q), probe.sigma),
+    }
 
 
 def _drawn_conditions(profile: Profile, n: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:

@@ -13,11 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.arm_identification import identify_with_excess, refused_by_arm, robust_loss
-from cellapp.estimation.calibration.evaluation import evaluate, evaluate_readings, repeatability
+from cellapp.estimation.calibration.evaluation import evaluate, evaluate_quantities, repeatability
 from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_geometry, left_out_words, without
 from cellapp.estimation.calibration.identification import Identification, start_from_nominal
 from cellapp.estimation.calibration.network_training import Shape, Training, train_network, training_steps
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
+from cellapp.estimation.calibration.quantities import (
+    Quantities,
+    measured_quantities,
+    refuse_odd_orientations,
+    with_probe,
+)
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
 from cellapp.estimation.calibration.socket_arm import fit_arm, gauge_note, socket_notes
 from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
@@ -214,8 +220,11 @@ def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
     good, geometry = fitted.readings, fitted.identification.geometry
     if in_sockets(good):
         return gross_errors_in_sockets(geometry, fitted.nominal, good)
-    learned = len(good.in_split("identify"))
-    return gross_errors_of_geometry(geometry, fitted.nominal, good.q, good.p_M, learned)
+    learned, its = len(good.in_split("identify")), measured_quantities(good)
+    wrong = gross_errors_of_geometry(
+        geometry, fitted.nominal, its.readings.q, its.readings.p_M, learned, R_M_S=its.R_M_S
+    )
+    return np.isin(np.arange(len(good)), its.reading[wrong])
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +253,10 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
         notes = socket_notes(name, readings, fit, priors, nominal)
         return _Fitted(readings, nominal, fit.tabulated(priors, nominal), fit.noise_m, notes)
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
-    identification, excess = _identify(profile, name, nominal, learn, robust=robust)
+    refuse_odd_orientations(name, nominal, learn)
+    its = measured_quantities(learn)
+    nominal = with_probe(nominal, its.readings.q, its.R_M_S)
+    identification, excess = _identify(profile, name, nominal, its, robust=robust)
     return _Fitted(readings, nominal, identification, excess)
 
 
@@ -261,9 +273,10 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         identified=identification.estimated.names,
         covariance=identification.estimated_covariance,
     )
+    its, geometries = measured_quantities(held_out), {"nominal": nominal, "geometry": identification.geometry}
     stages: dict[Stage, StageErrors] = {
-        "nominal": evaluate_readings(held_out, smr_positions(nominal, held_out.q)),
-        "geometry": evaluate_readings(held_out, smr_positions(identification.geometry, held_out.q)),
+        stage: evaluate_quantities(its, smr_positions(geometry, its.readings.q, its.R_M_S))
+        for stage, geometry in geometries.items()
     }
     left_out = readings.take(~np.isin(readings.configuration, good.configuration))
     stated = None if in_sockets(held_out) else stated_uncertainty(held_out)
@@ -322,16 +335,17 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
 
 
 def _identify(
-    profile: Profile, name: str, nominal: Geometry, learn: Readings, *, robust: bool
+    profile: Profile, name: str, nominal: Geometry, learn: Quantities, *, robust: bool
 ) -> tuple[Identification, float]:
     """Identify one arm as the profile says; also its excess scatter [m]."""
     settings = profile.calibration
     with refused_by_arm(name):
         return identify_with_excess(
             nominal,
-            learn.q,
-            learn.p_M,
-            sigma=stated_uncertainty(learn),
+            learn.readings.q,
+            learn.readings.p_M,
+            R_M_S=learn.R_M_S,
+            sigma=learn.stated,
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(nominal, settings.priors),
             robust=robust_loss(settings, robust=robust),
@@ -383,7 +397,10 @@ def train_arm(
     ).network
     model = replace(arm.model, network=training.network)
     computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
-    stages: dict[Stage, StageErrors] = {**arm.validate, "network": evaluate(held_out.p_M, computed)}
+    errors = evaluate(held_out.p_M, computed).model_copy(
+        update={"orientation_mrad": arm.validate["geometry"].orientation_mrad}  # the network learns positions only
+    )
+    stages: dict[Stage, StageErrors] = {**arm.validate, "network": errors}
     return replace(arm, model=model, validate=stages, training=training, tracker_frame_network=in_tracker)
 
 

@@ -133,6 +133,16 @@ class ClockSegmentResult(Record):
     last_s: float
 
 
+class TriggerResult(Record):
+    """The offset by pulses of a hardware trigger, with its standard error; ``difference_s`` is the motion's less it."""
+
+    offset_s: float
+    standard_error_s: float
+    pulses: int
+    difference_s: float
+    agrees: bool
+
+
 class ClockResult(Record):
     """The tracker's clock against the controller's in one recording.
 
@@ -152,6 +162,7 @@ class ClockResult(Record):
     steps_of_points: tuple[tuple[float, float], ...] = ()
     segments: tuple[ClockSegmentResult, ...] = ()
     correlation: float
+    trigger: TriggerResult | None = None
 
 
 class RecordingResult(Record):
@@ -184,6 +195,30 @@ class MotionResult(Record):
     undetermined: tuple[str, ...] = ()
 
 
+class NestEstimate(Record):
+    """Where a nest is on the flange: coordinates in F [m], their standard errors, and the number of rows."""
+
+    offset_m: tuple[float, float, float]
+    standard_error_m: tuple[float, float, float]
+    n: int
+
+
+class NestsResult(Record):
+    """Several SMRs on a flange.
+
+    ``found`` are the nests by name. Of so many ``stops``, some are ``with_orientation``, which is known to
+    ``orientation_mrad`` about each axis; those ``left_out`` had neither the first nest nor three others. ``noise_mm``
+    is the scatter of a coordinate about the rigid figure of the nests.
+    """
+
+    found: Mapping[str, NestEstimate]
+    stops: int
+    with_orientation: int
+    left_out: tuple[int, ...] = ()
+    noise_mm: float | None = None
+    orientation_mrad: float | None = None
+
+
 class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
@@ -193,7 +228,8 @@ class ArmCalibrationResult(Record):
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
-    has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion.
+    has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion. ``nests`` are
+    those of an arm with several SMRs.
     """
 
     identified: Mapping[str, Estimate]
@@ -218,7 +254,8 @@ class ArmCalibrationResult(Record):
     validate_: Mapping[Stage, StageErrors]
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
-    omitted_when_none = frozenset({"prior", "clocks", "motion"})
+    nests: NestsResult | None = None
+    omitted_when_none = frozenset({"prior", "clocks", "motion", "nests"})
 
     @property
     def best_stage(self) -> Stage:

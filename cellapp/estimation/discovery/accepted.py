@@ -14,7 +14,6 @@ from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
 from cellapp.estimation.discovery.movement import term_movements
 from cellapp.estimation.discovery.pictures.cycles import dominant_cycles
-from cellapp.estimation.discovery.posterior import Posteriors
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     BeforeAfter,
@@ -27,7 +26,7 @@ from cellapp.estimation.discovery.records import (
     Place,
     RunnerUp,
 )
-from cellapp.estimation.discovery.search.state import SearchResult
+from cellapp.estimation.discovery.search.state import Posteriors, SearchResult
 from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, without_term
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS, EffectTerm, place_in_words, term_to_json

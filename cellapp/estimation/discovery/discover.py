@@ -23,6 +23,7 @@ from cellapp.estimation.calibration.gross_errors import (
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.calibration.network_training import training_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
+from cellapp.estimation.calibration.quantities import measured_quantities, states_nothing
 from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions
 from cellapp.estimation.discovery.all_readings import fit_to_all
@@ -196,7 +197,11 @@ def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
     """Which readings (n,) are gross errors for the geometry alone."""
     if in_sockets(readings):
         return gross_errors_in_sockets(model.geometry, model.nominal, readings)
-    return gross_errors_of_geometry(model.geometry, model.nominal, readings.q, readings.p_M)
+    its = measured_quantities(readings)
+    wrong = gross_errors_of_geometry(
+        model.geometry, model.nominal, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S
+    )
+    return np.isin(np.arange(len(readings)), its.reading[wrong])
 
 
 def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut, started: float) -> Discovery:
@@ -208,7 +213,7 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
     floor_mm = held_out.noise_floor_mm()
     scan = remaining_scan(searched)
-    probable = posteriors_of(searched, scan)
+    probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
@@ -241,14 +246,15 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
         sentence=f"arm {name}: {_with_what_was_left_out(sentence, result)}",
     )
     smooth = smoothness_of(found.fit.terms)
-    return Discovery(evaluated, terms, final, 0.0 if smooth is None else smooth.scatter_m)
+    return Discovery(evaluated, terms, final, 0.0 if smooth is None else smooth.scatter.m)
 
 
 def _noise(data: ArmData) -> Noise:
     """Rms length of the noise: as stated, else as the final fit estimated it, with all of the scatter."""
-    if data.stated is None:
-        return Noise(rms=rms_length_mm(data.sigma), source="estimated")
-    return Noise(rms=rms_length_mm(data.stated), source="stated")
+    points = slice(None) if data.turned is None else ~data.turned
+    if data.stated is None or states_nothing(data.stated[points]):
+        return Noise(rms=rms_length_mm(data.sigma[points]), source="estimated")
+    return Noise(rms=rms_length_mm(data.stated[points]), source="stated")
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,8 +293,10 @@ def _search_and_refit(
     gross = gross.copy()
     for _ in range(ROUNDS):
         result = _search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
-        computed = result.model.predict(readings.q[rows], conditions=conditions.take(rows))
-        wrong = gross_errors(measured_positions(readings.take(rows), computed) - computed)
+        its = measured_quantities(readings.take(rows), conditions.take(rows))
+        computed = result.model.predict(its.readings.q, conditions=its.conditions)
+        left = gross_errors(measured_positions(its.readings, computed) - computed, its.turned)
+        wrong = np.isin(np.arange(len(rows)), its.reading[left])
         if not wrong.any():
             break
         gross[rows[wrong]] = True
@@ -323,6 +331,7 @@ def _search_rows(
         to_all = refit_to_all(found, everything)
         return _Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))
     to_all, fitted_model = fit_to_all(found, everything, max(found.threshold, SCORE_MARGIN))
+    to_all = replace(to_all, posteriors=None)
     return _Searched(to_all, to_all, fitted_model, len(rows))
 
 
@@ -348,7 +357,10 @@ def _without_harm(result: _Searched, held_out: HeldOut) -> _Searched:
 
 
 def _with_what_was_left_out(sentence: str, result: _Searched) -> str:
-    """The sentence of the verdict, with effects that did harm, and with the readings that were left out."""
+    """The sentence of the verdict, with effects that were left out, and with the readings that were left out."""
+    if result.found.improbable:
+        odds = ", ".join(f"{EFFECTS[slug].title} ({p:.0%})" for slug, p in result.found.improbable.items())
+        sentence = f"{sentence}; more probably not there than there, and left out: {odds}"
     if result.harmful:
         sentence = (
             f"{sentence}; {_titles(result.harmful)} made held-out errors larger and was left out: measure more stops"

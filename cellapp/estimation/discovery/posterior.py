@@ -48,7 +48,7 @@ from cellapp.estimation.discovery.search.free_part import (
     possible_free_parts,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import SCORE_MARGIN, Review, SearchResult, SearchState
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN, Posteriors, Review, SearchResult, SearchState
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.robot.effects import EFFECTS, DriverVariable
 
@@ -57,14 +57,6 @@ _LIKE_A_RIVAL = CAUTIOUS_SHARE / 10.0
 10 %, but an error has many directions (a hundred of equal variance), and the rival's is one of them."""
 _LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
 """Error of a law that may look like another effect of the same variables, with whatever values that has."""
-
-
-@dataclass(frozen=True)
-class Posteriors:
-    """Probability that each term's effect is there, in their order, and that of every effect that was tested."""
-
-    terms: tuple[float, ...]
-    effects: Mapping[str, float]
 
 
 @dataclass(frozen=True)

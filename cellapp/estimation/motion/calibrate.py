@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration, calibrate_readings, rms_length_mm
 from cellapp.estimation.calibration.evaluation import evaluate, repeatability
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, MotionResult, RecordingResult
+from cellapp.estimation.calibration.records import (
+    ClockResult,
+    ClockSegmentResult,
+    MotionResult,
+    RecordingResult,
+    TriggerResult,
+)
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.records import ClockFit, MotionFit, RecordingFit
@@ -249,4 +255,5 @@ def _clock(clock: ClockFit) -> ClockResult:
         steps_of_joints=tuple((step.at_s, step.step_s) for step in clock.steps_of_joints),
         steps_of_points=tuple((step.at_s, step.step_s) for step in clock.steps_of_points),
         segments=tuple(ClockSegmentResult.like(one) for one in segments),
+        trigger=None if clock.trigger is None else TriggerResult.like(clock.trigger),
     )

@@ -13,8 +13,6 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
-    StrictFloat,
-    field_validator,
     model_serializer,
     model_validator,
 )
@@ -24,6 +22,7 @@ from cellapp.ground.profile.collection import Collection
 from cellapp.ground.profile.notify import Notify
 from cellapp.ground.profile.obstacles import Obstacles
 from cellapp.ground.profile.plan import Plan
+from cellapp.ground.profile.smr import ArmPoint, Smr
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from drivers.quantities import (
@@ -48,7 +47,9 @@ from drivers.trackers.settings import TrackerSettings
 VERSION = 1
 """Version of the profile's format; ``Profile.version`` accepts this one only."""
 
-ArmPoint = tuple[ArmLength, ArmLength, ArmLength]
+CellKind = Literal["simulated", "emulated", "real", "none"]
+"""What moves in a cell: simulated arms, controllers emulated on this computer, real arms, or nothing (imported)."""
+
 CellPoint = tuple[CellLength, CellLength, CellLength]
 
 _ROUNDING_RAD = 1e-9
@@ -111,25 +112,6 @@ class Pose(Section):
 
     position: CellPoint
     rpy: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)
-
-
-class Smr(Section):
-    """The retroreflector on a flange.
-
-    ``offset: unknown`` identifies it from the data. ``normal`` is the viewing direction, ``acceptance`` the half-angle
-    about it within which the SMR returns the beam.
-    """
-
-    offset: ArmPoint | Literal["unknown"]
-    normal: tuple[StrictFloat, StrictFloat, StrictFloat] = (0.0, 0.0, 1.0)
-    acceptance: Annotated[Angle, Field(gt=0.0, le=math.pi)] = math.radians(30.0)
-
-    @field_validator("normal")
-    @classmethod
-    def _unit_vector(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
-        if not 0.9 < math.hypot(*value) < 1.1:
-            raise ValueError("normal must be a unit vector in the flange frame")
-        return value
 
 
 class Payload(Section):
@@ -270,6 +252,13 @@ class GeometryErrors(Section):
     smr: Annotated[Length, Field(ge=0.0)] = 1e-3
     mass: Annotated[float, Field(strict=True, ge=0.0, lt=1.0)] = 0.0
     """Relative error of the mass of each body."""
+    probe: Annotated[Angle, Field(ge=0.0)] = 0.0
+    """Rotation of a 6-D probe about each axis."""
+
+    @model_serializer(mode="wrap")
+    def _without_probe(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = handler(self)
+        return {key: value for key, value in content.items() if key != "probe" or value}
 
 
 class Plant(Section):
@@ -331,6 +320,16 @@ class Profile(Section, defer_build=True):
     def moves_hardware(self) -> bool:
         """Whether a motion in this cell moves a real arm."""
         return any(arm.driver.moves_hardware for arm in self.arms.values())
+
+    @property
+    def cell_kind(self) -> CellKind:
+        """What moves in this cell: real arms if any arm is real, simulated ones if all are simulated."""
+        drivers = [arm.driver for arm in self.arms.values()]
+        if self.moves_hardware:
+            return "real"
+        if not any(driver.has_device for driver in drivers):
+            return "none"
+        return "simulated" if all(driver.needs_plant for driver in drivers) else "emulated"
 
     @property
     def is_simulated(self) -> bool:

@@ -5,24 +5,34 @@ A command imports what it needs when it is called, so that help and requests to 
 
 from __future__ import annotations
 
+import os
 import sys
 from functools import partial
 
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.cli.requests import ask_job, plain_request
 
+_COMPLETION = "_CELLAPP_COMPLETE"
+"""Variable by which a shell asks typer to complete a command line."""
+
 
 def main() -> None:
     """The program. A plain request to a running job is sent before the rest of the program is loaded: it may be a stop.
 
-    The list of commands needs none of them. Everything else, and whatever goes wrong, is the matter of the whole
-    command line.
+    The list of commands needs none of them, the terminal application no command line. Everything else, and whatever
+    goes wrong, is the matter of the whole command line.
     """
     if sys.argv[1:] in (["-h"], ["--help"]):
         from cellapp.interfaces.cli.program import run_program
         from cellapp.interfaces.cli.top import overview
 
         run_program(partial(overview(), prog_name="cellapp"))
+        return
+    if not sys.argv[1:] and _COMPLETION not in os.environ:
+        from cellapp.interfaces.cli.program import run_program
+        from cellapp.interfaces.tui import run_app
+
+        run_program(lambda: sys.exit(run_app()))
         return
     request = plain_request(sys.argv[1:])
     if request is None:

@@ -16,7 +16,7 @@ from cellapp.commands.view.parts import Parts, printed
 from cellapp.ground.control import Aborted, JobControl
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.progress import Notice, Progress, StateChange, Suspicion, eta_words, in_lines
-from cellapp.ground.signals import available, ended_by, watch_signals
+from cellapp.ground.signals import HANGUP, INTERRUPTS, available, ended_by, watch_signals
 from cellapp.interfaces.cli.command_outputs import current_outputs
 
 if TYPE_CHECKING:
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from cellapp.commands.view.table import Table
     from cellapp.ground.results import Result
 
-INTERRUPTS = available("SIGINT", "SIGTERM", "SIGBREAK")
-HANGUP = available("SIGHUP")
-"""The terminal was closed. It may come twice: once from the system, once from the shell."""
 _BY_KEY = available("SIGINT", "SIGBREAK")
 """A person pressed Ctrl-C; everything else that ends the job is recorded as what it was."""
 _SUSPENDS = available("SIGTSTP")

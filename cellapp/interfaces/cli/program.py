@@ -13,12 +13,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
-import typer
-
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.progress import Cancelled
-from cellapp.interfaces.cli.job import HANGUP, INTERRUPTS
+from cellapp.ground.signals import HANGUP, INTERRUPTS
 
 EXIT_UNEXPECTED = 1
 EXIT_INTERRUPTED = 4
@@ -103,6 +101,8 @@ def error_text(error: BaseException) -> str:
         )
     if isinstance(error, CellappError):
         return str(error)
+    import typer  # late: the terminal application begins without it
+
     if isinstance(error, typer.TyperException):
         return error.format_message()
     return f"unexpected {type(error).__name__}: {error}; please report it with {_ERROR_LOG} from this folder"

@@ -29,7 +29,6 @@ from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import night
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.attached import LOOK_EVERY_S, JobsOfOthers
-from cellapp.interfaces.tui.dialogs.handbook import Handbook
 from cellapp.interfaces.tui.dialogs.jump import Jump
 from cellapp.interfaces.tui.dialogs.palette import Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
@@ -76,6 +75,7 @@ _LATER = (
     "cellapp.commands.plan.charts",
     "cellapp.cell.planning.view",
     "cellapp.commands.docs.sections",
+    "cellapp.interfaces.tui.dialogs.handbook",
 )
 _MOST_TAKEN = 300
 """Events that are taken in at a time: each takes some microseconds."""
@@ -262,6 +262,8 @@ class CellApp(JobKeys):
 
     def action_handbook(self) -> None:
         """Open the handbook."""
+        from cellapp.interfaces.tui.dialogs.handbook import Handbook
+
         self.push_screen(Handbook())
 
     def action_jump(self) -> None:

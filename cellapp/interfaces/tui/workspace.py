@@ -18,10 +18,9 @@ if TYPE_CHECKING:
     from cellapp.commands.conclusions import Conclusion
     from cellapp.commands.plan.result import StopsResult
     from cellapp.commands.report.result import RunResults
-    from cellapp.commands.runs.result import CellKind
     from cellapp.commands.show.result import OverviewResult
     from cellapp.estimation.uncertainty.records import Conformity
-    from cellapp.ground.profile import Profile
+    from cellapp.ground.profile import CellKind, Profile
     from cellapp.ground.results import StageName
 
 Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs"]
@@ -106,9 +105,7 @@ class Workspace:
     @property
     def kind(self) -> CellKind:
         """Whether this cell's arms are real, emulated or simulated; ``none`` where none can move."""
-        from cellapp.commands.runs.history import cell_kind
-
-        return "none" if self.profile is None else cell_kind(self.profile)
+        return "none" if self.profile is None else self.profile.cell_kind
 
     @property
     def unseen(self) -> Mapping[str, str]:

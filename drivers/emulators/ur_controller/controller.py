@@ -18,6 +18,7 @@ from drivers.emulators.ur_controller.braking import Brakes, StopTrigger
 from drivers.emulators.ur_controller.journal import Journal
 from drivers.emulators.ur_controller.modes import RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.motion import Array, Motions
+from drivers.emulators.ur_controller.outputs import DigitalOutputs
 from drivers.emulators.ur_controller.personality import ControllerConfig
 from drivers.emulators.ur_controller.program import Program, ScriptError
 from drivers.emulators.ur_controller.slider import SpeedSlider
@@ -77,7 +78,7 @@ class Controller:
         self.payload_inertia: Values = _ZERO6
         self.tcp: Values = tuple(config.tcp)
         self.gravity: Values = (0.0, 0.0, 9.82)
-        self.slider = SpeedSlider()
+        self.slider, self.outputs = SpeedSlider(), DigitalOutputs()
         self.brakes = Brakes(config.name, motions, config.braking, config.speed, config.acceleration, clock)
         self.program: Program[Controller] | None = None
         self.log: deque[str] = deque(maxlen=200)
@@ -168,13 +169,11 @@ class Controller:
     def write_input(self, name: str, value: Values) -> None:
         """Store an input that a client wrote, and its time for the watchdog."""
         if name == "speed_slider_fraction":
-            if self.values["speed_slider_mask"][0]:
-                self.set_slider(value[0])
-            return
+            return self.set_slider(value[0]) if self.values["speed_slider_mask"][0] else None
         before, self.values[name] = self.values[name], value
+        if name in _COMMAND_REGISTERS and value != before and value[0] in _STOPPING:
+            self.journal.note("stop", f"rtde: {_STOPPING[value[0]]}")
         if name.startswith("input_int_register_"):
-            if name in _COMMAND_REGISTERS and value != before and value[0] in _STOPPING:
-                self.journal.note("stop", f"rtde: {_STOPPING[value[0]]}")
             self._watchdog.written(int(name[19:]))
 
     def set_slider(self, fraction: float) -> None:
@@ -367,13 +366,13 @@ class Controller:
 
     def cycle(self, now_s: float) -> None:
         """Execute one control period at ``now_s`` (``time.monotonic``), after the cell's time has been advanced."""
-        self._watchdog.run_s += min(now_s - self.now_s, _MAX_PAUSE_S)
-        self.now_s = now_s
+        self._watchdog.run_s, self.now_s = self._watchdog.run_s + min(now_s - self.now_s, _MAX_PAUSE_S), now_s
         self.brakes.cycle(now_s)
         if self.slider.follow(self.motions.clock_s - self._clock_s) and not self.brakes.braking:
             self.motions.scale_speed(self.name, self.slider.scaling)
         self._publish_speed()
         self._read_drives()
+        self.outputs.cycle(self.values)
         while self._mode_due and self._clock_s >= self._mode_due[0][0]:
             self.robot_mode = self._mode_due.pop(0)[1]
             self._publish_modes()

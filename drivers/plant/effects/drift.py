@@ -85,7 +85,13 @@ class TrackerDrift(Effect):
     course: Course
 
     def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
-        return carry(rigid(_scaled(-self.course.share(situation.time_s), self.twist)), p_M)
+        return carry(self._motion(situation), p_M)
+
+    def apparent_rotation(self, R_M_S: Array, situation: Situation) -> Array:
+        return np.asarray(self._motion(situation)[:, :3, :3] @ R_M_S)
+
+    def _motion(self, situation: Situation) -> Array:
+        return rigid(_scaled(-self.course.share(situation.time_s), self.twist))
 
 
 @dataclass(frozen=True, eq=False)

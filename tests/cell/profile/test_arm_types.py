@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile.loader import arm_type_of_text
-from cellapp.cell.profile.starters import arm_type_files, starters_folder
+from cellapp.cell.profile.starters import arm_type_files
 from cellapp.ground.profile.schema import ArmType
+from cellapp.ground.starters import starters_folder
 from cellapp.robot.kinematics.chain import flange_poses, nominal_geometry
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotation_x, rotation_y
 

@@ -9,8 +9,9 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_text
-from cellapp.cell.profile.starters import starter_profiles, starters_folder, write_starter
+from cellapp.cell.profile.starters import starter_profiles, write_starter
 from cellapp.ground.errors import InputError
+from cellapp.ground.starters import starters_folder
 
 pytestmark = pytest.mark.fast
 
@@ -37,12 +38,12 @@ def test_an_installed_package_brings_its_own(tmp_path: Path, monkeypatch: pytest
     for folder in ("cellapp/starters", "profiles"):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "twin.yaml").touch()
-    monkeypatch.setattr("cellapp.cell.profile.starters.files", lambda package: tmp_path / package)
+    monkeypatch.setattr("cellapp.ground.starters.files", lambda package: tmp_path / package)
     assert starters_folder() == tmp_path / "cellapp" / "starters"
 
 
 def test_an_installation_without_them_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.cell.profile.starters.files", lambda package: tmp_path / package)
+    monkeypatch.setattr("cellapp.ground.starters.files", lambda package: tmp_path / package)
     with pytest.raises(InputError, match="lacks its starter profiles; install it again"):
         starters_folder()
 

@@ -582,10 +582,8 @@ def test_a_file_of_the_seventh_schema_takes_several_nests_at_a_stop(profile: Pro
             run.add_stop(2, {"left": replace(reading(2), smr=nest)})
         with pytest.raises(InputError, match="a stop is measured once"):
             run.add_stop(2, {"left": replace(reading(3), smr="A")})
-        run.assign_splits("left", [None, "identify", "train"])
-        left = run.readings("left")
+        left = run.rows("left")
     assert left.smr == (None, "B", "A")
-    assert left.split == (None, "identify", "train")
 
 
 @pytest.mark.fast

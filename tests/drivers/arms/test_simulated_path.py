@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.arms.path_checks import driven
 from drivers.arms.protocol import (
     ArmError,
     EmergencyStop,
@@ -109,6 +110,31 @@ def test_every_stop_ends_a_path(how, plant, arm):
     assert 0.2 < (rested - path[0])[0] / WAY[0] < 0.95
     plant.advance(2.0)  # no later position of the path moves it
     np.testing.assert_array_equal(plant.q("left"), rested)
+
+
+def test_a_path_that_is_ended_early_is_left_nowhere(plant, arm):
+    path = path_of(plant)
+    arm.end_path()  # harmless at rest
+    arm.start_recording()
+    arm.start_path(path, CYCLE_S)
+    plant.schedule.at(plant.clock_s + 0.7, arm.end_path)
+    state = arm.wait_settled(10.0)
+    reached = arm.followed().reached
+    part = driven(path, reached)
+    assert 80 < reached < 160
+    np.testing.assert_allclose(state.q, part[-1], atol=1e-6)
+    record = arm.end_recording()
+    assert record.missing == 0
+    np.testing.assert_allclose(np.diff(record.time_s), CYCLE_S, rtol=1e-6)
+    # no joint leaves the path, and none is faster or slows down harder than on it
+    along = np.abs(record.q - path[0]) / np.abs(WAY)
+    assert np.ptp(along, axis=1).max() < 1e-3
+    assert np.abs(record.qd).max() <= np.abs(np.diff(path, axis=0)).max() / CYCLE_S
+    arm.start_move(path[0], np.full(6, 1.0), np.full(6, 1.0))
+    arm.wait_settled(10.0)
+    arm.start_path(path, CYCLE_S)
+    arm.wait_settled(10.0)
+    assert arm.followed().reached == np.inf
 
 
 def test_nothing_moves_where_a_path_is_wrong(plant, arm):

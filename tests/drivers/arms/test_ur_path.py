@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.arms.path_checks import driven
 from drivers.arms.protocol import (
     ArmError,
     EmergencyStop,
@@ -19,6 +20,7 @@ from drivers.arms.protocol import (
     PathFollower,
     ProtectiveStop,
 )
+from drivers.arms.recording import RecordingArm
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_path import UrPathArm
 from drivers.arms.ur_settings import UrSettings
@@ -53,7 +55,8 @@ def emulator() -> Iterator[EmulatorProcess]:
 def drivers() -> Iterator[dict[str, UrPathArm]]:
     arms = {}
     for name, host in FOUR_HOSTS.items():
-        settings = UrSettings(host=host, watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S)
+        output = 3 if name == "right" else None
+        settings = UrSettings(host=host, watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S, trigger_output=output)
         arms[name] = UrPathArm(name, settings, expectation(name), rest_s=1.0)
     yield arms
     for arm in arms.values():
@@ -151,6 +154,60 @@ def stop_from_another_thread(emulator: EmulatorProcess, arm: UrArm, *, how: str)
     assert_stays_at_rest(emulator, arm.name)
 
 
+def path_is_ended_early(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """The arm slows down along the path, rests on it, and moves on from there without connecting again."""
+    assert isinstance(arm, UrPathArm)
+    path = smooth_path(arm.path_period_s, 3.0)
+    begun(arm)
+    thread = threading.Thread(target=arm.end_path)
+    thread.start()
+    state = arm.wait_settled(PATIENT_S)
+    thread.join(PATIENT_S)
+    part = driven(path, arm.followed().reached)
+    assert 10 < len(part) < len(path)
+    np.testing.assert_allclose(state.q, part[-1], atol=1e-3)
+    arm.end_path()  # harmless at rest
+    arm.start_move(HOME, SPEED, ACCELERATION)
+    arm.wait_settled(PATIENT_S)
+
+
+def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """At the controller's own rate, with its stamps; a pulse of the output is seen."""
+    assert isinstance(arm, UrPathArm)
+    assert isinstance(arm, RecordingArm)
+    arm.start_recording()
+    path = smooth_path(arm.path_period_s, 1.6)
+    arm.start_path(path, arm.path_period_s)
+    arm.wait_settled(PATIENT_S)
+    pulsed = arm.pulse()
+    until(lambda: arm.state().q[0] < 10.0, "a state after the pulse")
+    record = arm.end_recording()
+    assert pulsed == (arm._settings.trigger_output is not None)
+    assert len(record.triggers_s) == int(pulsed)
+    assert record.period_s == arm.path_period_s
+    steps = np.diff(record.time_s)
+    assert (steps > 0.0).all()
+    assert np.median(steps) == pytest.approx(arm.path_period_s, rel=0.01)
+    # what is missing the emulated controller has not sent: this computer was busy
+    assert record.missing == int(np.maximum(np.rint(steps / record.period_s) - 1, 0).sum())
+    assert len(record.time_s) + record.missing == pytest.approx(np.ptp(record.time_s) / record.period_s + 1.0, abs=1.5)
+    np.testing.assert_allclose(np.abs(record.q - HOME).max(axis=0), np.abs(path - HOME).max(axis=0), rtol=0.1)
+    assert np.abs(record.qd).max() > 0.1
+    assert record.current_a is None
+    with pytest.raises(LinkLost, match="not being recorded"):
+        arm.end_recording()
+
+
+def recording_loses_its_link(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """The record says so; the arm has its own links, and a doubt of its own."""
+    assert isinstance(arm, UrPathArm)
+    arm.start_recording()
+    emulator.control(arm.name, "drop", "rtde", "fin")
+    until(lambda: arm._recorder is not None and arm._recorder._problem is not None, "the connection has ended")
+    with pytest.raises(LinkLost, match="ended early"):
+        arm.end_recording()
+
+
 def wrong_path(emulator: EmulatorProcess, arm: UrArm) -> None:
     """Nothing moves."""
     assert isinstance(arm, UrPathArm)
@@ -186,6 +243,12 @@ ROUNDS: dict[str, dict[str, list[Episode]]] = {
         "right": [fault("protective stop")],
         "left2": [fault("slider")],
         "right2": [fault("lost link")],
+    },
+    "recorded and ended early": {
+        "left": [every_sample_is_recorded],
+        "right": [every_sample_is_recorded],
+        "left2": [path_is_ended_early],
+        "right2": [path_is_ended_early, recording_loses_its_link],
     },
 }
 

@@ -1,4 +1,4 @@
-"""Measure the first paint and the time from a key to its answer in a real terminal.
+"""Measure the first paint, screens, and the time from a key to its answer in a real terminal.
 
 ``python -m tests.interfaces.tui.measure_keys``, with two cores and nothing else running. The keys are letters that are
 typed into the search field of the screen Collect while an emulated cell collects over real sockets, and while discovery
@@ -8,9 +8,12 @@ searches 300 readings of a real UR10.
 from __future__ import annotations
 
 import asyncio
+import os
 import shutil
 import socket
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from contextlib import closing
@@ -68,6 +71,31 @@ def screens_s(terminal: Terminal, count: int, pause_s: float) -> list[float]:
     return took
 
 
+def visits_ms(terminal: Terminal) -> list[float]:
+    """Processor time of showing each of the eight screens [ms], from the second to the first."""
+    took = []
+    for key in "23456781":
+        before_s = processor_s(terminal)
+        terminal.send(key)
+        terminal.quiet(0.4)
+        took.append(1e3 * (processor_s(terminal) - before_s))
+    return took
+
+
+def processor_s(terminal: Terminal) -> float:
+    """Processor time that the threads of a program have used so far [s]. Linux only."""
+    threads = Path(f"/proc/{terminal.process.pid}/task").iterdir()
+    return sum(int((thread / "schedstat").read_text("ascii").split()[0]) for thread in threads) * 1e-9
+
+
+def _libraries_s() -> float:
+    """Processor time of a program that only loads Textual and rich [s]."""
+    process = subprocess.Popen([sys.executable, "-c", "import textual; import rich"])
+    _, _, usage = os.wait4(process.pid, 0)
+    process.returncode = 0
+    return usage.ru_utime + usage.ru_stime
+
+
 def figures(took_s: list[float]) -> str:
     """Number, median, 95th percentile and maximum in milliseconds."""
     ordered = sorted(took_s)
@@ -99,14 +127,21 @@ def open_newest_run(terminal: Terminal) -> None:
 
 def measure_start(folder: Path) -> None:
     """First paint, and the change of screens while nothing runs."""
-    painted_s = []
+    painted_s, used_s, libraries_s = [], [], []
     for _ in range(STARTS):
+        libraries_s.append(_libraries_s())
         with cellapp(folder) as terminal:
             painted_s.append(terminal.until(lambda text: "STOP" in text, "the first screen") - terminal.began_s)
+            used_s.append(processor_s(terminal))
     print(f"first paint, {STARTS} starts: median {statistics.median(painted_s):.2f} s, max {max(painted_s):.2f} s")
+    used, libraries = statistics.median(used_s), statistics.median(libraries_s)
+    print(f"    processor time {used:.2f} s; importing Textual and rich takes {libraries:.2f} s")
     with cellapp(folder) as terminal:
         terminal.until(lambda text: "SIMULATED" in text, "the profile")
         terminal.quiet(3.0)
+        for visit in ("first", "second", "third"):
+            took = ", ".join(f"{ms:.0f} ms" for ms in visits_ms(terminal))
+            print(f"processor time of a screen, {visit} visit: {took}")
         print("another screen,", figures(screens_s(terminal, 20, 0.2)))
 
 

@@ -103,6 +103,14 @@ class Review:
     alternatives: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Posteriors:
+    """Probability that each term's effect is there, in their order, and that of every effect that was tested."""
+
+    terms: tuple[float, ...]
+    effects: Mapping[str, float]
+
+
 @dataclass(frozen=True, eq=False)
 class SearchResult:
     """The outcome of a search.
@@ -121,6 +129,10 @@ class SearchResult:
         Steps of the search, and effects that it added and dropped again.
     threshold : float
         Score that an effect had to pass.
+    improbable : mapping
+        Effects that were found but dropped, as they are more probably not there than there, with their probabilities.
+    posteriors : Posteriors or None
+        Of the final model; None after it was fitted to other readings.
     """
 
     data: ArmData
@@ -131,6 +143,8 @@ class SearchResult:
     steps: tuple[SearchStep, ...]
     dropped: tuple[str, ...]
     threshold: float
+    improbable: Mapping[str, float] = field(default_factory=dict)
+    posteriors: Posteriors | None = None
 
     @property
     def absent(self) -> list[str]:
@@ -141,7 +155,7 @@ class SearchResult:
     def without_terms(self) -> SearchResult:
         """This result with the geometry alone: everything that was added counts as dropped."""
         dropped = (*self.dropped, *(term.slug for term in self.fit.terms))
-        return replace(self, fit=self.geometry_only, reviews=(), dropped=dropped)
+        return replace(self, fit=self.geometry_only, reviews=(), dropped=dropped, posteriors=None)
 
     @property
     def contradictions(self) -> tuple[str, ...]:

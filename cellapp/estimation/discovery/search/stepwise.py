@@ -4,6 +4,7 @@
 2. Where the named effects leave more than the noise, extend the model by what the library lacks: data-driven terms or
    free curves of the joints. Try that beside the named effects and, unless these explain nearly all, in their place.
 3. Review each model, take the best by the Bayesian information criterion, and find the rivals of its terms.
+4. Drop a named effect that is more probably not there than there, and look once more without it.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from dataclasses import dataclass, replace
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.candidates import LawScore
-from cellapp.estimation.discovery.joint_fit import fit_terms, refit, reweighted
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit, reweighted
+from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.search.addition import addition
 from cellapp.estimation.discovery.search.comparison import best_state, floor_reached
 from cellapp.estimation.discovery.search.contradiction import with_contradiction
@@ -27,9 +29,16 @@ from cellapp.estimation.discovery.search.review import review, reviewed
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.significance import score_threshold, simulate_null_maxima
 from cellapp.estimation.discovery.search.smooth_terms import with_smooth_terms
-from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchResult, SearchState, SearchStep
+from cellapp.estimation.discovery.search.state import (
+    SCORE_MARGIN,
+    Posteriors,
+    SearchProblem,
+    SearchResult,
+    SearchState,
+    SearchStep,
+)
 from cellapp.estimation.discovery.search.tuning import apply_step
-from cellapp.estimation.discovery.terms import has_smooth_terms
+from cellapp.estimation.discovery.terms import UNKNOWN, has_smooth_terms, without_term
 from cellapp.ground.counting import counted
 from cellapp.ground.progress import CancelToken, Report, ignore_report
 
@@ -41,6 +50,8 @@ _MOST_STEPS = 16
 LEAST_FREEDOM = 30.0
 """Measured coordinates beyond the determined parameters below which no effect is looked for: what geometry leaves of so
 few follows any law."""
+_EVEN_ODDS = 0.5
+"""Probability below which no name, or answer set of names, is accepted."""
 _NULL_SEED = 0xD15C
 """Beside the profile's seed: the simulated noise is then independent of all other draws."""
 
@@ -69,21 +80,62 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     progress.step("effects of the library")
     best = _best_model(problem, start, scan, progress)
     progress.finish("review and rivals")
+    return _probable(problem, _result(problem, best, fit, scan), best)
+
+
+def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[float]:
+    """Probability of each term's name or of one that the data cannot distinguish from it, in the order of the terms."""
+    return [
+        own + sum(probable.effects.get(rival.effect, 0.0) for rival in one.rivals if not rival.distinguishable)
+        for own, one in zip(probable.terms, found.reviews, strict=True)
+    ]
+
+
+def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit, scan: LawScan) -> SearchResult:
+    """The outcome of a search that ends in some state, with the rivals of each of its terms."""
     reviews = []
-    for number, term in enumerate(best.fit.terms):
-        cancel.check()
-        progress.say(f"rivals of effect {number + 1} of {len(best.fit.terms)}, {term.slug}")
-        reviews.append(review(problem, best, number))
+    for number, term in enumerate(state.fit.terms):
+        problem.cancel.check()
+        problem.say(f"rivals of effect {number + 1} of {len(state.fit.terms)}, {term.slug}")
+        reviews.append(review(problem, state, number))
     return SearchResult(
-        data=best.data,
-        fit=best.fit,
-        geometry_only=fit,
+        data=state.data,
+        fit=state.fit,
+        geometry_only=geometry_only,
         scan=scan,
         reviews=tuple(reviews),
-        steps=best.steps,
-        dropped=best.dropped,
-        threshold=threshold,
+        steps=state.steps,
+        dropped=state.dropped,
+        threshold=problem.threshold,
     )
+
+
+def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -> SearchResult:
+    """The outcome without names that are more probably not there than there, the least probable first.
+
+    Rivals that the data cannot distinguish from a name stand beside it in one answer set, and count with it. A rival
+    may take the place of what is dropped, and is held to the same.
+    """
+    while True:
+        found = replace(found, posteriors=posteriors_of(found, remaining_scan(found)))
+        assert found.posteriors is not None
+        named = [
+            (probability, number)
+            for number, probability in enumerate(_probability_of_answers(found, found.posteriors))
+            if state.fit.terms[number].slug != UNKNOWN
+        ]
+        if not named or min(named)[0] >= _EVEN_ODDS:
+            return found
+        probability, number = min(named)
+        slug = state.fit.terms[number].slug
+        improbable = {**found.improbable, slug: probability}
+        problem = replace(problem, slugs=tuple(one for one in problem.slugs if one not in improbable))
+        rest = problem.state(without_term(state.fit.terms, number), state)
+        rest = replace(rest, dropped=(*rest.dropped, slug))
+        if rest.data.points is None:
+            rest = reviewed(problem, _with_library_effects(problem, rest))
+        state = rest
+        found = replace(_result(problem, state, found.geometry_only, found.scan), improbable=improbable)
 
 
 def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cellapp.cell.profile.draft_file import OpenProfile, blank_draft
-from cellapp.cell.profile.starters import TWIN, copy_starter
+from cellapp.cell.profile.starters import copy_starter
 from cellapp.ground.errors import InputError
+from cellapp.ground.starters import TWIN
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.host import Host

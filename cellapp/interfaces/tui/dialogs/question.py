@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, TypeVar
 
-from rich.markdown import Markdown
 from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
@@ -176,6 +175,8 @@ class Reading(Question[None]):
         self._text = text
 
     def body(self) -> ComposeResult:
+        from rich.markdown import Markdown  # the first screen has none
+
         with VerticalScroll(classes="reading"):
             yield Static(Markdown(self._text))  # Textual's own makes a widget of each line, which takes seconds
         yield Static(f"Up, down, Page Up, Page Down scroll; {self.closing_key} closes.", classes="text", markup=False)

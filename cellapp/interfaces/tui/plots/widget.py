@@ -1,6 +1,8 @@
-"""The widget that draws a chart."""
+"""The widget that draws a chart. What draws is loaded with the first chart: a blank one needs no mathematics."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from rich.segment import Segment
 from rich.style import Style
@@ -10,8 +12,8 @@ from textual.reactive import reactive
 from textual.strip import Strip
 from textual.widget import Widget
 
-from cellapp.commands.view.charts import Chart
-from cellapp.interfaces.tui.plots.drawing import HEADING, SOFT, TEXT, draw, point_at
+if TYPE_CHECKING:
+    from cellapp.commands.view.charts import Chart
 
 ON_DARK = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#d55e00")
 ON_LIGHT = ("#0072b2", "#b64f00", "#00795a", "#a8447c", "#000000", "#7a6a00")
@@ -54,26 +56,36 @@ class ChartPlot(Widget):
         width, height = self.content_size
         drawn_as = (self.chart, width, height, self.rich_style, self.app.current_theme.dark)
         if drawn_as != self._drawn_as:
-            lines = [] if self.chart is None else draw(self.chart, width, height)
-            styles = {ink: self._style(ink) for ink in {ink for line in lines for _, ink in line}}
-            self._strips = [
-                Strip([Segment(text, styles[ink]) for text, ink in line]).adjust_cell_length(width, self.rich_style)
-                for line in lines
-            ]
+            self._strips = [] if self.chart is None else self._drawing(self.chart, width, height)
             self._drawn_as = drawn_as
         return self._strips[y] if y < len(self._strips) else Strip.blank(width, self.rich_style)
+
+    def _drawing(self, chart: Chart, width: int, height: int) -> list[Strip]:
+        """The lines of a chart."""
+        from cellapp.interfaces.tui.plots.drawing import draw
+
+        lines = draw(chart, width, height)
+        styles = {ink: self._style(ink) for ink in {ink for line in lines for _, ink in line}}
+        return [
+            Strip([Segment(text, styles[ink]) for text, ink in line]).adjust_cell_length(width, self.rich_style)
+            for line in lines
+        ]
 
     def on_click(self, event: Click) -> None:
         """Say which point was clicked."""
         at = event.get_content_offset(self)
         if at is None or self.chart is None:
             return
+        from cellapp.interfaces.tui.plots.drawing import point_at
+
         point = point_at(self.chart, *self.content_size, at.x, at.y)
         if point is not None:
             self.post_message(self.PointClicked(self, *point))
 
     def _style(self, ink: int) -> Style:
         """Style of an ink on the present background."""
+        from cellapp.interfaces.tui.plots.drawing import HEADING, SOFT, TEXT
+
         own = self.rich_style
         if ink == TEXT:
             return own

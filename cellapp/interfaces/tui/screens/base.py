@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, cast
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Vertical
-from textual.events import Resize
+from textual.events import Resize, ScreenResume
 from textual.screen import Screen
 from textual.widgets import Static
 
@@ -51,6 +51,7 @@ class DayScreen(Screen[None]):
     def __init__(self) -> None:
         super().__init__()
         self._state: RunState | None = None
+        self._look: tuple[object, ...] = ()
 
     @property
     def cell_app(self) -> Host:
@@ -154,6 +155,9 @@ class DayScreen(Screen[None]):
         """Draw a sentence instead of the body where the terminal is too small; a subclass's method runs, too."""
         self.set_class(event.size.width < _LEAST[0] or event.size.height < _LEAST[1], "-too-small")
 
-    def on_screen_resume(self) -> None:
-        """Draw what changed while another screen was shown."""
+    def on_screen_resume(self, event: ScreenResume) -> None:
+        """Draw what changed while another screen was shown; find styles anew only where they can have changed."""
+        look = (self.app.theme, self.app.app_focus, self.app.classes)
+        event.refresh_styles = look != self._look  # all widgets against all rules: half of a switch
+        self._look = look
         self.call_after_refresh(self.cell_app.draw_all)

@@ -16,10 +16,10 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
 
-from cellapp.cell.profile.starters import offered_profiles
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.errors import CellappError
+from cellapp.ground.starters import offered_profiles
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import SHOWN, bind
@@ -158,7 +158,7 @@ class CellScreen(DayScreen):
         self.query_one("#cell-words", DataTable).add_columns("what", "in the profile")
         explain_tabs(self.query_one("#cell-tabs", TabbedContent))
         if self._found:
-            profiles.highlighted = 0
+            self.call_after_refresh(self._highlight_first)  # which is read beside the screen, once that is drawn
         else:
             self.say(
                 f"No profile is in {self.cell_app.profiles}: {SHOWN['open']} opens one by its path,"
@@ -168,6 +168,10 @@ class CellScreen(DayScreen):
         profiles.focus()
         self.set_interval(_REFRESH_S, self._tick)
         self.set_timer(_TODAY_AFTER_S, self._read_today)
+
+    def _highlight_first(self) -> None:
+        profiles = self.query_one("#profiles", OptionList)
+        profiles.highlighted = 0 if profiles.highlighted is None else profiles.highlighted
 
     # -- profiles ------------------------------------------------------------------------------------------------------
 
@@ -361,14 +365,15 @@ class CellScreen(DayScreen):
         self._draw_detail()
 
     def _show_profile(self, profile: Profile | None) -> None:
-        from cellapp.commands.doctor.profile_view import cell_words, constraint_words
-
         changed = profile is None or self._profile is None or profile != self._profile
         self._profile = profile
         words = self.query_one("#cell-words", DataTable)
         words.clear()
-        for row in () if profile is None else (*cell_words(profile), *constraint_words(profile)):
-            words.add_row(*map(Text, row))
+        if profile is not None:
+            from cellapp.commands.doctor.profile_view import cell_words, constraint_words
+
+            for row in (*cell_words(profile), *constraint_words(profile)):
+                words.add_row(*map(Text, row))
         if changed:
             names = () if profile is None else devices_of(profile)
             self._states = {name: DeviceState(name) for name in names}
@@ -384,8 +389,6 @@ class CellScreen(DayScreen):
 
     def _verdict(self) -> tuple[str, str]:
         """The doctor's verdict in words, and the class that colours them."""
-        from cellapp.commands.doctor.profile_view import doctor_verdict
-
         if self.workspace.profile is None:
             return (
                 self.workspace.problem or f"No profile is open: choose one in the list, or press {SHOWN['open']}.",
@@ -393,6 +396,8 @@ class CellScreen(DayScreen):
             )
         if self._doctor is None:
             return f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves.", "old"
+        from cellapp.commands.doctor.profile_view import doctor_verdict
+
         words, age = doctor_verdict(self._doctor), datetime.now() - self._doctor_at
         if _written_ns(self._doctor_path) != self._written_ns:
             return f"Old, the profile was edited since: {words} {SHOWN['go']} checks again.", "old"

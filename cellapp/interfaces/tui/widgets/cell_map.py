@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Literal
 from textual import on, work
 from textual.message import Message
 
-from cellapp.commands.view.charts import Chart
 from cellapp.interfaces.tui.plots import ChartPlot
 
 if TYPE_CHECKING:
     from cellapp.commands.plan.result import PlannedStop
+    from cellapp.commands.view.charts import Chart
     from cellapp.ground.profile import Profile
 
 

@@ -1,0 +1,147 @@
+"""Client of a bridge whose tracker measures an SMR while it moves: it fetches the points that wait there.
+
+The bridge keeps points until the client says that it has them, so that a link that breaks for a moment loses none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.trackers import bridge_wire as wire
+from drivers.trackers.bridge import BridgeTracker, UnknownCommand, new_id
+from drivers.trackers.bridge_points import read_limits, read_packet
+from drivers.trackers.bridge_wire import Fields
+from drivers.trackers.protocol import (
+    Packet,
+    StreamLimits,
+    Track,
+    TrackerError,
+    TrackerLinkLost,
+    checked_point,
+    no_packet,
+)
+
+_SILENT_S = 1.0
+"""A track that brings no point for this long, and ten points' time, is dead."""
+_AT_ONCE_S = 0.15
+"""Longest time that points are fetched for while something else may have to be asked."""
+_REST_WITHIN_S = 60.0
+"""Time for fetching what waits when a track has ended, over a slow line."""
+
+
+@dataclass
+class _Running:
+    """A track as the client sees it."""
+
+    id: str
+    interval_s: float
+    lost: Callable[[TrackerError], None]
+    received: Callable[[Packet], None]
+    next: int = 0
+    on: bool = True
+    heard_s: float = field(default_factory=time.monotonic)
+    packets: list[Packet] = field(default_factory=list)
+
+
+class StreamingBridgeTracker(BridgeTracker):
+    """A tracker behind a bridge, see ``BridgeTracker``; whether it streams, the bridge says."""
+
+    _limits: StreamLimits | None = None
+    _asked = False
+    _track: _Running | None = None
+
+    def connect(self) -> None:
+        """Open the link and a session; what the tracker can stream is asked again when it is needed."""
+        self._asked, self._track = False, None
+        super().connect()
+
+    def stream_limits(self) -> StreamLimits | None:
+        """Return what the tracker behind the bridge can stream; None also where the bridge is older than streams."""
+        if not self._asked:
+            self._limits = None
+            with contextlib.suppress(UnknownCommand):
+                self._limits = self._read(read_limits, self._command("stream-limits"))
+            self._asked = True
+        return self._limits
+
+    def start_track(
+        self,
+        expected_M: NDArray[np.float64],
+        interval_s: float,
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Packet], None] = no_packet,
+    ) -> None:
+        """Let the tracker lock the SMR and follow it; ``confirm`` fetches its points."""
+        limits = self.stream_limits()
+        if limits is None:
+            raise TrackerError(f"tracker bridge {self._url}: its tracker does not measure an SMR while it moves")
+        limits.check(interval_s)
+        x, y, z = (wire.number(value) for value in checked_point(expected_M, interval_s))
+        self._halting.clear()
+        id_ = new_id()
+        self._command("track", {"id": id_, "x": x, "y": y, "z": z, "interval": wire.number(interval_s)})
+        self._track = _Running(id_, interval_s, lost, received)
+
+    def _ask(self, within_s: float, until_s: float) -> None:
+        """While a track is on, its points are the tracker's sign of life."""
+        track = self._track
+        if track is None or not track.on:
+            super()._ask(within_s, until_s)
+            return
+        try:
+            self._fetch(track, until_s, min(until_s, time.monotonic() + _AT_ONCE_S))
+        except ValueError as error:  # the bridge has restarted
+            track.on = False
+            raise TrackerLinkLost(str(error)) from error
+        silent_s = time.monotonic() - track.heard_s
+        if track.on and silent_s > max(_SILENT_S, 10.0 * track.interval_s):
+            raise TrackerLinkLost(f"tracker bridge {self._url}: no point of the moving SMR came for {silent_s:.1f} s")
+
+    def end_track(self) -> Track:
+        """End measuring, fetch what waits and return all points."""
+        track, self._track = self._track, None
+        if track is None:
+            return Track.of([])
+        self._command("end-track", {"track": track.id})
+        track.lost = _nobody
+        until_s = time.monotonic() + _REST_WITHIN_S
+        while self._take(track, self._command("points", {"track": track.id, "from": str(track.next)})):
+            if time.monotonic() > until_s:
+                raise TrackerLinkLost(
+                    f"tracker bridge {self._url}: its points did not come within {_REST_WITHIN_S:g} s"
+                )
+        return Track.of(track.packets)
+
+    def _fetch(self, track: _Running, until_s: float, enough_s: float) -> None:
+        """Fetch what waits, at least one answer, until ``enough_s``."""
+        while True:
+            fields = {"track": track.id, "from": str(track.next)}
+            if not self._take(track, self._exchange("points", fields, until_s)) or time.monotonic() > enough_s:
+                return
+
+    def _take(self, track: _Running, answer: Fields) -> bool:
+        """Keep the points of an answer and tell the listeners; whether there may be more."""
+        now_s = time.monotonic()
+        packet, waiting = self._read(lambda fields: read_packet(fields, now_s), answer)
+        track.next = int(
+            self._read(lambda fields: wire.read_number(fields, "next", track.next, track.next + 1), answer)
+        )
+        if len(packet.device_time_s) or len(packet.triggers_s):
+            track.heard_s = now_s
+            self._sign_of_life({})
+            track.packets.append(packet)
+            track.received(packet)
+        if kind := answer.get("lost.kind", ""):
+            track.on = False
+            track.lost(wire.ERRORS.get(kind, TrackerError)(answer.get("lost.text", "the track has ended")))
+        return waiting > 0
+
+
+def _nobody(error: TrackerError) -> None:
+    """A track that is over has nobody to tell."""

@@ -1,0 +1,83 @@
+"""A name is accepted at even odds at least; rivals that nothing distinguishes from it count with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.profile import load_profile
+from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.records import RunnerUp
+from cellapp.estimation.discovery.search import stepwise
+from cellapp.estimation.discovery.search.review import review
+from cellapp.estimation.discovery.search.state import Posteriors, SearchResult
+from cellapp.estimation.readings import Readings
+from cellapp.ground.progress import CancelToken
+from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm
+from tests.arms import STATION
+
+TWIN = Path(__file__).parents[4] / "profiles" / "twin.yaml"
+N = 90
+SIGMA_M = 10e-6
+PLAY = 1e-4
+SLUGS = ("backlash", "base_step")
+
+
+def searched(monkeypatch: pytest.MonkeyPatch, stated: Mapping[str, float]) -> SearchResult:
+    """The outcome for an arm with backlash, where the probabilities of effects are those stated, else 1."""
+    profile = load_profile(TWIN)
+    few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
+    arm = profile.arms["left"]
+    geometry = nominal_arm(arm).with_T_M_B(STATION)
+    rng = np.random.default_rng(8)
+    q = rng.uniform(-2.5, 2.5, (N, 6))
+    approach = rng.choice([-1, 1], (N, 6)).astype(np.int8)
+    readings = Readings(
+        configuration=np.arange(N, dtype=np.int64),
+        time_s=np.full(N, np.nan),
+        q=q,
+        approach=approach,
+        p_M=smr_positions(geometry, q - PLAY * approach) + rng.normal(0.0, SIGMA_M, (N, 3)),
+        sigma_m=np.full(N, SIGMA_M),
+    )
+    up_M = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
+    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=up_M)
+    data = ArmData.of(
+        profile.model_copy(update={"discovery": few}), model, readings, measurement_conditions(readings), None
+    )
+
+    def probable(found: SearchResult, scan: object) -> Posteriors:
+        return Posteriors(tuple(stated.get(term.slug, 1.0) for term in found.fit.terms), stated)
+
+    monkeypatch.setattr(stepwise, "posteriors_of", probable)
+    return stepwise.search(data, SLUGS, CancelToken())
+
+
+def test_a_probable_name_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = searched(monkeypatch, {"backlash": 0.5})
+    assert [term.slug for term in found.fit.terms] == ["backlash"]
+    assert found.improbable == {}
+    assert found.posteriors is not None
+
+
+def test_an_improbable_name_is_dropped_and_not_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = searched(monkeypatch, {"backlash": 0.49})
+    assert "backlash" not in {term.slug for term in found.fit.terms}
+    assert found.improbable == {"backlash": 0.49}
+    assert found.dropped[-1] == "backlash"
+
+
+def test_rivals_in_one_answer_set_count_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    rival = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
+    monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), rivals=(rival,)))
+    found = searched(monkeypatch, {"backlash": 0.4, "friction_windup": 0.3})
+    assert [term.slug for term in found.fit.terms] == ["backlash"]
+    found = searched(monkeypatch, {"backlash": 0.2, "friction_windup": 0.2})
+    assert found.improbable == {"backlash": 0.4}, "of the whole answer set"
