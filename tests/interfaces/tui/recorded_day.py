@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from textual.pilot import Pilot
+from textual.screen import ModalScreen
 from textual.widgets import TabbedContent, TabPane
 
 from cellapp.interfaces.tui.app import CellApp
@@ -48,6 +49,23 @@ class Recorder:
     async def until(self, holds: Callable[[], Any], what: str) -> None:
         """Wait for a condition."""
         await until(self.pilot, holds, what, JOB_S)
+
+    async def begin(self, step: str, key: str = "b", answer: str = "b") -> None:
+        """Begin the work of a screen, and answer the question that comes before it, if one does."""
+        await self.press(step)
+        await settle(self.pilot)
+        before = self.app.jobs.job
+        await self.press(key)
+        await self.until(lambda: self.asked or self.app.jobs.job is not before, "a question or the job")
+        if self.asked:
+            self.keep(f"asked-{step}-{key}")
+            await self.press(answer)
+            await self.until(lambda: self.app.jobs.job is not before, "the job")
+
+    @property
+    def asked(self) -> bool:
+        """Whether a question is shown."""
+        return isinstance(self.app.screen, ModalScreen)
 
     async def says(self, text: str) -> None:
         """Wait until the screen says something, wherever its lines break."""
@@ -94,12 +112,12 @@ async def recorded(size: tuple[int, int], folder: Path) -> list[Path]:
 async def planned_and_collected(day: Recorder) -> None:
     """Plan; collect with a pause and a stop on the way; a look at every screen at each of them."""
     app = day.app
-    await day.press("2", "b", "enter")
+    await day.begin("2", answer="enter")
     await day.until(lambda: app.record.latest is not None, "the plan's progress")
     day.keep("planning")
     await day.ended()
     await day.keep_screens("planned")
-    await day.press("3", "b", "b")
+    await day.begin("3")
     await day.until(lambda: len(app.record.stops.get("left", ())) > 10, "ten stops")
     day.keep("collecting")
     await day.press("p")
@@ -113,7 +131,7 @@ async def planned_and_collected(day: Recorder) -> None:
     await day.press("3", "x")
     await day.ended()
     await day.keep_screens("part")
-    await day.press("3", "b", "b")
+    await day.begin("3")
     await day.ended()
     await day.keep_screens("complete")
 
@@ -121,11 +139,11 @@ async def planned_and_collected(day: Recorder) -> None:
 async def calibrated(day: Recorder) -> None:
     """Calibrate and search, seen from their screens and from another one; a stop is measured again; both again."""
     app = day.app
-    await day.press("4", "b")
-    await day.until(lambda: app.record.state is not None, "the job")
+    await day.begin("4")
     day.keep("calibrating")
     await day.ended()
-    await day.press("5", "b", "4")
+    await day.begin("5")
+    await day.press("4")
     await day.until(lambda: app.record.latest is not None and app.record.latest.job == "discover", "the search")
     day.keep("discovering-seen-from-calibrate")
     await day.ended()
@@ -135,33 +153,25 @@ async def calibrated(day: Recorder) -> None:
         await day.press("t")
     await day.press("s", "s", "space")
     day.keep("marked")
-    await day.press("r")
-    day.keep("asked-to-measure-again")
-    await day.press("b")
+    await day.begin("3", "r")
     await day.ended()
     await day.keep_screens("out-of-date")
     for step in ("4", "5"):
-        await day.press(step, "b")
+        await day.begin(step)
         await day.ended()
 
 
 async def accepted(day: Recorder) -> None:
     """Compensate, verify, check, test by ISO 9283, write the report."""
-    await day.press("6", "b")
+    await day.begin("6")
     await day.ended()
-    await day.press("m")
-    day.keep("asked-to-verify")
-    await day.press("b")
+    await day.begin("6", "m")
     await day.until(lambda: day.app.record.latest is not None and day.app.record.latest.job == "verify", "verifying")
     day.keep("verifying")
     await day.ended()
-    await day.press("7", "k")
-    day.keep("asked-to-check")
-    await day.press("b")
+    await day.begin("7", "k")
     await day.ended()
-    await day.press("7", "m")
-    day.keep("asked-to-test")
-    await day.press("b")
+    await day.begin("7", "m")
     await day.until(lambda: day.app.record.latest is not None and day.app.record.latest.job == "iso9283", "testing")
     day.keep("testing")
     await day.ended()

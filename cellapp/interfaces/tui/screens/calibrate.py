@@ -9,7 +9,7 @@ from typing import ClassVar
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.containers import Horizontal
+from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import TabbedContent, TabPane
 
@@ -96,7 +96,10 @@ tables; chapter *exports*.
         with TabbedContent(id="calibration"):
             with TabPane("Stages", id="stages"):
                 yield TablesView(id="stage-tables")
-                yield ChartPlot(id="stage-plot")
+                with Vertical(id="beside-stages"):
+                    yield ChartPlot(id="stage-plot")
+                    yield ChartPlot(id="stage-errors")
+                    yield ChartPlot(id="stage-space")
             with TabPane("Errors", id="errors"), Horizontal():
                 yield ChartPlot(id="arm-errors")
                 yield ChartPlot(id="pair-errors")
@@ -240,10 +243,12 @@ tables; chapter *exports*.
         stage = list(arm.errors_mm)[-1]
         charts: dict[str, Chart] = {
             "stage-plot": stage_chart(name, shown.arms[name]),
-            "arm-errors": error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm),
+            "arm-errors": (errors := error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm)),
             "pair-errors": pair_histogram_chart(shown),
             "joint-plot": residual_joint_chart(name, arm, joint),
-            "space-plot": residual_space_chart(name, arm, stage, "above" if self._from_above else "side"),
+            "space-plot": (space := residual_space_chart(name, arm, stage, "above" if self._from_above else "side")),
+            "stage-errors": errors,
+            "stage-space": space,
         }
         for place, chart in charts.items():
             self.query_one(f"#{place}", ChartPlot).chart = chart
