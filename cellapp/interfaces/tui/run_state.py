@@ -136,6 +136,11 @@ class RunState:
         return f"No run is open: plan one (keys 2, {SHOWN['go']}), or open one on the screen Runs (key 8).{waits}"
 
     @property
+    def no_profile(self) -> str:
+        """Why nothing new can be planned, where no profile's file is read."""
+        return self.no_run or "No profile's file is open beside this run: choose one on the screen Cell (key 1)."
+
+    @property
     def not_calibrated(self) -> str:
         """Why there is no calibration, and what to do; empty where there is one."""
         if self.no_run or self.stored == "calibrated":

@@ -36,7 +36,7 @@ async def test_each_key_that_repeats_what_a_run_holds_asks_first(finished_run: P
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
-        app.open_run(DAY)
+        app.open_run(DAY, PROFILES / "twin.yaml")
         await until(pilot, lambda: app.workspace.results is not None, "the run")
         for what, (step, key) in ASKED.items():
             await pilot.press(step)
@@ -50,13 +50,24 @@ async def test_each_key_that_repeats_what_a_run_holds_asks_first(finished_run: P
     assert (DAY / "run.sqlite").read_bytes() == before
 
 
+async def test_without_the_file_of_a_profile_a_sentence_says_what_to_do(finished_run: Path) -> None:
+    shutil.copytree(finished_run, DAY)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.open_run(DAY)
+        await until(pilot, lambda: app.workspace.results is not None, "the run")
+        await pilot.press("2", "b")
+        await until(pilot, lambda: "choose one on the screen Cell (key 1)" in app.message, "the sentence")
+
+
 @pytest.mark.parametrize("key", ["4", "5"])
 async def test_the_question_says_what_is_there_and_the_default_leaves_it(key: str, finished_run: Path) -> None:
     shutil.copytree(finished_run, DAY)
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
-        app.open_run(DAY)
+        app.open_run(DAY, PROFILES / "twin.yaml")
         await until(pilot, lambda: app.workspace.results is not None, "the run")
         await pilot.press(key, "b")
         await until(pilot, lambda: isinstance(app.screen, ModalScreen), "the question")

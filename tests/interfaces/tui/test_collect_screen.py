@@ -46,6 +46,7 @@ from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import point_at
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens.collect_state import headline
+from cellapp.interfaces.tui.widgets.arm_panel import residual_line
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
@@ -187,11 +188,25 @@ async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int])
             assert widget.size.height > 0, name
             assert app.screen.region.contains_region(widget.region), name
         assert app.screen.query_one(LogView).size.height >= 5
+        assert ("residuals left ▁" in text) == (size == SMALL), "where no plot is shown"
         await see_plots(pilot, app)
         while not app.screen.has_class("log"):
             await pilot.press("t")
         assert app.focused is app.screen.query_one(LogView)
         await finished(pilot, app, held)
+
+
+@pytest.mark.parametrize("count", [1, 3, 90])
+def test_the_newest_residuals_fit_into_a_line(count: int) -> None:
+    stops = {
+        name: [StopReport(stop, name, size * (1 + stop % 7), 1.0, {}) for stop in range(count)]
+        for name, size in (("left", 0.1), ("right", 0.0))
+    }
+    line = residual_line(stops, SMALL[0])
+    assert len(line) <= SMALL[0]
+    assert line.startswith("residuals left ")
+    assert f"█ {0.1 * min(count, 7):.3f} mm  right ▁" in line
+    assert residual_line({"left": []}, SMALL[0]) == ""
 
 
 async def see_plots(pilot: Pilot[None], app: CellApp) -> None:

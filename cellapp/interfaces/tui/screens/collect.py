@@ -42,7 +42,7 @@ from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.collect_state import Headline, headline
-from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
+from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel, residual_line
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view_pane import LogPane
 from cellapp.interfaces.tui.widgets.log_view_rows import as_text
@@ -117,6 +117,10 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
     CollectScreen #suspicions.any { display: block; }
+    CollectScreen #residual-line { height: 1; padding: 0; display: none; }
+    CollectScreen.measured #residual-line { display: block; }
+    CollectScreen.measured.-wide #residual-line, CollectScreen.measured.plots #residual-line,
+    CollectScreen.measured.-tall #residual-line { display: none; }
     CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
     CollectScreen #log, CollectScreen #stops, CollectScreen #collected { height: 4fr; display: none; }
     CollectScreen.-low.-narrow #plots ChartPlot, CollectScreen.-low.-medium #plots ChartPlot { display: none; }
@@ -153,6 +157,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         yield Horizontal(id="arms")
         yield TrackerPanel()
         yield ProgressBars()
+        yield Static("", id="residual-line", markup=False)
         yield Static("", id="suspicions", markup=False)
         with Container(id="plots"):
             for name in _PLOTS:
@@ -354,6 +359,9 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.query_one(TrackerPanel).tracker = record.tracker
         self.query_one(ProgressBars).parts = parts_of(record)
         self._draw_suspicions(record)
+        line = residual_line(record.stops, self.size.width)
+        self.query_one("#residual-line", Static).update(line)
+        self.set_class(bool(line), "measured")
         self._draw_plots(record)
 
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
