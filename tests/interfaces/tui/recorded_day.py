@@ -54,13 +54,13 @@ class Recorder:
         """Begin the work of a screen, and answer the question that comes before it, if one does."""
         await self.press(step)
         await settle(self.pilot)
-        before = self.app.jobs.job
+        before = self.app.record.since
         await self.press(key)
-        await self.until(lambda: self.asked or self.app.jobs.job is not before, "a question or the job")
+        await self.until(lambda: self.asked or self.app.record.since != before, "a question or the job")
         if self.asked:
             self.keep(f"asked-{step}-{key}")
             await self.press(answer)
-            await self.until(lambda: self.app.jobs.job is not before, "the job")
+            await self.until(lambda: self.app.record.since != before, "the job")
 
     @property
     def asked(self) -> bool:

@@ -611,7 +611,7 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         await show_stops(pilot, app, run)
         await pilot.press("s", "s", "f", "space")  # the gross error alone
         assert stops_of(app)[0][0] == "* 12"
-        assert "1 stop is marked: r measures them again." in " ".join(shown_text(app).split())
+        assert "1 stop is marked: r measures again." in " ".join(shown_text(app).split())
         await pilot.press("r")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         assert isinstance(app.screen, Choice)
