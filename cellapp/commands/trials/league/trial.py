@@ -91,15 +91,13 @@ class LeagueBar(Record):
     met: bool
 
 
-class LeagueResult(Result):
+class LeagueResult(Result, schema="cellapp-trials-league"):
     """``trials league``: a line for each series, size and group of held-out rows, the bars, and every draw.
 
     ``curve`` and ``curve_draws`` are those of the learning curve, empty where it was not asked for; ``failed`` names
     the draws that failed, and why.
     """
 
-    schema_: Literal["cellapp-trials-league"] = "cellapp-trials-league"
-    version: Literal[1] = 1
     date: str
     program: str
     jobs: int
