@@ -315,11 +315,9 @@ class PairMethodResult(Record):
     held_out: PairHeldOut | None = None
 
 
-class CalibrateResult(Result):
+class CalibrateResult(Result, schema="cellapp-calibrate"):
     """``calibrate``: every arm, the pair by method, notes."""
 
-    schema_: Literal["cellapp-calibrate"] = "cellapp-calibrate"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmCalibrationResult]
     pair: Mapping[Method, PairMethodResult]
     notes: tuple[str, ...]

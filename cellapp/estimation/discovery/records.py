@@ -365,14 +365,12 @@ class Proposal(Record):
     advice: tuple[str, ...]
 
 
-class DiscoverResult(Result):
+class DiscoverResult(Result, schema="cellapp-discover"):
     """``discover``: every arm; ``pair`` are the cooperative errors with the effects that were found.
 
     ``notes`` says which effects of plug-ins could not be searched for, and why; None if there are none.
     """
 
-    schema_: Literal["cellapp-discover"] = "cellapp-discover"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmDiscoveryResult]
     pair: Mapping[Method, PairMethodResult] = {}
     proposal: Proposal | None = None
