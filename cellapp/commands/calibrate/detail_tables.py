@@ -12,7 +12,6 @@ from cellapp.commands.view.table import Cell, Column, Number, Table, number_colu
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial
 from cellapp.ground.results import METHODS, Estimate
-from cellapp.robot.kinematics.chain import parameter_names
 from cellapp.robot.model import CellModel
 
 
@@ -53,7 +52,7 @@ def nominal_and_identified_tables(calibrate: CalibrateResult, model: CellModel) 
     tables = []
     for name, arm in calibrate.arms.items():
         nominal = model.arms[name].nominal
-        values = dict(zip(parameter_names(nominal.joints), nominal.vector().tolist(), strict=True))
+        values = dict(zip(nominal.names, nominal.vector().tolist(), strict=True))
         rows = [
             (parameter, *_difference_cells(values[parameter], estimate))
             for parameter, estimate in arm.identified.items()
@@ -94,7 +93,8 @@ def merged_tables(calibrate: CalibrateResult) -> list[Table]:
 def calibration_facts(calibrate: CalibrateResult) -> Table:
     """Figures of the identification and of the network training, one column for each arm."""
     facts = [_arm_facts(arm) for arm in calibrate.arms.values()]
-    rows = tuple((what, *(arm[what] for arm in facts)) for what in facts[0])
+    every = dict.fromkeys(what for arm in facts for what in arm)
+    rows = tuple((what, *(arm.get(what) for arm in facts)) for what in every)
     columns = (Column(""), *(Column(f"arm {name}") for name in calibrate.arms))
     return Table("Identification and network training", columns, rows)
 
@@ -109,6 +109,7 @@ def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
             Number(arm.tracker_mm, 4) if arm.tracker_mm else "not stated"
         ),
         "scatter of a coordinate beyond it [mm]": None if arm.excess_mm is None else Number(arm.excess_mm, 4),
+        **({} if arm.excess_mrad is None else {"scatter of an orientation [mrad]": Number(arm.excess_mrad, 4)}),
         "position repeatability, mean and RP [mm]": (
             "no stop was repeated" if repeats is None else f"{repeats.mean:.4f}, {repeats.rp:.4f}"
         ),

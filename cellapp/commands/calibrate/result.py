@@ -55,6 +55,7 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         condition=found.condition if math.isfinite(found.condition) else None,
         scatter=Scatter(value=found.scale, meaning=_SCATTER),
         excess_mm=arm.excess_m * 1e3,
+        excess_mrad=None if found.turned is None else found.excess_rad * 1e3,
         splits=arm.counts,
         tracker_mm=arm.tracker_mm,
         repeatability_mm=arm.repeatability,

@@ -90,7 +90,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
     for name, arm in result.arms.items():
         noise_mm = {"position": arm.tracker_mm or None, "distance": distance_mm(arm.tracker_mm, arm.tracker_mm)}
         rows = [
-            (label, *_detailed_cells(summary), _ratio(summary, noise_mm[measure]))
+            (label, *_detailed_cells(summary), _ratio(summary, noise_mm.get(measure)))
             for label, measure, summary in _stage_summaries(arm)
         ]
         tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *columns), tuple(rows)))
@@ -189,12 +189,14 @@ def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
 
 
 def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSummary]]:
-    """Label, measure (position or distance) and errors of each stage."""
+    """Label, measure (position, orientation or distance) and errors of each stage."""
     found = []
     for stage in STAGES:
         if stage in arm.validate_:
             errors = arm.validate_[stage]
             found.append((f"{stage}, position", "position", errors.position_mm))
+            if errors.orientation_mrad is not None:
+                found.append((f"{stage}, orientation [mrad]", "orientation", errors.orientation_mrad))
             if errors.distance_mm is not None:
                 found.append((f"{stage}, distance", "distance", errors.distance_mm))
     return found

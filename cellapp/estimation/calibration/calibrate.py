@@ -39,7 +39,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
-from cellapp.robot.kinematics.chain import Geometry, smr_positions
+from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
@@ -47,6 +47,8 @@ from cellapp.robot.plugins import program_of
 
 _HARDLY_BETTER = 0.9
 """Share of the nominal error from which an identified geometry is hardly better."""
+_UNDETERMINED_MM = 1.0
+"""Standard deviation of a probe's offset from which it is said to be undetermined: ten times that of a usual run."""
 _OF_NOISE = 3.0
 """Multiple of the tracker's noise below which an error is no reason to look for wrong readings."""
 
@@ -279,7 +281,8 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         identified=identification.estimated.names,
         covariance=identification.estimated_covariance,
     )
-    its, geometries = measured_quantities(held_out), {"nominal": nominal, "geometry": identification.geometry}
+    its = measured_quantities(held_out)
+    geometries: dict[Stage, Geometry] = {"nominal": nominal, "geometry": identification.geometry}
     stages: dict[Stage, StageErrors] = {
         stage: evaluate_quantities(its, smr_positions(geometry, its.readings.q, its.R_M_S))
         for stage, geometry in geometries.items()
@@ -314,7 +317,7 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
     if arm.left_out:
         notes.append(left_out_note(name, arm))
-    notes += [*_hardly_better(name, arm), *fitted.notes]
+    notes += [*_hardly_better(name, arm), *fitted.notes, *undetermined_offset(name, found)]
     if in_sockets(readings):
         gauge, held_out = arm.validate["geometry"].gauge_mm, readings.take(readings.in_split("validate"))
         return notes if gauge is None else [*notes, *gauge_note(name, held_out, gauge.mean)]
@@ -346,6 +349,24 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
         f"arm '{name}': the identified geometry is hardly better than the nominal one (mean held-out error"
         f" {found.mean:.3f} mm, nominal {nominal.mean:.3f} mm): look for readings in other units, swapped rows, another"
         " arm type or SMR offset, and too few readings, before you use this calibration"
+    ]
+
+
+def undetermined_offset(name: str, found: Identification) -> list[str]:
+    """A note where a probe's offset is hardly determined along some direction, in which it then hardly turned."""
+    places = [found.estimated.names.index(one) for one in TOOL_NAMES if one in found.estimated.names]
+    if found.turned is None or len(places) < len(TOOL_NAMES):
+        return []
+    variances, axes = np.linalg.eigh(found.estimated_covariance[np.ix_(places, places)])
+    sd_mm = 1e3 * float(np.sqrt(variances[-1]))
+    if sd_mm < _UNDETERMINED_MM:
+        return []
+    direction = axes[:, -1] * np.sign(axes[np.argmax(np.abs(axes[:, -1])), -1])
+    words = ", ".join(f"{round(one, 2) + 0.0:.2f}" for one in direction.tolist())
+    return [
+        f"arm '{name}': the probe's offset along ({words}) of the flange is not determined (95 % within"
+        f" +-{1.96 * sd_mm:.0f} mm), as that direction hardly turned; positions of the probe are not affected, those of"
+        " another tool are: measure with the wrist turned to more sides"
     ]
 
 

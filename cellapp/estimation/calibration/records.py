@@ -230,8 +230,8 @@ class NestsResult(Record):
     """Several SMRs on a flange.
 
     ``found`` are the nests by name. Of so many ``stops``, some are ``with_orientation``, which is known to
-    ``orientation_mrad`` about each axis; those ``left_out`` had neither the first nest nor three others. ``noise_mm``
-    is the scatter of a coordinate about the rigid figure of the nests.
+    ``orientation_mrad`` about the axis that is known least; those ``left_out`` had neither the first nest nor three
+    others. ``noise_mm`` is the scatter of a coordinate about the rigid figure of the nests.
     """
 
     found: Mapping[str, NestEstimate]
@@ -284,7 +284,8 @@ class ArmCalibrationResult(Record):
 
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
     those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
-    uncertainty, ``tracker_mm`` the rms length of the stated noise. Where an earlier calibration was taken as ``prior``,
+    uncertainty, ``excess_mrad`` that of an orientation where it was measured, ``tracker_mm`` the rms length of the
+    stated noise. Where an earlier calibration was taken as ``prior``,
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
@@ -303,6 +304,7 @@ class ArmCalibrationResult(Record):
     observability: Mapping[str, float | None]
     scatter: Scatter
     excess_mm: float | None = None
+    excess_mrad: float | None = None
     degrees_of_freedom: int
     splits: Mapping[str, int]
     tracker_mm: float | None = None
@@ -316,7 +318,7 @@ class ArmCalibrationResult(Record):
     motion: MotionResult | None = None
     nests: NestsResult | None = None
     torques: TorquesResult | None = None
-    omitted_when_none = frozenset({"prior", "clocks", "motion", "nests", "torques"})
+    omitted_when_none = frozenset({"excess_mrad", "prior", "clocks", "motion", "nests", "torques"})
 
     @property
     def best_stage(self) -> Stage:
@@ -351,11 +353,9 @@ class PairMethodResult(Record):
     held_out: PairHeldOut | None = None
 
 
-class CalibrateResult(Result):
+class CalibrateResult(Result, schema="cellapp-calibrate"):
     """``calibrate``: every arm, the pair by method, notes."""
 
-    schema_: Literal["cellapp-calibrate"] = "cellapp-calibrate"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmCalibrationResult]
     pair: Mapping[Method, PairMethodResult]
     notes: tuple[str, ...]

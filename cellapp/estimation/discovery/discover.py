@@ -30,7 +30,7 @@ from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.detectability import detectability
 from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.joint_fit import with_posterior
+from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
 from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
 from cellapp.estimation.discovery.pictures.term_pictures import pictures
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
@@ -198,9 +198,7 @@ def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
     if in_sockets(readings):
         return gross_errors_in_sockets(model.geometry, model.nominal, readings)
     its = measured_quantities(readings)
-    wrong = gross_errors_of_geometry(
-        model.geometry, model.nominal, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S
-    )
+    wrong = gross_errors_of_geometry(model.geometry, model.nominal, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S)
     return np.isin(np.arange(len(readings)), its.reading[wrong])
 
 
@@ -211,7 +209,7 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     """
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
-    floor_mm = held_out.noise_floor_mm()
+    floor_mm, noise_rad = held_out.noise_floor_mm(), noise_of(found.data).get("noise_rad")
     scan = remaining_scan(searched)
     probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
@@ -225,8 +223,10 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     evaluated = ArmDiscoveryResult(
         noise_floor_mm=floor_mm if math.isfinite(floor_mm) else None,
         noise_mm=_noise(found.data),
+        noise_mrad=None if noise_rad is None else noise_rad * 1e3,
         heldout_mm=BeforeAfter(before=before.rms, after=after.rms),
         heldout_position_mm=HeldOutBeforeAfter(before=before, after=after),
+        heldout_orientation_mrad=held_out.turned_before_after(found.geometry_only.model, fitted_model),
         seconds=time.perf_counter() - started,
         steps=_gap_steps(found, held_out, before.rms, after.rms, result.fitted),
         threshold=found.threshold,
