@@ -53,6 +53,21 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return None if "mark.fast" in collection_path.read_text("utf-8") else True
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Where only fast tests are wanted, leave out what is slow in their files, and what needs the finished run."""
+    if config.option.markexpr != "fast":
+        return
+    slow = {item for item in items if item.get_closest_marker("slow") or _needs_finished_run(item)}
+    config.hook.pytest_deselected(items=list(slow))
+    items[:] = [item for item in items if item not in slow]
+
+
+def _needs_finished_run(item: pytest.Item) -> bool:
+    """Whether a test rests on a run that takes ten seconds to make."""
+    return "finished_run" in getattr(item, "fixturenames", ())
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Processes for ``pytest -n auto``: two, so that an emulated cell and a calculation have a core each.
