@@ -11,21 +11,26 @@ import numpy as np
 
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.measured_again import replaced_counts
 from cellapp.cell.run.recordings import recordings_digest
 from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.results import Record, StageName
 
 
 class ReadingsBasis(Record):
-    """Number of readings of one arm, and the hash of their measured arrays and splits; empty if only counted."""
+    """Number of readings of one arm, and the hash of their measured arrays and splits; empty if only counted.
+
+    ``again`` counts the readings that later ones had replaced.
+    """
 
     n: int
     sha256: str
+    again: int = 0
 
     def is_same(self, other: ReadingsBasis) -> bool:
         """Whether both are of the same readings, as far as both know them."""
         hashes = {self.sha256, other.sha256} - {""}
-        return self.n == other.n and len(hashes) < 2
+        return (self.n, self.again) == (other.n, other.again) and len(hashes) < 2
 
 
 class PriorBasis(Record):
@@ -49,10 +54,13 @@ class Basis(Record):
 
 def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
     """The basis of a stage that is made now; ``stages`` maps each earlier stage that it uses to its digest."""
-    readings = {name: run.readings(name) for name in run.arms()}
+    readings, again = {name: run.readings(name) for name in run.arms()}, replaced_counts(run)
     return Basis(
         profile=sha256_of(profile_to_json(run.profile)),
-        readings={name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm)) for name, arm in readings.items()},
+        readings={
+            name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm), again=again.get(name, 0))
+            for name, arm in readings.items()
+        },
         stages=stages or {},
         recordings=recordings_basis(run),
     )
@@ -67,13 +75,14 @@ def recordings_basis(run: RunFile) -> dict[str, ReadingsBasis]:
 def counted_basis(run: RunFile) -> Basis:
     """As ``basis_of``, but readings are only counted, which is quick.
 
-    No verb changes readings in place: ``collect`` adds them, and splits are drawn for readings that have none yet,
-    before a calibration uses them.
+    No verb changes readings in place: ``collect`` adds them, stops that are measured again are counted, and splits are
+    drawn for readings that have none yet, before a calibration uses them.
     """
+    again = replaced_counts(run)
     counts = {name: sum(splits.values()) for name, splits in run.split_counts().items()}
     return Basis(
         profile=sha256_of(profile_to_json(run.profile)),
-        readings={name: ReadingsBasis(n=n, sha256="") for name, n in counts.items()},
+        readings={name: ReadingsBasis(n=n, sha256="", again=again.get(name, 0)) for name, n in counts.items()},
         recordings=recordings_basis(run),
     )
 

@@ -37,7 +37,7 @@ from cellapp.ground.results import (
 )
 from cellapp.robot.model.model import MODEL_SCHEMA
 
-NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "compensate", "push", "report", ""]
+NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "compensate", "push", "iso9283", "report", ""]
 """The verb that comes next in a run; ``push`` stands for compensated targets that are verified, ``compensate``
 stands in its place where nothing can be driven, ``plan`` for a new run of a cell that has changed, empty for none."""
 
@@ -376,9 +376,15 @@ def _changed_priors(priors: Mapping[str, PriorBasis]) -> list[str]:
 
 
 def _changed_readings(then: Mapping[str, ReadingsBasis], now: Mapping[str, ReadingsBasis]) -> list[str]:
-    before, after = (sum(arm.n for arm in arms.values()) for arms in (then, now))
-    if after > before:
-        return [f"{counted(after - before, 'reading was', 'readings were')} added since"]
+    before, after = (
+        (sum(arm.n for arm in arms.values()), sum(arm.again for arm in arms.values())) for arms in (then, now)
+    )
+    changes = zip(("added", "measured again"), before, after, strict=True)
+    more = [
+        f"{counted(new - old, 'reading was', 'readings were')} {what} since" for what, old, new in changes if new > old
+    ]
+    if more:
+        return more
     same = then.keys() == now.keys() and all(now[name].is_same(arm) for name, arm in then.items())
     return [] if same else ["the readings or their splits were changed since"]
 

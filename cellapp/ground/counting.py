@@ -1,8 +1,29 @@
-"""Numbers with the noun that they count."""
+"""Numbers with the noun that they count, and lists of numbers as people type them."""
 
 from __future__ import annotations
+
+import re
+
+from cellapp.ground.errors import InputError
+
+_NUMBERS = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
 
 
 def counted(count: int, one: str, many: str = "") -> str:
     """``1 stop``, ``3 stops``; ``many`` is the plural where it is not ``one`` with an s, as "stops are"."""
     return f"{count} {one if count == 1 else many or f'{one}s'}"
+
+
+def listed_numbers(text: str, what: str) -> tuple[int, ...]:
+    """The numbers that a text such as ``0-9,12`` lists, ascending; none for ``none``. ``what`` they count, as "stops".
+
+    Raises ``InputError`` if it is no such list.
+    """
+    found: set[int] = set()
+    for part in () if text.strip() == "none" else text.split(","):
+        match = _NUMBERS.fullmatch(part.strip())
+        if match is None:
+            raise InputError(f"'{part.strip()}': expected {what} such as 0-9,12, or none")
+        first, last = int(match[1]), int(match[2] or match[1])
+        found |= {*range(first, last + 1)}
+    return tuple(sorted(found))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationError, model_serializer
@@ -89,13 +90,21 @@ class Record(BaseModel):
 
 
 class Result(Record):
-    """The result of one verb. Subclasses set ``schema_`` and ``version`` to literals."""
+    """The result of one verb. Its head says what its JSON is: ``class GreetResult(Result, schema="cellapp-greet")``."""
 
     has_own_schema: ClassVar[bool] = True
     """Whether its JSON is its own; False where ``to_json`` writes something else that it holds."""
 
-    schema_: str
-    version: int
+    schema_: str = ""
+    version: int = 1
+
+    def __init_subclass__(cls, schema: str = "", version: int = 1, **settings: Any) -> None:
+        """Fix both keys of the subclass: another schema or version is refused."""
+        super().__init_subclass__(**settings)
+        if schema:
+            keys = {"schema_": Literal[schema], "version": Literal[version]}
+            cls.__annotations__ = keys | inspect.get_annotations(cls)
+            cls.schema_, cls.version = schema, version
 
     def to_json(self, *, indent: int | None = None) -> str:
         """The JSON text; floats are written in their shortest exact form."""
@@ -120,17 +129,15 @@ class Result(Record):
             ) from None
 
 
-class ErrorResult(Result):
+class ErrorResult(Result, schema="cellapp-error"):
     """Why a command failed, where ``--json -`` asks for JSON: its exit code and the sentence that a person gets."""
 
-    schema_: Literal["cellapp-error"] = "cellapp-error"
-    version: Literal[1] = 1
     exit_code: int
     message: str
 
 
 class ErrorSummary(Record):
-    """Statistics of n error magnitudes [mm]; ``mean_ci95`` is a bootstrap 95 % interval of the mean."""
+    """Statistics of n error magnitudes [mm, mrad]; ``mean_ci95`` is a bootstrap 95 % interval of the mean."""
 
     mean: float
     rms: float
@@ -155,13 +162,15 @@ class StageErrors(Record):
     """Held-out errors of one model of an arm: absolute, and ISO 9283 distance errors of all pairs of points.
 
     With a ball in sockets, a position error is the distance of its centre from the mean of all readings of its point,
-    and ``gauge_mm`` are the errors of known distances between these points.
+    and ``gauge_mm`` are the errors of known distances between these points. ``orientation_mrad`` are the angles between
+    measured and computed orientations, of a probe that measures them.
     """
 
     position_mm: ErrorSummary
+    orientation_mrad: ErrorSummary | None = None
     distance_mm: ErrorSummary | None = None
     gauge_mm: GaugeErrors | None = None
-    omitted_when_none = frozenset({"distance_mm", "gauge_mm"})
+    omitted_when_none = frozenset({"orientation_mrad", "distance_mm", "gauge_mm"})
 
 
 class Estimate(Record):

@@ -54,4 +54,4 @@ class UrOptions(ArmSettings):
     def emulated_controller(self) -> EmulatedController | None:
         """Return the loopback address of the controller; None if it is on another machine."""
         host = loopback_ipv4(self.host)
-        return None if host is None else EmulatedController(host, self.serial)
+        return None if host is None else EmulatedController(host, self.serial, self.trigger_output)

@@ -27,7 +27,7 @@ from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule
 from drivers.plant.servo import follow
-from drivers.plant.trail import Phase, joints_at, note_phase
+from drivers.plant.trail import note_phase
 from drivers.plant.true_arm import Seen, Target, TrueArm, draw_true_arm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
@@ -410,40 +410,6 @@ class Plant:
         smrs = {name: self._apparent_smr(arm, situation, posture, name) for name in ("", *arm.mechanism.nests)}
         R_M_S = self._apparent_probe(arm, situation, posture)
         return Seen({name: (p_M[0], n_M[0]) for name, (p_M, n_M) in smrs.items()}, None if R_M_S is None else R_M_S[0])
-
-    def recent_smr(self, name: str, time_s: Array) -> tuple[Array, Array]:
-        """Apparent positions and viewing directions of an arm's SMR, (n, 3) each, in M, at recent times (n,) [s].
-
-        The arm may have moved meanwhile; nothing older than a second or so is known.
-        """
-        arm = self._arm(name)
-        q, known = joints_at(arm, time_s, self._clock_s)
-        p_M, normal_M = np.empty((2, len(time_s), 3))
-        for phase, rows in known:
-            p_M[rows], normal_M[rows] = self._smr_in(arm, phase, q[rows], time_s[rows], moving=phase.motion is not None)
-        return p_M, normal_M
-
-    def _smr_in(self, arm: TrueArm, phase: Phase, q: Array, time_s: Array, *, moving: bool) -> tuple[Array, Array]:
-        """Apparent positions and viewing directions (n, 3) of an arm at ``q`` (n, N) in a phase without reversal."""
-        step = q - phase.q if moving else np.repeat(phase.last_step[None], len(q), axis=0)
-        memories = list(phase.memories)
-        if moving:
-            memories = [e.memory_after_motion(memory, q) for e, memory in zip(arm.effects, memories, strict=True)]
-        air_c = np.full(len(q), self.air_temperature_c)
-        situation = Situation(
-            q=q,
-            approach=np.where(step == 0.0, phase.approach, np.sign(step)) if moving else phase.approach + 0.0 * q,
-            last_step=step,
-            since_rest_s=np.zeros(len(q)) if moving else time_s - phase.rest_since_s,
-            time_s=time_s,
-            air_c=air_c,
-            joints_c=air_c[:, None] + arm.rise,
-            others=self._other_postures(arm, {}, len(q)),
-            T_B_others=self._T_B_others(arm),
-            mechanism=arm.mechanism,
-        )
-        posture, _ = self._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None])
-        return self._apparent_smr(arm, situation, posture)
 
     def move_tracker(self, T_C_M: Array) -> None:
         """Set the tracker up at another pose (4, 4) in the cell, now."""

@@ -15,6 +15,7 @@ import numpy as np
 from drivers.plant.climate import joint_rise
 from drivers.plant.config import Array
 from drivers.plant.plant import Plant
+from drivers.plant.recent import smr_in
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
 from drivers.plant.trail import phase_of
 from drivers.plant.true_arm import TrueArm
@@ -171,7 +172,7 @@ def _points(plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, be
         phase = phase_of(arm, began_s)
         for at in range(0, len(rows), _AT_ONCE):
             some = rows[at : at + _AT_ONCE]
-            points[some], _ = plant._smr_in(arm, phase, q_seen[some], began_s + seen[some], moving=True)
+            points[some], _ = smr_in(plant, arm, phase, q_seen[some], began_s + seen[some], moving=True)
         _note_turn(arm, q[first], q[turns[number + 1]], q[min(turns[number + 1] + 1, len(q) - 1)])
     return points
 

@@ -115,6 +115,11 @@ class Point:
     quaternion_M: NDArray[np.float64] | None = None
     sigma_rad: float | None = None
 
+    @property
+    def orientation(self) -> tuple[NDArray[np.float64], float] | None:
+        """Quaternion and its standard uncertainty, 0 if not reported; None where no orientation was measured."""
+        return None if self.quaternion_M is None else (self.quaternion_M, self.sigma_rad or 0.0)
+
 
 @dataclass(frozen=True)
 class TwoFace:

@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.plant import Plant
-from drivers.plant.clearance import segment_distances
-from drivers.plant.lines import carry, quaternion, rigid
-from drivers.plant.mechanism import Posture, nominal
-from drivers.plant.optics import why_hidden
+from drivers.plant.lines import quaternion, rigid
 from drivers.plant.sweep import DYNAMIC_M
 from drivers.trackers.imperfections import PERFECT, Imperfections, refractivity
 from drivers.trackers.protocol import (
@@ -38,6 +34,7 @@ from drivers.trackers.protocol import (
     no_packet,
     require_ready,
 )
+from drivers.trackers.simulated_sight import Sight, Smr
 from drivers.trackers.simulated_stream import STREAM_LIMITS, SimulatedStream
 
 Vector = NDArray[np.float64]
@@ -59,22 +56,6 @@ _MOVED_M = 5e-6
 """A target that moves by more than the tracker's noise is unstable."""
 _STANDARD_AIR = (20.0, 1013.25, 50.0)
 """Temperature [degC], pressure [hPa] and humidity [%] without a weather station."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Smr:
-    """An SMR: its owner in words, its arm (None: a nest), position (3,) [m] in M, why it is hidden ("" if visible).
-
-    ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
-    """
-
-    owner: str
-    arm: str | None
-    p_M: Vector
-    hidden: str
-    moving: bool = False
-    R_M_S: Vector | None = None
-    sigma_rad: float = 0.0
 
 
 class SimulatedTracker:
@@ -121,14 +102,11 @@ class SimulatedTracker:
         """
         self._plant = plant
         self._errors = imperfections
-        self._nests = {name: np.array(p, dtype=np.float64) for name, p in (nests or {}).items()}
+        self._sight = Sight(plant, nests)
         self._wrong_target_m = wrong_target_m
         self._switched_on_s = switched_on_s
         self._pass_time = plant.advance if pass_time is None else pass_time
         self._watch_s = watch_s
-        self._bodies = {arm.name: nominal(arm) for arm in plant.config.arms}
-        self._placed: dict[str, tuple[bytes, tuple[Vector, Vector]]] = {}
-        """Arm -> joint positions, and the ends of its capsules there."""
         self._settings = Preparation()
         self._initialised = True
         self._tilt_drift_rad = 0.0
@@ -143,7 +121,7 @@ class SimulatedTracker:
         self._link_cut = False
         self._down_until_s = -math.inf
         self.obstacles: list[str] = []
-        self.covered: set[str] = set()
+        self.covered = self._sight.covered
         self.measured = 0
 
     # -- link ----------------------------------------------------------------------------------------------------------
@@ -268,7 +246,7 @@ class SimulatedTracker:
             sigma_rad=None if locked.R_M_S is None else locked.sigma_rad,
         )
 
-    def _orientation(self, locked: _Smr) -> Vector | None:
+    def _orientation(self, locked: Smr) -> Vector | None:
         """Return the measured orientation of a 6-D probe (4,)."""
         if locked.R_M_S is None:
             return None
@@ -306,7 +284,9 @@ class SimulatedTracker:
         self._stream = SimulatedStream(
             self._plant,
             self._errors,
-            lambda: self._followed(locked.owner),
+            locked.owner,
+            lambda time_s: self._sight.recent(locked, time_s),
+            lambda p_M, normal_M: self._down() or self._sight.hidden(locked, p_M, normal_M),
             self._points,
             interval_s,
             self._dynamic,
@@ -322,12 +302,6 @@ class SimulatedTracker:
         track = Track.of([]) if stream is None else stream.end()
         self.measured += len(track.p_M)
         return track
-
-    def _followed(self, owner: str) -> _Smr:
-        """The SMR of ``owner`` now, hidden also where the link is cut."""
-        now = self._behind_bodies(next(one for one in self._targets() if one.owner == owner))
-        down = self._down()
-        return replace(now, hidden=f"the simulated link is {down}") if down else now
 
     def trigger(self) -> None:
         """A pulse came at the trigger input now."""
@@ -345,70 +319,18 @@ class SimulatedTracker:
             read = read * (1.0 + DYNAMIC_M * self._dynamic.standard_normal(distance.shape) / distance)
         return read, np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
 
-    def _lock(self, expected: Vector) -> _Smr:
+    def _lock(self, expected: Vector) -> Smr:
         around = []
-        for target in self._targets():
+        for target in self._sight.targets():
             distance = float(np.linalg.norm(target.p_M - expected))
             if distance <= SEARCH_RADIUS_M:
-                around.append((distance, self._behind_bodies(target)))
+                around.append((distance, self._sight.behind_bodies(target)))
         visible = [(distance, target) for distance, target in around if not target.hidden]
         if not visible:
             place = ", ".join(f"{v:.3f}" for v in expected)
             causes = "".join(f"; that of {target.owner} is there, but {target.hidden}" for _, target in around)
             raise TargetLost(f"tracker: no SMR within {SEARCH_RADIUS_M * 1e3:.0f} mm of ({place}) m{causes}")
         return min(visible, key=lambda pair: pair[0])[1]
-
-    def _targets(self) -> list[_Smr]:
-        """Return all SMRs of arms and nests, without regard to bodies in the beam."""
-        found = []
-        for target in self._plant.targets():
-            owner = f"arm {target.arm}, nest {target.nest}" if target.nest else f"arm {target.arm}"
-            why = "something covers it" if {target.arm, owner} & self.covered else target.hidden
-            probe = (target.R_M_S, target.sigma_rad)
-            found.append(_Smr(owner, target.arm, target.p_M, why, target.moving, *probe))
-        for name, p_M in self._nests.items():
-            facing = -p_M / np.linalg.norm(p_M)
-            why = "something covers it" if name in self.covered else ""
-            why = why or why_hidden(self._plant.config.tracker, p_M, facing, math.pi)
-            found.append(_Smr(f"nest {name}", None, p_M, why))
-        return found
-
-    def _behind_bodies(self, target: _Smr) -> _Smr:
-        """Return the SMR, hidden if a body is in the beam."""
-        why = target.hidden or self._beam_obstacle(target.p_M, target.arm)
-        return replace(target, hidden=why)
-
-    def _beam_obstacle(self, p_M: Vector, owner: str | None) -> str:
-        """Return in words whose body is between the tracker and ``p_M``; "" if none is.
-
-        Bodies fixed to the owner's flange are not checked: they hold the SMR, where the beam ends.
-        """
-        owners: list[str] = []
-        bodies: list[tuple[Vector, Vector, Vector]] = []
-        for name, mechanism in self._bodies.items():
-            capsules = mechanism.capsules
-            counted = capsules.frames < len(mechanism.masses) if name == owner else np.ones(len(capsules.frames), bool)
-            start, end = self._segments(name)
-            owners += [name] * int(counted.sum())
-            bodies.append((start[counted], end[counted], capsules.radii[counted]))
-        if not bodies:
-            return ""
-        start, end, radii = (np.concatenate(part) for part in zip(*bodies, strict=True))
-        gaps = segment_distances(np.zeros_like(start), np.broadcast_to(p_M, start.shape), start, end)
-        for row in np.flatnonzero(gaps < radii)[:1]:
-            return f"{'its own arm' if owners[row] == owner else f'arm {owners[row]}'} blocks the beam"
-        return ""
-
-    def _segments(self, name: str) -> tuple[Vector, Vector]:
-        """Return the ends (k, 3) of an arm's capsules in M, which stay while the arm rests."""
-        q = self._plant.q(name)
-        key = q.tobytes()
-        if name not in self._placed or self._placed[name][0] != key:
-            posture = Posture(self._bodies[name], q[None], np.zeros(3))
-            T_M_B = self._plant.true_T_M_B(name)
-            start, end = (carry(T_M_B, ends[:, 0]) for ends in posture.segments())
-            self._placed[name] = (key, (start, end))
-        return self._placed[name][1]
 
     # -- time ----------------------------------------------------------------------------------------------------------
 
@@ -427,7 +349,7 @@ class SimulatedTracker:
                 raise Halted("tracker: a halt was requested; no measurement was made")
             left = 0.0 if left <= step else end_s - self._plant.clock_s
 
-    def _average(self, locked: _Smr, averaging_s: float) -> None:
+    def _average(self, locked: Smr, averaging_s: float) -> None:
         """Wait for the end of the averaging, and check the target while anything moves or is changed by an event."""
         began_s = self._plant.clock_s
         left = averaging_s
@@ -441,8 +363,10 @@ class SimulatedTracker:
                 self._check_target(locked, began_s)
             left = 0.0 if left <= step else began_s + averaging_s - self._plant.clock_s
 
-    def _check_target(self, locked: _Smr, began_s: float) -> None:
-        now = self._behind_bodies(next(target for target in self._targets() if target.owner == locked.owner))
+    def _check_target(self, locked: Smr, began_s: float) -> None:
+        now = self._sight.behind_bodies(
+            next(target for target in self._sight.targets() if target.owner == locked.owner)
+        )
         if now.hidden:
             raise TargetLost(f"tracker: the beam to the SMR of {locked.owner} broke in mid-measurement: {now.hidden}")
         own_motion = locked.arm is not None and self._plant.rest_s(locked.arm) > began_s
@@ -450,7 +374,7 @@ class SimulatedTracker:
             self._unstable(locked)
 
     @staticmethod
-    def _unstable(locked: _Smr) -> NoReturn:
+    def _unstable(locked: Smr) -> NoReturn:
         raise Unstable(f"tracker: the SMR of {locked.owner} moved while it was measured")
 
     # -- what it reads -------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -16,32 +17,10 @@ from drivers.trackers.protocol import PACKETS_HZ, Packet, StreamLimits, TargetLo
 Vector = NDArray[np.float64]
 
 STREAM_LIMITS = StreamLimits(1e-3, 1.0)
+_STILL_M = 1e-9
+"""An SMR that moves less between two packets is at rest."""
 TRIGGER_S = 5e-6
 """Largest error of the stamp of a pulse at the trigger input [s]."""
-
-
-class Followed(Protocol):
-    """The SMR that is followed, now."""
-
-    @property
-    def owner(self) -> str:
-        """Whose it is, in words."""
-
-    @property
-    def arm(self) -> str | None:
-        """The arm that carries it; None: it rests."""
-
-    @property
-    def p_M(self) -> Vector:
-        """Where it is (3,) [m]."""
-
-    @property
-    def hidden(self) -> str:
-        """Why it is not seen; empty if it is."""
-
-    @property
-    def moving(self) -> bool:
-        """Whether it moves."""
 
 
 class Measured(Protocol):
@@ -58,15 +37,19 @@ class SimulatedStream:
         self,
         plant: Plant,
         errors: Imperfections,
-        look: Callable[[], Followed],
+        owner: str,
+        true_smr: Callable[[Vector], tuple[Vector, Vector]],
+        hidden: Callable[[Vector, Vector], str],
         measured: Measured,
         interval_s: float,
         rng: np.random.Generator,
         lost: Callable[[TrackerError], None],
         received: Callable[[Packet], None],
     ) -> None:
-        """``look`` finds the SMR as it is now, ``lost`` and ``received`` are the listeners of the track."""
-        self._plant, self._errors, self._look = plant, errors, look
+        """``owner`` names whose SMR it is; ``true_smr`` gives its positions and viewing directions (n, 3) at recent
+        times (n,), ``hidden`` why it is not seen with one of each, empty if it is."""
+        self._plant, self._errors, self._owner = plant, errors, owner
+        self._true_smr, self._hidden = true_smr, hidden
         self._measured, self._interval_s, self._rng = measured, interval_s, rng
         self._lost, self._received = lost, received
         self._began_s = plant.clock_s
@@ -84,7 +67,7 @@ class SimulatedStream:
     def end(self) -> Track:
         """Return all points up to now."""
         if self._on:
-            self._take()
+            self._take(may_break=False)
         self._on = False
         return Track.of(self._packets)
 
@@ -95,36 +78,39 @@ class SimulatedStream:
 
     def _send(self, number: int) -> None:
         """Let one packet go, and enter the next one."""
-        if not self._on:
-            return
-        now = self._look()
-        often = self._errors.lost_beams_per_min * self._packet_s / 60.0
-        why = now.hidden or ("something crossed it" if number and self._rng.random() < often else "")
-        if why:
-            self._on = False
-            self._lost(TargetLost(f"tracker: the beam to the SMR of {now.owner} broke while it was followed: {why}"))
-            return
-        self._take()
-        self._plant.schedule.at(self._began_s + (number + 1) * self._packet_s, lambda: self._send(number + 1))
+        if self._on and self._take(may_break=number > 0):
+            self._plant.schedule.at(self._began_s + (number + 1) * self._packet_s, lambda: self._send(number + 1))
 
-    def _take(self) -> None:
-        """Measure what is due since the last packet, and send it."""
+    def _take(self, *, may_break: bool) -> bool:
+        """Measure what is due since the last packet, and send it; False if the beam broke meanwhile."""
         due = math.floor((self._plant.clock_s - self._began_s) / self._interval_s + 1e-6) + 1
         time_s = self._began_s + self._interval_s * np.arange(self._taken, due, dtype=np.float64)
         self._taken = due
+        true_M, normal_M = self._true_smr(np.append(time_s, self._plant.clock_s))
+        if why := self._broken(true_M[-1], normal_M[-1], may_break=may_break):
+            self._on = False
+            self._lost(TargetLost(f"tracker: the beam to the SMR of {self._owner} broke while it was followed: {why}"))
+            return False
         triggers, self._triggers = np.array(self._triggers), []
         if self._errors.saturated and self._rng.random() < self._errors.saturated:
             time_s = time_s[:0]
-        if not len(time_s) and not len(triggers):
-            return
-        now = self._look()
-        true_M = np.repeat(now.p_M[None], len(time_s), axis=0)
-        if now.arm is not None and len(time_s):
-            true_M, _ = self._plant.recent_smr(now.arm, time_s)
-        p_M, sigma_m = self._measured(true_M, moving=now.moving)
+        if len(time_s) or len(triggers):
+            p_M, sigma_m = self._measured(true_M[: len(time_s)], moving=float(np.ptp(true_M, axis=0).max()) > _STILL_M)
+            self._go(Packet(self._errors.own_time_s(time_s), p_M, sigma_m, math.nan, triggers))
+        return True
+
+    def _broken(self, p_M: Vector, normal_M: Vector, *, may_break: bool) -> str:
+        """Why the beam is broken now; empty if it is not."""
+        often = self._errors.lost_beams_per_min * self._packet_s / 60.0
+        return self._hidden(p_M, normal_M) or (
+            "something crossed it" if may_break and self._rng.random() < often else ""
+        )
+
+    def _go(self, packet: Packet) -> None:
+        """Let a packet arrive, as late as the receiving computer is."""
         late_s = self._rng.uniform(0.0, self._errors.packet_jitter_s)
         self._arrived_s = max(self._arrived_s, self._plant.clock_s + late_s)
-        packet = Packet(self._errors.own_time_s(time_s), p_M, sigma_m, self._arrived_s, triggers)
+        packet = replace(packet, arrived_s=self._arrived_s)
         self._packets.append(packet)
         if late_s:
             self._plant.schedule.at(self._arrived_s, lambda: self._received(packet))

@@ -133,7 +133,7 @@ def test_a_doubled_reading_is_found(bench: Bench, monkeypatch: pytest.MonkeyPatc
 def test_a_wrong_smr_that_is_accepted_is_found(
     bench: Bench, campaigns: list[Campaign], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(motion, "_WRONG_TARGET_M", 10.0)
+    monkeypatch.setattr(motion, "WRONG_TARGET_M", 10.0)
     assert "reading false" in failures(bench, *seeds_with(campaigns, "wrong SMR"))
 
 

@@ -19,6 +19,7 @@ from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Detail, MotionBegun
 from cellapp.robot.model.nominal import joint_rates
+from drivers.arms.path_checks import driven
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, FollowedPath, MotionStopped, PathFollower
 from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
 
@@ -32,7 +33,7 @@ _LEAST_FRACTION = 0.01
 """A lower speed slider counts as 0: the motion would take a hundred times as long."""
 _STANDSTILL_S = 60.0
 """Longest wait for an arm whose speed slider is at 0."""
-_WRONG_TARGET_M = 0.05
+WRONG_TARGET_M = 0.05
 """Nominal geometry and base poses predict an SMR better than this; SMRs of two arms are farther apart."""
 _AT_TARGET_RAD = 1e-3
 """Well above the repeatability of a joint, well below any planned step."""
@@ -192,6 +193,8 @@ class Mover:
     def follow(self, name: str, q: Vector, s: Vector, period_s: float) -> FollowedPath:
         """Let an arm at the beginning of a path follow it, while the others rest, and wait until it is at rest.
 
+        Its ``end_path`` may end it earlier, at ``FollowedPath.reached``.
+
         Parameters
         ----------
         name : str
@@ -227,10 +230,12 @@ class Mover:
             except ArmError as error:
                 raise self.stop_cell(cause_of(name, error)) from error
             states = self._settled([name], expected_s + _MOVE_ALLOWANCE_S)
-        self._record_step(name, start[name], q[-1], states[name].q)
-        self._approach[name] = _last_signs(q, self._approach[name])
+        followed = arm.followed()
+        part = driven(q, followed.reached)
+        self._record_step(name, start[name], part[-1], states[name].q)
+        self._approach[name] = _last_signs(part, self._approach[name])
         self._emit(motion_ended(self.stop, states))
-        return arm.followed()
+        return followed
 
     def _confirm_links(self) -> None:
         """Make sure that every link of every arm answers now, also those of arms that stay at rest.
@@ -367,7 +372,7 @@ class Mover:
     ) -> Point:
         """Measure the SMR of ``what`` at ``expected_M`` (3,) [m], ``within_m`` [m] of it; None: as far as a prediction
         may be off. Raises as ``measure``."""
-        within_m = _WRONG_TARGET_M if within_m is None else within_m
+        within_m = WRONG_TARGET_M if within_m is None else within_m
         problem: TrackerError = TargetLost("not tried")
         for _ in range(tries):
             self._reaction.check()

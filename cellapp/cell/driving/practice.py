@@ -115,6 +115,12 @@ class LiveModel:
         found = {name: fit.residuals() for name, fit in self._fits.items()}
         return {name: one for name, one in found.items() if one is not None}
 
+    def lengths_m(self, name: str, readings: Readings) -> list[float | None]:
+        """What the model of an arm leaves of readings that it has not learnt from [m]; None without a model."""
+        fit = self._fits.get(name)
+        lengths = None if fit is None or not len(readings) else fit.lengths_m(readings.q, readings.p_M)
+        return [None] * len(readings) if lengths is None else list(lengths.tolist())
+
     def accurate_enough(self, stops_done: int) -> bool:
         """Whether the asked standard error is reached by every arm, after the least number of stops."""
         asked = self._finish.standard_error

@@ -24,15 +24,13 @@ class SweepCount(Record):
     seconds: float
 
 
-class PlanResult(Result):
+class PlanResult(Result, schema="cellapp-plan"):
     """``plan``: number of planned stops of each arm, and of further ones in reserve.
 
     ``design`` is what is known of designed stops, ``time`` how long collecting them takes; ``sweeps`` are
     those of each arm.
     """
 
-    schema_: Literal["cellapp-plan"] = "cellapp-plan"
-    version: Literal[1] = 1
     run: str
     stops: Mapping[str, int]
     reserves: int = 0
@@ -43,16 +41,15 @@ class PlanResult(Result):
     omitted_when_none = frozenset({"design", "time", "sweeps"})
 
 
-class CollectResult(Result):
+class CollectResult(Result, schema="cellapp-collect"):
     """``collect``: number of stored stops, how the session ended, what is missing, and notes for the operator.
 
     ``missing_share`` is the share of the asked readings that the run lacks although reserves were measured;
     ``tolerated_share`` is the profile's. ``standard_error_mm`` maps each arm to the standard uncertainty of a
-    predicted SMR position from its parameters.
+    predicted SMR position from its parameters. ``replaced`` is the number of readings of stops that were measured
+    again, whose earlier readings are kept; None where no stop was.
     """
 
-    schema_: Literal["cellapp-collect"] = "cellapp-collect"
-    version: Literal[1] = 1
     stops: int
     notes: tuple[str, ...]
     outcome: End = "complete"
@@ -61,6 +58,8 @@ class CollectResult(Result):
     tolerated_share: float = 1.0
     references: tuple[ReferenceDrift, ...] = ()
     standard_error_mm: Mapping[str, float] = Field(default_factory=dict)
+    replaced: int | None = None
+    omitted_when_none = frozenset({"replaced"})
 
     def complaints(self) -> list[str]:
         """Why this collection does not count as done, in words; empty if it does."""
@@ -81,7 +80,10 @@ class SessionRequest(Record):
 
 
 class SessionRecord(Record):
-    """One session of collecting; ``ended`` and ``outcome`` are None if the program died in it."""
+    """One session of collecting; ``ended`` and ``outcome`` are None if the program died in it.
+
+    ``again`` lists the stops that it measured again, as people count them; empty of one that collects what is left.
+    """
 
     number: int
     began: str
@@ -89,6 +91,7 @@ class SessionRecord(Record):
     outcome: str | None
     reason: str | None
     requests: tuple[SessionRequest, ...]
+    again: str = ""
 
 
 class CollectedStop(Record):
@@ -102,6 +105,8 @@ class CollectedStop(Record):
         Root mean square that stated noise and scatter give this distance.
     retried : bool
         Whether it was not measured at an earlier visit; how many there were is not kept.
+    again : int
+        How many earlier readings this one replaced.
     suspicion : str
         "gross error", "left out by calibrate", or why there is no reading; empty for none.
     """
@@ -111,7 +116,20 @@ class CollectedStop(Record):
     residual_mm: float | None = None
     sigma_mm: float | None = None
     retried: bool = False
+    again: int = 0
     suspicion: str = ""
+
+
+class ReplacedReading(Record):
+    """A reading that another one replaced when its stop, from 0, was measured again; ``replaced`` is UTC.
+
+    ``residual_mm`` is its distance from the running model that has learnt from the readings that count; None without.
+    """
+
+    stop: int
+    arm: str
+    replaced: str
+    residual_mm: float | None = None
 
 
 class ResidualRange(Record):
@@ -122,16 +140,15 @@ class ResidualRange(Record):
     after_mm: float | None = None
 
 
-class CollectionResult(Result):
+class CollectionResult(Result, schema="cellapp-collection"):
     """``show DIR collection``: sessions, missing readings, reference drift, standard errors reached, every stop.
 
     ``missing_share`` and ``tolerated_share`` are as in ``CollectResult``; ``standard_error_mm`` maps each arm to the
     standard uncertainty of a predicted SMR position from its parameters. ``stops`` are those that were tried, each arm
     on its own, by number; ``residual_ranges`` maps each arm with readings to what is normal for its residuals.
+    ``replaced`` are the readings of stops that were measured again, as they were before.
     """
 
-    schema_: Literal["cellapp-collection"] = "cellapp-collection"
-    version: Literal[1] = 1
     run: str
     sessions: tuple[SessionRecord, ...]
     missing: tuple[MissingReading, ...]
@@ -142,16 +159,20 @@ class CollectionResult(Result):
     standard_error_mm: Mapping[str, float]
     stops: tuple[CollectedStop, ...] = ()
     residual_ranges: Mapping[str, ResidualRange] = Field(default_factory=dict)
+    replaced: tuple[ReplacedReading, ...] = ()
+
+    @property
+    def last(self) -> SessionRecord | None:
+        """The last session that collected what was left; None if there is none."""
+        return next((one for one in reversed(self.sessions) if not one.again), None)
 
 
-class ReplayResult(Result):
+class ReplayResult(Result, schema="cellapp-replay"):
     """``replay``: stops that were visited, readings of each arm, recorded duration, how many times faster it played.
 
     ``timed`` is False where the readings have no times; the duration is then that of a fixed pace.
     """
 
-    schema_: Literal["cellapp-replay"] = "cellapp-replay"
-    version: Literal[1] = 1
     run: str
     stops: int
     readings: Mapping[str, int]
@@ -160,21 +181,17 @@ class ReplayResult(Result):
     timed: bool
 
 
-class RequestResult(Result):
+class RequestResult(Result, schema="cellapp-request"):
     """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
 
-    schema_: Literal["cellapp-request"] = "cellapp-request"
-    version: Literal[1] = 1
     run: str
     request: Verb
     answer: str
 
 
-class ImportResult(Result):
+class ImportResult(Result, schema="cellapp-import"):
     """``import``: number of readings of each arm; ``in_order`` maps arms to what their order of measurement gave."""
 
-    schema_: Literal["cellapp-import"] = "cellapp-import"
-    version: Literal[1] = 1
     run: str
     readings: Mapping[str, int]
     recordings: tuple[RecordingState, ...] = ()

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
+from types import MappingProxyType
 from typing import TypeVar
+
+import numpy as np
 
 from cellapp.cell.driving.cell import Cell, start_tracker
 from cellapp.cell.driving.details import missed_sentence, point_measured, record_sentence, state_of
+from cellapp.cell.driving.driven_sweep import SweepDriver
 from cellapp.cell.driving.forbidden import forbidden_stops
 from cellapp.cell.driving.measuring import SmrMeasurement
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
+from cellapp.cell.driving.nests import Nests
 from cellapp.cell.driving.practice import AirTemperature, LiveModel
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import End
@@ -22,6 +28,7 @@ from cellapp.cell.driving.travel import Travel
 from cellapp.cell.driving.work import StopQueue, Work
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.collection_rows import OutcomeKind
+from cellapp.cell.run.measured_again import replace_stop
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.estimation.readings import Reading
@@ -82,10 +89,16 @@ class CollectSession:
         self._references = References(
             self.run, self.number, self._measurement, self._supervisor, self._suspect, self.accept_drift
         )
+        self._nests = Nests.of(profile, self.bodies)
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
         stored = {name: self.run.readings(name) for name in self.work.plan}
+        if self.work.again:  # the model is to judge them anew
+            stored = {name: its.take(~np.isin(its.configuration, self.work.stops)) for name, its in stored.items()}
         self._model = LiveModel(profile, self.work.plan, stored, self._log)
-        self._sweeps = Sweeps(self.run, self.cell, self.bodies, self.number, self._note)
+        driver = SweepDriver(
+            self.cell, self._mover, self.bodies, self.reaction, self.control, 1.0 / self._settings.motion_rate
+        )
+        self._sweeps = Sweeps(self.run, driver, self.number, self._note, self._say)
         self._travel = Travel(profile, self._mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None
@@ -107,7 +120,7 @@ class CollectSession:
         """
         self._with_recovery(self._wait_for_tracker)
         self._with_recovery(self._leave_out_forbidden_stops)
-        if self._queue.next() is None:
+        if self._queue.next() is None and not self._sweeps.stops:
             return "complete"
         self._with_recovery(self._confirm_first_motion)
         self._with_recovery(self._warm_up)
@@ -115,9 +128,15 @@ class CollectSession:
         while (stop := self._queue.next()) is not None:
             self._emit(note=f"stop {stop + 1}")
             self._with_recovery(self._measure_references)
-            if self._with_recovery(self._visit_next):
+            accurate = self._with_recovery(self._visit_next)
+            if self._queue.next() != stop and stop in self.run.stops_done():  # neither deferred nor left out
+                self._with_recovery(partial(self._sweep, stop))
+            if accurate:
                 end = "accurate enough"
                 break
+        else:
+            for stop in () if self.work.again else self._sweeps.stops:  # of stops of an earlier session
+                self._with_recovery(partial(self._sweep, stop))
         self._queue.close()
         self._until_reference = 0
         self._with_recovery(self._measure_references)
@@ -126,7 +145,7 @@ class CollectSession:
         return end
 
     def _with_recovery(self, act: Callable[[], T]) -> T:
-        """Do something; after a stop of the cell from which it recovers, do it again from its beginning."""
+        """Do something; after a halt of the cell from which it recovers, do it again from its beginning."""
         while True:
             try:
                 self._supervisor.checkpoint()
@@ -156,18 +175,35 @@ class CollectSession:
             return False
         finally:
             self._mover.stop = None
-        rows, outcomes = self._measure(stop, states)
-        self._store(stop, rows, outcomes)
+        rows, outcomes, further = self._measure(stop, states)
+        self._store(stop, rows, outcomes, further)
         self._queue.done()
-        if recorded := self._sweeps.at_stop(stop, self.work.targets(stop), self._supervisor.checkpoint):
-            self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded)} are recorded")
-        if outcomes and self._queue.replace() is not None:
+        if outcomes and self._queue.replace() is not None:  # stops that are measured again have no reserves
             self._log("info", f"stop {stop + 1}: a reserve stop takes its place")
         self._travel.stop_visited()
         self._until_reference -= 1
         self._report(stop, rows)
         self._check_missed(rows)
-        return self._model.accurate_enough(self._queue.finished)
+        return not self.work.again and self._model.accurate_enough(self._queue.finished)
+
+    def _sweep(self, stop: int) -> None:
+        """Record the sweeps that are left about a stop, the arms resting at it; stops that were left out have none."""
+        if stop not in self._sweeps.stops or stop in self._forbidden:
+            return
+        at = self.work.targets(stop)
+        try:
+            if not self._mover.rests_at(at):
+                self._travel.to_stop(stop)
+            recorded = self._sweeps.at_stop(stop, at, self._supervisor.checkpoint)
+        except MotionRefused as error:
+            self._sweeps.leave_out(stop, str(error))
+        except (TargetLost, WrongTarget) as error:
+            self._sweeps.leave_out(stop, str(error))
+        else:
+            self._say(f"stop {stop + 1}: sweeps of {' and '.join(recorded) or 'no arm'} are recorded")
+
+    def _say(self, text: str) -> None:
+        self._emit(note=text)
 
     def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
         """Refit the running model and say what it shows; suspicions are logged."""
@@ -301,11 +337,17 @@ class CollectSession:
 
     # -- measurement ---------------------------------------------------------------------------------------------------
 
-    def _measure(self, stop: int, states: Mapping[str, ArmState]) -> tuple[dict[str, Reading], list[Outcome]]:
-        """Measure the arms in the order of their dwell times; return readings, and why an SMR was not measured."""
+    def _measure(
+        self, stop: int, states: Mapping[str, ArmState]
+    ) -> tuple[dict[str, Reading], list[Outcome], dict[str, list[Reading]]]:
+        """Measure the arms in the order of their dwell times.
+
+        Return the readings of their SMRs, why one was not measured, and the readings of further nests.
+        """
         temperature_c = None if self._air is None else self._air.at_stop(stop)
         rows: dict[str, Reading] = {}
         outcomes: list[Outcome] = []
+        further: dict[str, list[Reading]] = {}
         dwell_s = {name: self.work.dwell_s(stop, name) for name in states}
         for name in sorted(states, key=lambda name: dwell_s[name]):
             if dwell_s[name] > 0.0:
@@ -321,7 +363,22 @@ class CollectSession:
             air_c = point.temperature_c if self._air is None else temperature_c
             rows[name] = self._reading(stop, name, states[name], point, air_c)
             self._emit(point_measured(stop, name, rows[name]))
-        return rows, outcomes
+            if name in self._nests.names:
+                rows[name] = replace(rows[name], smr=self._nests.names[name])
+                further[name] = list(self._at_nests(stop, name, states, air_c))
+        return rows, outcomes, further
+
+    def _at_nests(
+        self, stop: int, name: str, states: Mapping[str, ArmState], temperature_c: float | None
+    ) -> Iterator[Reading]:
+        """Measure the further nests of an arm that the tracker should see; one that it does not see is logged."""
+        for nest, expected_M in self._nests.in_order(name, {arm: state.q for arm, state in states.items()}):
+            try:
+                point = self._measurement.at_nest(f"{nest} of arm {name}", expected_M)
+            except (TargetLost, WrongTarget, Unstable) as error:
+                self._log("info", f"stop {stop + 1}: arm {name}: nest {nest} was not measured: {error}")
+                continue
+            yield replace(self._reading(stop, name, states[name], point, temperature_c), smr=nest)
 
     def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
         """Return the reading of a point that was just measured; its dwell ends at the middle of the averaging."""
@@ -348,11 +405,20 @@ class CollectSession:
             self.began_s = now_s - self.work.earlier_s
         return self.began_s
 
-    def _store(self, stop: int, rows: Mapping[str, Reading], outcomes: list[Outcome]) -> None:
+    def _store(
+        self,
+        stop: int,
+        rows: Mapping[str, Reading],
+        outcomes: list[Outcome],
+        further: Mapping[str, Sequence[Reading]] = MappingProxyType({}),
+    ) -> None:
         """Store a stop; where the disk refuses, hold for a person, who may free it, and try again."""
         while True:
             try:
-                self.run.add_stop(stop, rows, outcomes)
+                if self.work.again:
+                    replace_stop(self.run, stop, rows, outcomes, further)
+                else:
+                    self.run.add_stop(stop, rows, outcomes, further)
                 return
             except InputError as error:
                 if not self._supervisor.hold(str(error)):

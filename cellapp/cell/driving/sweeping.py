@@ -1,72 +1,173 @@
-"""Sweeps while a run is collected: at a stop that was measured each arm swings and is recorded, the others resting."""
+"""Sweeps while a run is collected: at a stop that was measured each arm swings and is recorded, the others resting.
+
+A simulated cell calculates a sweep at once; others are driven and recorded through their drivers (``driven_sweep``).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.driven_sweep import SweepDriver, SweepPart, why_no_sweeps
 from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states, store_recording
 from cellapp.cell.run.recordings_csv import RecordedStreams, checked_recording
-from cellapp.cell.run.stream_columns import POINT
+from cellapp.cell.run.stream_columns import POINT, TRIGGER, pulse_column
 from cellapp.cell.run.stream_csv import StreamTable
-from cellapp.cell.safety.gate import CellBodies
+from cellapp.ground.counting import counted
+from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.paths.sweep import Sweep
 from drivers.plant.sweep import SweepRecord
 
 CYCLE_S = 0.008
-"""Time between two joint positions of a sweep that a controller is given [s]."""
+"""Time between two joint positions of a sweep that a simulated controller is given [s]."""
+
+Say = Callable[[str], None]
+
+
+def sweeps_left(run: RunFile) -> dict[int, list[PlannedSweep]]:
+    """The planned sweeps that are not recorded to their end, by stop."""
+    done = {(state.arm, state.part_of or state.name) for state in recording_states(run) if state.reached_s is None}
+    return grouped((sweep.stop, sweep) for sweep in read_sweeps(run) if (sweep.arm, sweep.name) not in done)
 
 
 class Sweeps:
-    """The planned sweeps of a run that are not recorded yet."""
+    """The planned sweeps of a run that are not recorded yet. ``note`` is for a person, ``say`` for who looks on."""
 
-    def __init__(self, run: RunFile, cell: Cell, bodies: CellBodies, session: int, note: Callable[[str], None]) -> None:
-        self._run, self._cell, self._bodies, self._note = run, cell, bodies, note
+    def __init__(
+        self, run: RunFile, driver: SweepDriver, session: int, note: Say, say: Say = lambda text: None
+    ) -> None:
+        self._run, self._driver, self._note, self._say = run, driver, note, say
         self._session = f"sweeps-{session}"
-        done = {(state.arm, state.name) for state in recording_states(run)}
-        self._waiting = grouped(
-            (sweep.stop, sweep) for sweep in read_sweeps(run) if (sweep.arm, sweep.name) not in done
-        )
-        if self._waiting and cell.record_sweep is None:
-            note("sweeps are recorded on simulated cells only; record the motion with your own programs and import it")
-            self._waiting = {}
+        self._waiting = sweeps_left(run)
+        if self._waiting and driver.cell.record_sweep is None:
+            why = why_no_sweeps(driver.cell, driver.interval_s)
+            if why:
+                note(f"sweeps are left out: {why}; record the motion with your own programs and import it")
+                self._waiting = {}
+
+    @property
+    def stops(self) -> tuple[int, ...]:
+        """Stops at which a sweep is left to be recorded."""
+        return tuple(self._waiting)
 
     def at_stop(self, stop: int, at: Mapping[str, Array], checkpoint: Callable[[], None]) -> Sequence[str]:
         """Sweep every arm about the joint positions ``at`` which all arms rest; names of the arms that were recorded.
 
         ``checkpoint`` raises where a stop of the cell or a person forbids further motion. A sweep that the gate refuses
-        is left out with a note.
+        is left out with a note. What was recorded before something is raised is stored; the rest stays to be done.
         """
-        recorded = []
-        for sweep in self._waiting.pop(stop, []):
+        recorded: list[str] = []
+        waiting = self._waiting.get(stop, [])
+        while waiting:
             checkpoint()
-            motion = sweep.motion(at[sweep.arm])
+            sweep = waiting[0]
+            motion = self._motion(sweep, at[sweep.arm])
             others = {name: q for name, q in at.items() if name != sweep.arm}
-            if reason := refuse_sweep(self._bodies, sweep.arm, motion, others, self._cell.gate):
+            if reason := refuse_sweep(self._driver.bodies, sweep.arm, motion, others, self._driver.cell.gate):
                 self._note(f"stop {stop + 1}: the sweep of arm {sweep.arm} is left out: {reason}")
-                continue
-            assert self._cell.record_sweep is not None
-            record = self._cell.record_sweep(sweep.arm, motion.at(motion.times(CYCLE_S)), CYCLE_S)
-            store_recording(self._run, self._streams(sweep, record))
-            recorded.append(sweep.arm)
+            elif self._record(sweep, motion):
+                recorded.append(sweep.arm)
+            waiting.pop(0)
+        self._waiting.pop(stop, None)
         return recorded
 
-    def _streams(self, sweep: PlannedSweep, record: SweepRecord) -> RecordedStreams:
-        joints = record.q.shape[1]
-        columns = {"time_s": record.joint_time_s}
-        columns |= {f"q{j + 1}": record.q[:, j] for j in range(joints)}
-        columns |= {f"qd{j + 1}": record.qd[:, j] for j in range(joints)}
-        points = {
-            "time_s": record.point_time_s,
-            **dict(zip(POINT, record.p_M.T, strict=True)),
-            "sigma_m": record.sigma_m,
-        }
-        where = Path(f"{sweep.name} of arm {sweep.arm}")
-        samples, seen = (StreamTable(where, its, {}, np.arange(len(its["time_s"]))) for its in (columns, points))
-        return checked_recording(self._run.profile, (sweep.arm, sweep.name), samples, seen, self._session)
+    def leave_out(self, stop: int, reason: str) -> None:
+        """Give up the sweeps of a stop."""
+        self._note(f"stop {stop + 1}: its sweeps are left out: {reason}")
+        self._waiting.pop(stop, None)
+
+    def _motion(self, sweep: PlannedSweep, center: Array) -> Sweep:
+        """The planned motion, slower as long as the arms start slowly."""
+        motion = sweep.motion(center)
+        return replace(motion, period_s=motion.period_s / self._driver.mover.speed)
+
+    def _record(self, sweep: PlannedSweep, motion: Sweep) -> bool:
+        """Record one sweep; whether anything was stored."""
+        self._say(f"stop {sweep.stop + 1}: sweep of arm {sweep.arm}, {motion.period_s:.0f} s")
+        calculated = self._driver.cell.record_sweep
+        if calculated is not None:
+            found = calculated(sweep.arm, motion.at(motion.times(CYCLE_S)), CYCLE_S)
+            columns = (_joint_columns(found.joint_time_s, q=found.q, qd=found.qd), _point_columns(found))
+            store_recording(self._run, self._streams(sweep, sweep.name, *columns))
+            return True
+        stored = 0
+        for part in self._driver.drive(sweep.arm, motion, self._note):
+            stored += self._stored(sweep, part)
+        return stored > 0
+
+    def _stored(self, sweep: PlannedSweep, part: SweepPart) -> bool:
+        """Store a part of a sweep; whether it could be."""
+        name = self._free_name(sweep)
+        try:
+            recorded = self._streams(sweep, name, *_columns(part))
+        except InputError as error:
+            self._note(f"stop {sweep.stop + 1}: a part of the sweep of arm {sweep.arm} is not kept: {error}")
+            return False
+        state = recorded.state.model_copy(update={"part_of": sweep.name, "reached_s": part.reached_s})
+        store_recording(self._run, replace(recorded, state=state))
+        if len(part.joints.triggers_s) and not len(part.track.triggers_s):
+            self._note(
+                f"{name} of arm {sweep.arm}: the controller gave {counted(len(part.joints.triggers_s), 'pulse')}, the"
+                " tracker stamped none; look at the wiring of its trigger input"
+            )
+        missing = part.track.missing(self._driver.interval_s)
+        if part.joints.missing or missing:
+            self._note(
+                f"{name} of arm {sweep.arm}: {counted(part.joints.missing, 'sample')} of the joints and"
+                f" {counted(missing, 'point')} did not come"
+            )
+        return True
+
+    def _free_name(self, sweep: PlannedSweep) -> str:
+        """A name for the next recording of a sweep."""
+        taken = {state.name for state in recording_states(self._run) if state.arm == sweep.arm}
+        names: Iterator[str] = (f"{sweep.name}.{number}" for number in range(2, len(taken) + 3))
+        return sweep.name if sweep.name not in taken else next(name for name in names if name not in taken)
+
+    def _streams(
+        self, sweep: PlannedSweep, name: str, joints: Mapping[str, Array], points: Mapping[str, Array]
+    ) -> RecordedStreams:
+        where = Path(f"{name} of arm {sweep.arm}")
+        samples, seen = (StreamTable(where, its, {}, np.arange(len(its["time_s"]))) for its in (joints, points))
+        return checked_recording(self._run.profile, (sweep.arm, name), samples, seen, self._session)
+
+
+def _joint_columns(time_s: Array, **tables: Array | None) -> dict[str, Array]:
+    """Columns of a stream of joints: those of each table (n, N) by its stem; None: it was not recorded."""
+    columns = {"time_s": time_s}
+    for stem, table in tables.items():
+        if table is not None:
+            columns |= {f"{stem}{j + 1}": table[:, j] for j in range(table.shape[1])}
+    return columns
+
+
+def _point_columns(record: SweepRecord) -> dict[str, Array]:
+    points = dict(zip(POINT, record.p_M.T, strict=True))
+    return {"time_s": record.point_time_s, **points, "sigma_m": record.sigma_m}
+
+
+def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Columns of the joints and of the points of a part."""
+    joints, track = part.joints, part.track
+    samples = _joint_columns(
+        joints.time_s,
+        q=joints.q,
+        qd=joints.qd,
+        tau=joints.torque_nm,
+        current=joints.current_a,
+        joint_temperature=joints.temperature_c,
+    )
+    points = {"time_s": track.device_time_s, **dict(zip(POINT, track.p_M.T, strict=True))}
+    if np.isfinite(track.sigma_m).all():
+        points["sigma_m"] = track.sigma_m
+    for its, stamps_s in ((samples, joints.triggers_s), (points, track.triggers_s)):
+        if len(stamps_s) and len(its["time_s"]) > len(stamps_s):
+            its[TRIGGER] = pulse_column(its["time_s"], stamps_s)
+    return samples, points

@@ -1,10 +1,11 @@
-"""What is left to collect in a run: planned stops, proposed ones, and reserves for those that cannot be measured."""
+"""What is to be collected in a run: planned stops, proposed ones, reserves for those that cannot be measured, and stops
+that are measured again."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,8 @@ class Work:
         Split of new readings; None if splits are not drawn yet.
     earlier_s : float
         Time of the last stored reading [s]; new readings follow it.
+    again : bool
+        Whether ``stops`` were tried before and are measured again: what they give replaces what they gave.
     """
 
     route: PlannedStops
@@ -46,6 +49,7 @@ class Work:
     proposed: frozenset[int]
     split: str | None
     earlier_s: float
+    again: bool = False
 
     @property
     def plan(self) -> Mapping[str, NDArray[np.float64]]:
@@ -95,6 +99,28 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
         split="train" if drawn else None,
         earlier_s=max((float(arm.time_s.max()) for arm in readings), default=0.0) if done else 0.0,
     )
+
+
+def work_again(run: RunFile, stops: Collection[int]) -> Work:
+    """The work of measuring stops again, as they were planned; nothing else is visited.
+
+    Raises
+    ------
+    InputError
+        Without a plan, without a stop, or if one of them was not tried yet.
+    """
+    work = remaining_work(run, resume=True)
+    tried = run.stops_done() | {one.stop for one in run.outcomes()}
+    if not stops:
+        raise InputError(f"{run.path}: no stop is named to be measured again")
+    if unknown := [stop for stop in sorted(stops) if not 0 <= stop < work.planned]:
+        raise InputError(f"{run.path}: there is no stop {unknown[0] + 1}; there are 1 to {work.planned}")
+    if untried := [stop for stop in sorted(stops) if stop not in tried]:
+        raise InputError(
+            f"{run.path}: stop {untried[0] + 1} was not measured yet; 'cellapp collect {run.folder} --resume' measures"
+            " what is left"
+        )
+    return replace(work, stops=tuple(sorted(stops)), reserves=(), stored=0, again=True)
 
 
 class StopQueue:

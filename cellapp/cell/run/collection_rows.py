@@ -17,7 +17,7 @@ from cellapp.ground.grouping import grouped
 SessionEnd = Literal["complete", "accurate enough", "stopped", "aborted", "failed"]
 """How a collecting session ended; "accurate enough": the asked standard errors were reached early."""
 OutcomeKind = Literal["not measured", "left out"]
-_SINCE = 4
+_SINCE, _SINCE_AGAIN = 4, 9
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class Session:
     """One session of collecting; ``ended``, ``outcome`` and ``reason`` are None if the program died in it.
 
     ``requests`` lists what persons asked and what suspended it, oldest first: (UTC, "pause" | "resume" | ..., reason).
+    ``again`` lists the stops that it measured again, as people count them; empty of one that collects what is left.
     """
 
     number: int
@@ -33,6 +34,7 @@ class Session:
     outcome: SessionEnd | None
     reason: str | None
     requests: tuple[tuple[str, str, str], ...]
+    again: str = ""
 
 
 @dataclass(frozen=True)
@@ -56,9 +58,9 @@ class ReferenceRow:
     session: int
 
 
-def insert_session(connection: sqlite3.Connection, began: str) -> int:
+def insert_session(connection: sqlite3.Connection, began: str, again: str = "") -> int:
     """Add a session that begins; return its number."""
-    row = connection.execute("INSERT INTO session (began) VALUES (?)", (began,))
+    row = connection.execute("INSERT INTO session (began, again) VALUES (?, ?)", (began, again or None))
     return int(row.lastrowid or 0)
 
 
@@ -97,16 +99,18 @@ def insert_reference(connection: sqlite3.Connection, row: ReferenceRow) -> None:
 
 def select_sessions(connection: sqlite3.Connection) -> list[Session]:
     """All sessions, oldest first; none in a file of an older schema."""
-    if schema_version(connection) < _SINCE:
+    version = schema_version(connection)
+    if version < _SINCE:
         return []
+    again = "COALESCE(again, '')" if version >= _SINCE_AGAIN else "''"
     requests = grouped(
         (session, (request[0], request[1], request[2]))
         for session, *request in connection.execute("SELECT session, written, kind, reason FROM request ORDER BY rowid")
     )
-    rows = connection.execute("SELECT number, began, ended, outcome, reason FROM session ORDER BY number")
+    rows = connection.execute(f"SELECT number, began, ended, outcome, reason, {again} FROM session ORDER BY number")
     return [
-        Session(number, began, ended, outcome, reason, tuple(requests.get(number, ())))
-        for number, began, ended, outcome, reason in rows
+        Session(number, began, ended, outcome, reason, tuple(requests.get(number, ())), stops)
+        for number, began, ended, outcome, reason, stops in rows
     ]
 
 

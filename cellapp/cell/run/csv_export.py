@@ -27,7 +27,7 @@ def write_readings_csv(run: RunFile, path: Path, outputs: Outputs = NEW_ONLY) ->
         If there are no readings, or the file cannot be written.
     """
     path = Path(path)
-    arms = {arm: run.readings(arm) for arm in run.arms()}
+    arms = {arm: run.rows(arm) for arm in run.arms()}
     if not arms:
         raise InputError(f"{run.path} holds no readings yet; there is nothing to export")
     names = _header(arms, run.columns)

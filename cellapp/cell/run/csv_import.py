@@ -33,6 +33,7 @@ from cellapp.cell.run.csv_text import (
 from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text, read_distances_csv, swapped_points
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
+from cellapp.cell.run.nests import nest_faults
 from cellapp.cell.run.records import ArmOrder
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, MEASURED_POINT, Column, Values, beyond_limits
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
@@ -155,7 +156,7 @@ def readings_of_table(
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
     readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
-    _check_sockets(profile, table, readings)
+    _check_together(profile, table, readings)
     missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
         raise InputError(
@@ -165,15 +166,23 @@ def readings_of_table(
     return readings, orders, notes
 
 
-def _check_sockets(profile: Profile, table: CsvTable, readings: Mapping[str, Readings]) -> None:
-    """Check that readings of one point belong together, by the published arms."""
+def _check_together(profile: Profile, table: CsvTable, readings: Mapping[str, Readings]) -> None:
+    """Check that readings of one point, and of the nests on one flange, belong together."""
     problems = Problems(table.place)
-    arms, numbers = table.cells["arm"], table.cells[CONFIGURATION.csv[0]]
-    line_of = {(arm.strip(), int(n)): line for arm, n, line in zip(arms, numbers, table.lines, strict=True)}
     for arm, its in readings.items():
+        lines = _lines_of(table, arm)
         for row, text in swapped_points(profile, arm, its) if in_sockets(its) else ():
-            problems.add(line_of[arm, int(its.configuration[row])], POINT, text)
+            problems.add(lines[row], POINT, text)
+        for row, column, text in nest_faults(profile, arm, its):
+            problems.add(lines[row], column, text)
     problems.check()
+
+
+def _lines_of(table: CsvTable, arm: str) -> list[int]:
+    """Lines of the rows of an arm, in the order of its readings: by configuration."""
+    numbers = table.cells[CONFIGURATION.csv[0]]
+    own = zip(table.cells["arm"], numbers, table.lines, strict=True)
+    return [line for _, line in sorted((int(n), line) for name, n, line in own if name.strip() == arm)]
 
 
 def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:

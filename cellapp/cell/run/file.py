@@ -13,6 +13,7 @@ import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Self
 
 import numpy as np
@@ -35,6 +36,7 @@ from cellapp.cell.run.collection_rows import (
     select_sessions,
 )
 from cellapp.cell.run.distances import with_distances
+from cellapp.cell.run.nests import one_a_stop
 from cellapp.cell.run.plan_table import changed_stops, check_plan, replace_plan, select_plan
 from cellapp.cell.run.readings_table import (
     check_readings,
@@ -44,6 +46,7 @@ from cellapp.cell.run.readings_table import (
     mean_temperatures,
     select_readings,
     select_stops_done,
+    stop_rows,
     update_splits,
 )
 from cellapp.cell.run.rows import Document, Event, StageRow, insert_document, utc_now
@@ -61,6 +64,7 @@ from cellapp.cell.run.sqlite_file import (
     sync_folder,
 )
 from cellapp.estimation.readings.readings import Reading, Readings
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.plugins import program_of
@@ -235,8 +239,16 @@ class RunFile:
 
     # -- readings ----------------------------------------------------------------------------------------------------
 
-    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+    def add_stop(
+        self,
+        configuration: int,
+        rows: Mapping[str, Reading],
+        outcomes: Sequence[Outcome] = (),
+        further: Mapping[str, Sequence[Reading]] = MappingProxyType({}),
+    ) -> None:
         """Store one stop of all arms, and why arms have no reading there, in one transaction; on return it is on disk.
+
+        ``further`` are readings of further nests of arms that have one in ``rows``.
 
         Raises
         ------
@@ -245,7 +257,7 @@ class RunFile:
         ValueError
             If an array has the wrong shape or a required value is not finite.
         """
-        self._add({arm: reading.as_readings(configuration) for arm, reading in rows.items()}, outcomes)
+        self._add(stop_rows(configuration, rows, further), outcomes)
 
     def add_readings(self, arm: str, readings: Readings) -> None:
         """Store readings of one arm in one transaction. Raises as ``add_stop`` does."""
@@ -269,7 +281,14 @@ class RunFile:
                 insert_outcome(connection, outcome)
 
     def readings(self, arm: str) -> Readings:
-        """All readings of one arm, ordered by configuration; n is 0 if there are none."""
+        """The readings of one arm, one a stop, ordered by configuration; n is 0 if there are none.
+
+        Rows of several nests are one reading, with the orientation that follows from them.
+        """
+        return one_a_stop(self.profile, arm, self.rows(arm))
+
+    def rows(self, arm: str) -> Readings:
+        """All rows of one arm as they were measured or imported, one a nest; ordered by configuration."""
         self._check_arm(arm)
         with self.look() as connection:
             return with_distances(connection, select_readings(connection, arm, self._joints(arm)))
@@ -303,10 +322,12 @@ class RunFile:
 
     def assign_splits(self, arm: str, names: Sequence[str | None]) -> None:
         """Store the split of each reading of ``arm``, in the order of ``readings``; None is no split."""
-        self._check_arm(arm)
         check_splits(names)
+        stops = self.readings(arm).configuration.tolist()
+        if len(stops) != len(names):
+            raise ValueError(f"{len(names)} splits for the {counted(len(stops), 'reading')} of arm {arm}")
         with self.change() as connection:
-            update_splits(connection, arm, names)
+            update_splits(connection, arm, dict(zip(stops, names, strict=True)))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -372,10 +393,10 @@ class RunFile:
 
     # -- collecting --------------------------------------------------------------------------------------------------
 
-    def begin_session(self) -> int:
-        """Record that collecting begins; return the session's number."""
+    def begin_session(self, again: str = "") -> int:
+        """Record that collecting begins, or measuring the stops ``again`` once more; return the session's number."""
         with self.change() as connection:
-            return insert_session(connection, utc_now())
+            return insert_session(connection, utc_now(), again)
 
     def record_request(self, session: int, kind: str, reason: str) -> None:
         """Record a request of a person, or what suspended or resumed a session."""

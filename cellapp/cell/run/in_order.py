@@ -63,6 +63,7 @@ def in_measured_order(readings: Readings) -> tuple[Readings, ArmOrder]:
     motion = np.vstack([np.full((1, readings.joints), np.nan), np.diff(readings.q[order], axis=0)])
     motion = np.where(np.isnan(given_step), motion, given_step)
     motion[np.abs(motion) <= MOVED_RAD] = 0.0
+    motion = motion[_first_of_stop(readings.configuration[order])]
     sign = np.nan_to_num(np.sign(motion))
     detour = (given_sign * sign < 0.0) & np.isnan(given_step)
     motion[detour] = np.nan
@@ -132,3 +133,10 @@ def _last_known(signs: NDArray[np.float64]) -> NDArray[np.float64]:
     """Signs (n, N) in order of measurement, each 0 replaced by the last other one before it."""
     rows = np.where(signs != 0.0, np.arange(len(signs))[:, np.newaxis], 0)
     return np.asarray(np.take_along_axis(signs, np.maximum.accumulate(rows, axis=0), axis=0))
+
+
+def _first_of_stop(configuration: NDArray[np.int64]) -> NDArray[np.intp]:
+    """The row at which the arm came to each row's stop: nests are measured one after another at rest."""
+    first = np.ones(len(configuration), dtype=np.bool_)
+    first[1:] = np.diff(configuration) != 0
+    return np.asarray(np.maximum.accumulate(np.where(first, np.arange(len(first)), 0)))

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.schema import schema_version
 from cellapp.estimation.readings.columns import COLUMNS, MEASURED_POINT, SPLITS, Column, Values
-from cellapp.estimation.readings.readings import Readings, readings_from_columns
-from cellapp.ground.counting import counted
+from cellapp.estimation.readings.readings import Reading, Readings, joined, readings_from_columns
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
@@ -26,10 +25,22 @@ def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings
     )
 
 
+def stop_rows(
+    configuration: int, rows: Mapping[str, Reading], further: Mapping[str, Sequence[Reading]]
+) -> dict[str, Readings]:
+    """Readings of each arm at one stop, behind those in ``rows`` the ``further`` ones of other nests."""
+    found = {arm: reading.as_readings(configuration) for arm, reading in rows.items()}
+    for arm, nests in further.items():
+        found[arm] = joined([found[arm], *(one.as_readings(configuration) for one in nests)])
+    return found
+
+
 def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, int]]:
     """Number of readings of each arm, by split; None is no split."""
     counts: dict[str, dict[str | None, int]] = {}
-    for arm, split, n in connection.execute("SELECT arm, split, COUNT(*) FROM reading GROUP BY arm, split"):
+    for arm, split, n in connection.execute(
+        "SELECT arm, split, COUNT(DISTINCT configuration) FROM reading GROUP BY arm, split"
+    ):
         counts.setdefault(arm, {})[split] = n
     return counts
 
@@ -48,12 +59,17 @@ def mean_temperatures(connection: sqlite3.Connection) -> dict[str, dict[str, flo
     return means
 
 
-def select_readings(connection: sqlite3.Connection, arm: str, joints: int) -> Readings:
-    """All readings of one arm, ordered by configuration; columns that an older schema lacks have no values."""
+def select_readings(
+    connection: sqlite3.Connection, arm: str, joints: int, table: Literal["reading", "earlier_reading"] = "reading"
+) -> Readings:
+    """All readings of one arm, ordered by configuration; columns that an older schema lacks have no values.
+
+    Those of the table ``earlier_reading`` of one configuration stand in the order in which they were replaced.
+    """
     version = schema_version(connection)
     names = [column.sql_name if column.since <= version else "NULL" for column in COLUMNS]
     rows = connection.execute(
-        f"SELECT {', '.join(names)}, extras FROM reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
+        f"SELECT {', '.join(names)}, extras FROM {table} WHERE arm = ? ORDER BY configuration, rowid", (arm,)
     ).fetchall()
     *columns, extras = zip(*rows, strict=True) if rows else [()] * (len(COLUMNS) + 1)
     values = {
@@ -100,16 +116,11 @@ def check_splits(words: Sequence[str | None]) -> None:
             raise ValueError(f"'{word}' is not a split; splits are {', '.join(SPLITS)}")
 
 
-def update_splits(connection: sqlite3.Connection, arm: str, names: Sequence[str | None]) -> None:
-    """Store the split of each reading of an arm, in the order of ``select_readings``."""
-    rows = connection.execute(
-        "SELECT rowid FROM reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
-    ).fetchall()
-    if len(rows) != len(names):
-        raise ValueError(f"{len(names)} splits for the {counted(len(rows), 'reading')} of arm {arm}")
+def update_splits(connection: sqlite3.Connection, arm: str, names: Mapping[int, str | None]) -> None:
+    """Store the split of all rows of an arm at each stop."""
     connection.executemany(
-        "UPDATE reading SET split = ? WHERE rowid = ?",
-        ((name, row) for name, (row,) in zip(names, rows, strict=True)),
+        "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
+        ((name, arm, stop) for stop, name in names.items()),
     )
 
 

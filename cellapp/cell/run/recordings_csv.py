@@ -23,6 +23,7 @@ from cellapp.cell.run.stream_columns import (
     OPTIONAL_OF_JOINTS,
     POINT,
     TEXTS,
+    TRIGGER,
     Implausible,
     Kind,
     joint_faults,
@@ -205,7 +206,7 @@ def checked_recording(
         joints=state_of(joints.columns["time_s"]),
         points=state_of(seen.columns["time_s"], int(lost.sum())),
         optional=tuple(stem for stem in OPTIONAL_OF_JOINTS if quantities[stem][0] in joints.columns)
-        + tuple(name for name in ("sigma_m", "quat_w", "split") if name in seen.columns),
+        + tuple(name for name in ("sigma_m", "quat_w", "split", TRIGGER) if name in seen.columns),
         unknown=tuple(name for name in columns if name not in known),
     )
     return RecordedStreams(state, joints, seen)

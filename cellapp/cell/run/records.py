@@ -76,11 +76,15 @@ class RecordingState(Record):
     """A recording of motion in a run; ``unknown`` are columns that are kept and not used.
 
     Recordings of one arm with the same ``session`` were made without a pause of the devices: their clocks are the same.
+    ``part_of`` names the planned sweep of which this is a part, ``reached_s`` is the time of its motion at which the
+    beam broke [s]; None where it did not.
     """
 
     name: str
     arm: str
     session: str = ""
+    part_of: str = ""
+    reached_s: float | None = None
     joints: StreamState
     points: StreamState
     optional: tuple[str, ...] = ()

@@ -6,11 +6,12 @@ import sqlite3
 
 from cellapp.estimation.readings.columns import COLUMNS
 
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 """2: each joint's last step and the dwell time of a reading. 3: results of verbs in the table ``stage``. 4: sessions of
 collecting, outcomes of stops that were not measured, reference measurements. 5: place of a reading in the order of
 measurement. 6: recordings of motion. 7: names of points in place of measured positions. 8: orientation, torques,
-currents, centre of the payload, nest and station of a reading, and several readings of an arm at a stop."""
+currents, centre of the payload, nest and station of a reading, and several readings of an arm at a stop. 9: readings
+that were replaced when their stop was measured again, and which sessions did that."""
 
 _READING_KEY = "CREATE UNIQUE INDEX reading_key ON reading (arm, configuration, IFNULL(smr, ''), IFNULL(station, ''))"
 """An arm is measured once at a stop, or once by nest and station. Before schema 8 the table's primary key said so."""
@@ -24,7 +25,8 @@ _STAGE_TABLE = (
 )
 """Append-only. Files of schema 1 and 2 lack it; they have results of verbs in the table ``result``."""
 _COLLECTION_TABLES = (
-    "CREATE TABLE session (number INTEGER PRIMARY KEY, began TEXT NOT NULL, ended TEXT, outcome TEXT, reason TEXT)",
+    "CREATE TABLE session (number INTEGER PRIMARY KEY, began TEXT NOT NULL, ended TEXT, outcome TEXT, reason TEXT,"
+    " again TEXT)",
     "CREATE TABLE request (session INTEGER NOT NULL, written TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL)",
     "CREATE TABLE outcome (stop INTEGER NOT NULL, arm TEXT NOT NULL, kind TEXT NOT NULL, reason TEXT NOT NULL,"
     " PRIMARY KEY (stop, arm))",
@@ -39,11 +41,15 @@ _RECORDING_TABLES = (
 )
 """A recording of motion, and its columns: ``data`` as in ``stream_codes``, or places in ``words``."""
 
+_AGAIN = "ALTER TABLE session ADD COLUMN again TEXT"
+"""The stops that a session measured again, as a list; NULL of a session that collects what is left."""
+
 
 def create_tables(connection: sqlite3.Connection) -> None:
     """Make all tables, inside the caller's transaction."""
     _create_reading_table(connection)
     for statement in (
+        _earlier_table(),
         "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)",
         "CREATE TABLE plan (arm TEXT NOT NULL, stop INTEGER NOT NULL, q TEXT NOT NULL, PRIMARY KEY (arm, stop))",
         "CREATE TABLE event"
@@ -57,9 +63,17 @@ def create_tables(connection: sqlite3.Connection) -> None:
     connection.execute(f"PRAGMA user_version={SCHEMA_VERSION}")
 
 
+def _reading_columns() -> tuple[str, ...]:
+    return ("arm TEXT NOT NULL", *(column.sql_declaration for column in COLUMNS), _EXTRAS)
+
+
+def _earlier_table() -> str:
+    """Readings that others replaced: as they were, in the order in which that happened."""
+    return f"CREATE TABLE earlier_reading ({', '.join((*_reading_columns(), 'replaced TEXT NOT NULL'))})"
+
+
 def _create_reading_table(connection: sqlite3.Connection) -> None:
-    columns = ["arm TEXT NOT NULL", *(column.sql_declaration for column in COLUMNS), _EXTRAS]
-    connection.execute(f"CREATE TABLE reading ({', '.join(columns)})")
+    connection.execute(f"CREATE TABLE reading ({', '.join(_reading_columns())})")
     connection.execute(_READING_KEY)
 
 
@@ -81,10 +95,12 @@ def upgrade(connection: sqlite3.Connection) -> None:
         return
     for column in COLUMNS:
         if column.since > version:
-            connection.execute(f"ALTER TABLE reading ADD COLUMN {column.sql_declaration}")
+            for table in ("reading", "earlier_reading") if version >= 9 else ("reading",):
+                connection.execute(f"ALTER TABLE {table} ADD COLUMN {column.sql_declaration}")
     if version < 8:
         _rekey_readings(connection)
-    tables = {3: (_STAGE_TABLE,), 4: _COLLECTION_TABLES, 6: _RECORDING_TABLES}
+    earlier = (_earlier_table(), *([_AGAIN] if version >= 4 else []))
+    tables = {3: (_STAGE_TABLE,), 4: _COLLECTION_TABLES, 6: _RECORDING_TABLES, 9: earlier}
     for statement in (one for since, its in tables.items() if version < since for one in its):
         connection.execute(statement)
     connection.execute("UPDATE meta SET value = ? WHERE key = 'version'", (str(SCHEMA_VERSION),))

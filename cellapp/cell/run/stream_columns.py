@@ -21,6 +21,8 @@ Columns = Mapping[str, NDArray[np.float64]]
 TEXTS = ("recording", "arm", "split")
 POINT = ("x_m", "y_m", "z_m")
 QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
+TRIGGER = "trigger_s"
+"""Stamp of a pulse from the controller to the tracker, by the device's own clock, in the row nearest to it."""
 OPTIONAL_OF_JOINTS = ("qd", "tau", "current", "joint_temperature")
 
 _CHECKS = {name: column.check for column in COLUMNS for name in (column.csv[0],) if column.check is not None}
@@ -49,9 +51,10 @@ class Implausible:
 def stems(kind: Kind, joints: int) -> dict[str, tuple[str, ...]]:
     """Quantity -> its columns; the first two of a kind are required."""
     if kind == "points":
-        return {"time_s": ("time_s",), "p_M": POINT, "sigma_m": ("sigma_m",), "quaternion": QUATERNION}
+        points = {"time_s": ("time_s",), "p_M": POINT, "sigma_m": ("sigma_m",), "quaternion": QUATERNION}
+        return {**points, "trigger": (TRIGGER,)}
     per_joint = {stem: tuple(f"{stem}{j}" for j in range(1, joints + 1)) for stem in ("q", *OPTIONAL_OF_JOINTS)}
-    return {"time_s": ("time_s",), **per_joint}
+    return {"time_s": ("time_s",), **per_joint, "trigger": (TRIGGER,)}
 
 
 def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
@@ -122,7 +125,9 @@ def joint_stream(columns: Columns, joints: int) -> JointStream:
     optional = {
         stem: _matrix(columns, names[stem]) for stem in OPTIONAL_OF_JOINTS if names[stem][0] in columns
     }  # each has all joints or none: the door sees to that
-    return JointStream(time_s=columns["time_s"], q=_matrix(columns, names["q"]), **optional)
+    return JointStream(
+        time_s=columns["time_s"], q=_matrix(columns, names["q"]), triggers_s=_pulses(columns), **optional
+    )
 
 
 def point_stream(columns: Columns, splits: tuple[str, ...] | None) -> PointStream:
@@ -136,7 +141,23 @@ def point_stream(columns: Columns, splits: tuple[str, ...] | None) -> PointStrea
         sigma_m=columns.get("sigma_m"),
         quaternion=_matrix(columns, QUATERNION) if QUATERNION[0] in columns else None,
         held_out=held_out,
+        triggers_s=_pulses(columns),
     )
+
+
+def _pulses(columns: Columns) -> NDArray[np.float64]:
+    """Stamps of pulses (k,) in a stream; none without a trigger."""
+    stamps = columns.get(TRIGGER, np.empty(0))
+    return stamps[np.isfinite(stamps)]
+
+
+def pulse_column(time_s: NDArray[np.float64], pulses_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The column of the stamps of pulses (k,): each in the nearest row of its own of ``time_s`` (n,), else NaN."""
+    column = np.full(len(time_s), np.nan)
+    for pulse in pulses_s.tolist():
+        free = np.flatnonzero(np.isnan(column))
+        column[free[np.argmin(np.abs(time_s[free] - pulse))]] = pulse
+    return column
 
 
 def _matrix(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64]:

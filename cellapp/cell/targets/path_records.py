@@ -116,11 +116,9 @@ class PathRecord(Record):
     driven: DrivenPath | None = None
 
 
-class PathResult(Result):
+class PathResult(Result, schema="cellapp-path"):
     """``follow``: every path, and with ``--verify`` how far its measured points are from it."""
 
-    schema_: Literal["cellapp-path"] = "cellapp-path"
-    version: Literal[1] = 1
     paths: tuple[PathRecord, ...]
     notes: tuple[str, ...] = ()
 

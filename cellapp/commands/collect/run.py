@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests.running import running_job
@@ -11,6 +13,7 @@ from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import refuse_second_station
 from cellapp.commands.record import Work
 from cellapp.ground.control import JobControl
+from cellapp.ground.counting import listed_numbers
 from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.threads import one_blas_thread
 
@@ -18,12 +21,14 @@ from cellapp.ground.threads import one_blas_thread
 def run(request: CollectRequest, work: Work) -> CollectResult:
     """Measure the planned stops of the run."""
     with RunFile.open(request.folder, write=True) as opened:
+        again = None if request.again is None else [stop - 1 for stop in listed_numbers(request.again, "stops")]
         return collect_stops(
             opened,
             work.listener,
             work.control,
             resume=request.resume,
             accept_drift=request.accept_drift,
+            again=again,
             ask=work.ask(opened.profile.name),
         )
 
@@ -35,6 +40,7 @@ def collect_stops(
     *,
     resume: bool = False,
     accept_drift: bool = False,
+    again: Collection[int] | None = None,
     ask: Ask | None = None,
 ) -> CollectResult:
     """Measure the planned stops; ``ask`` is asked before the first motion of real arms.
@@ -43,7 +49,7 @@ def collect_stops(
     """
     control = control or JobControl()
     with running_job(run, control, "collect", listener) as listener:
-        return collect_planned(run, listener, control, ask, resume=resume, accept_drift=accept_drift)
+        return collect_planned(run, listener, control, ask, resume=resume, accept_drift=accept_drift, again=again)
 
 
 def collect_planned(
@@ -54,10 +60,11 @@ def collect_planned(
     *,
     resume: bool = False,
     accept_drift: bool = False,
+    again: Collection[int] | None = None,
 ) -> CollectResult:
     """As ``collect_stops``, within a job that has the folder already."""
     refuse_second_station(run)
     confirm = confirmation(run.profile, ask)
     report = with_eta(listener)
     with one_blas_thread():
-        return collect_run(run, report, control, resume=resume, accept_drift=accept_drift, confirm=confirm)
+        return collect_run(run, report, control, resume=resume, accept_drift=accept_drift, again=again, confirm=confirm)

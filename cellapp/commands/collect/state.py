@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from cellapp.cell.driving.practice import LiveModel
-from cellapp.cell.driving.records import CollectedStop, CollectionResult, ResidualRange, SessionRecord, SessionRequest
+from cellapp.cell.driving.records import (
+    CollectedStop,
+    CollectionResult,
+    ReplacedReading,
+    ResidualRange,
+    SessionRecord,
+    SessionRequest,
+)
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import late_readings, missing_readings, missing_share, reference_drifts
+from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.run_results import StageResults
 from cellapp.estimation.calibration.online_model import Residuals
@@ -32,6 +41,7 @@ def collection_state(run: RunFile, results: StageResults | None = None) -> Colle
     model = LiveModel(run.profile, plan, stored, lambda level, text: None)
     residuals, calibrated = model.residuals(), _calibrated(results)
     numbers = {name: its.configuration.tolist() for name, its in stored.items()}
+    replaced = tuple(_replaced(run, model))
     return CollectionResult(
         run=str(run.folder),
         sessions=tuple(
@@ -52,7 +62,7 @@ def collection_state(run: RunFile, results: StageResults | None = None) -> Colle
         standard_error_mm=model.standard_error_mm,
         stops=tuple(
             sorted(
-                (*_stops(run, numbers, residuals, calibrated), *_unmeasured(missing)),
+                (*_stops(run, numbers, residuals, calibrated, replaced), *_unmeasured(missing)),
                 key=lambda one: (one.stop, list(numbers).index(one.arm)),
             )
         ),
@@ -61,6 +71,7 @@ def collection_state(run: RunFile, results: StageResults | None = None) -> Colle
             for name, stops in numbers.items()
             if stops
         },
+        replaced=replaced,
     )
 
 
@@ -76,8 +87,10 @@ def _stops(
     numbers: Mapping[str, Sequence[int]],
     residuals: Mapping[str, Residuals],
     calibrated: Mapping[str, ArmCalibrationResult],
+    replaced: Sequence[ReplacedReading],
 ) -> Iterator[CollectedStop]:
     """The measured stops of each arm."""
+    earlier = Counter((one.stop, one.arm) for one in replaced)
     late = late_readings(run)
     for name, stops in numbers.items():
         its, none = residuals.get(name), [None] * len(stops)
@@ -91,8 +104,19 @@ def _stops(
                 residual_mm=length,
                 sigma_mm=sigma,
                 retried=(stop, name) in late,
+                again=earlier[stop, name],
                 suspicion="left out by calibrate" if stop in left_out else "gross error" if stop in gross else "",
             )
+
+
+def _replaced(run: RunFile, model: LiveModel) -> Iterator[ReplacedReading]:
+    """The readings of each arm that later ones replaced, and how far the model of those that count is from them."""
+    for name in run.profile.arms:
+        earlier = earlier_readings(run, name)
+        stops, lengths_m = earlier.readings.configuration.tolist(), model.lengths_m(name, earlier.readings)
+        for stop, when, length_m in zip(stops, earlier.replaced, lengths_m, strict=True):
+            residual_mm = None if length_m is None else length_m * 1e3
+            yield ReplacedReading(stop=stop, arm=name, replaced=when, residual_mm=residual_mm)
 
 
 def _unmeasured(missing: Sequence[MissingReading]) -> Iterator[CollectedStop]:
@@ -108,5 +132,5 @@ def _usual_mm(its: Residuals | None) -> float | None:
 
 
 def _held_out_mm(arm: ArmCalibrationResult | None) -> float | None:
-    """The same of the last stage of a calibration at held-out stops."""
+    """The 95 % percentile [mm] of the held-out errors of the calibration's last stage."""
     return None if arm is None or not arm.validate_ else arm.validate_[arm.best_stage].position_mm.p95

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult
+from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult, SessionRecord
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.collect.charts import drift_by_reference, drift_chart
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart, mm
 from cellapp.commands.view.parts import Section, section_of
-from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of, with_rows
 from cellapp.ground.counting import counted
 from cellapp.ground.times import second_of
 
@@ -55,6 +55,9 @@ def _drift_charts(state: CollectionResult) -> list[Chart]:
 def collect_lines(result: CollectResult) -> list[str]:
     """How many stops are stored, how the session ended, which readings are missing."""
     lines = [f"{counted(result.stops, 'stop')} stored: {result.outcome}"]
+    if result.replaced is not None:
+        counts = counted(result.replaced, "reading was", "readings were")
+        lines = [f"{counts} measured again, and the earlier ones are kept; {lines[0]}"]
     if result.missing:
         share = f"{result.missing_share:.1%}, tolerated {result.tolerated_share:.1%}"
         lines.append(f"{counted(len(result.missing), 'planned reading is', 'planned readings are')} missing ({share}):")
@@ -73,14 +76,21 @@ def other_notes(result: CollectResult | None, notes: Sequence[str]) -> list[str]
 
 
 def collection_tables(state: CollectionResult) -> list[Table]:
-    """Sessions, what happened in them, missing readings, reference drift, standard errors, the stops to look at first.
+    """Sessions, what happened in them, missing and replaced readings, drift, standard errors, stops to look at first.
 
     Only those with rows.
     """
-    tables = [_sessions(state), _requests(state), _missing(state), _drift(state), _standard_errors(state)]
+    tables = [
+        _sessions(state),
+        _requests(state),
+        _missing(state),
+        _replaced(state),
+        _drift(state),
+        _standard_errors(state),
+    ]
     measured = [one for one in state.stops if one.residual_mm is not None]
     worst = sorted(measured, key=_doubt, reverse=True)[:_MOST_LISTED]
-    return [table for table in (*tables, stops_table(worst, len(measured), "Stops to look at first")) if table.rows]
+    return with_rows(*tables, stops_table(worst, len(measured), "Stops to look at first"))
 
 
 def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title: str = "Stops one by one") -> Table:
@@ -93,10 +103,16 @@ def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title:
         ("residual", "residual_mm", ".4f", "mm"),
         ("sigma", "sigma_mm", ".4f", "mm"),
         ("ratio", residual_ratio, ".1f"),
-        ("retried", lambda one: "yes" if one.retried else ""),
+        ("retried", _retried),
         ("suspicion", "suspicion"),
         count=count,
     )
+
+
+def _retried(one: CollectedStop) -> str:
+    """Whether a later visit gave the reading, or how many readings it replaced."""
+    times = "" if one.again < 2 else f" x{one.again}"
+    return f"again{times}" if one.again else "yes" if one.retried else ""
 
 
 def residual_ratio(one: CollectedStop) -> float | None:
@@ -143,40 +159,51 @@ def _stop_words(first: int, last: int) -> str:
 
 
 def _sessions(state: CollectionResult) -> Table:
-    columns = (
-        Column("session"),
-        Column("began (UTC)"),
-        Column("ended (UTC)"),
-        Column("outcome"),
-        Column("reason"),
+    return table_of(
+        "Sessions of collecting",
+        state.sessions,
+        ("session", lambda one: str(one.number)),
+        ("began (UTC)", lambda one: _time(one.began)),
+        ("ended (UTC)", lambda one: _time(one.ended)),
+        ("outcome", _outcome_words),
+        ("reason", lambda one: one.reason or ""),
     )
-    rows = tuple(
-        (
-            str(session.number),
-            _time(session.began),
-            _time(session.ended),
-            session.outcome or "the program died",
-            session.reason or "",
-        )
-        for session in state.sessions
-    )
-    return Table("Sessions of collecting", columns, rows)
+
+
+def _outcome_words(session: SessionRecord) -> str:
+    again = f", stops {session.again} again" if session.again else ""
+    return f"{session.outcome or 'the program died'}{again}"
 
 
 def _requests(state: CollectionResult) -> Table:
-    columns = (Column("session"), Column("when (UTC)"), Column("what"), Column("reason"))
-    rows = tuple(
-        (str(session.number), _time(request.written), request.kind, request.reason)
-        for session in state.sessions
-        for request in session.requests
+    return table_of(
+        "Requests of persons and interruptions",
+        [(session, request) for session in state.sessions for request in session.requests],
+        ("session", lambda row: str(row[0].number)),
+        ("when (UTC)", lambda row: _time(row[1].written)),
+        ("what", lambda row: row[1].kind),
+        ("reason", lambda row: row[1].reason),
     )
-    return Table("Requests of persons and interruptions", columns, rows)
 
 
 def _missing(state: CollectionResult) -> Table:
     columns = (Column("stop"), Column("arm"), Column("what"), Column("reason"))
     share = f"{state.missing_share:.1%} of the planned ones, tolerated {state.tolerated_share:.1%}"
     return Table(f"Missing readings: {len(state.missing)} ({share})", columns, tuple(_grouped(state.missing)))
+
+
+def _replaced(state: CollectionResult) -> Table:
+    """What each reading was that a later one replaced, and what stands in its place."""
+    now = {(one.stop, one.arm): one.residual_mm for one in state.stops}
+    return table_of(
+        "Stops measured again: the readings before, which are kept and not used",
+        state.replaced,
+        ("stop", lambda one: one.stop + 1, "d"),
+        ("arm", "arm"),
+        ("replaced (UTC)", lambda one: _time(one.replaced)),
+        ("residual before", "residual_mm", ".4f", "mm"),
+        ("residual now", lambda one: now.get((one.stop, one.arm)), ".4f", "mm"),
+    )
 
 
 def _drift(state: CollectionResult) -> Table:

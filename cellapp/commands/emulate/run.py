@@ -24,12 +24,16 @@ from drivers.emulators.ur_controller import (
     UrControllerServer,
 )
 from drivers.plant import Plant
+from drivers.plant.sweep import recorder_of
 from drivers.priority import in_real_time
 from drivers.settings import SettingError
+from drivers.trackers.imperfections import Imperfections
 
 _STEP_S = 0.2
 """Longest time for which a cancel, such as Ctrl-C, goes unnoticed."""
 _CB3_MODELS = ("UR3", "UR5", "UR10")
+_LATE_S = 0.04
+"""Packets of the tracker's stream come late by up to this much [s]."""
 _JOINTS = 6
 """Of every UR arm."""
 
@@ -62,9 +66,26 @@ def _serve_tracker(
         token = profile.tracker.driver.token()
     except SettingError as error:
         raise InputError(str(error)) from error
-    bridge = TrackerBridgeEmulator(
-        plant, clock=threading.Condition(server.cell.lock), host=tracker.host, port=tracker.port, token=token
+    clocks = recorder_of(plant)  # as where no wire is between: the same seed, the same clocks
+    own = Imperfections(
+        clock_offset_s=clocks.offset_s,
+        clock_rate=clocks.rate_ppm * 1e-6,
+        packet_jitter_s=_LATE_S,
+        lost_beams_per_min=clocks.lost_beams_per_min,
+        longest_loss_s=clocks.longest_loss_s,
     )
+    bridge = TrackerBridgeEmulator(
+        plant,
+        clock=threading.Condition(server.cell.lock),
+        imperfections=own,
+        host=tracker.host,
+        port=tracker.port,
+        token=token,
+    )
+    for name, arm in profile.arms.items():
+        controller = arm.driver.emulated_controller()
+        if controller is not None and controller.trigger_output is not None:
+            server.wire(name, controller.trigger_output, bridge.tracker.trigger)
     try:
         stack.enter_context(bridge)
     except OSError as error:

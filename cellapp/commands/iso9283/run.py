@@ -165,7 +165,7 @@ def _driven(
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
         if findings.measured.visits or findings.paths or findings.settling or findings.weaving:
-            with suppress(InputError):  # the reason of the stop is the one to report
+            with suppress(InputError):  # the reason of the halt is the one to report
                 _store(run, used, _result(run.profile, task, other, findings, began, f"stopped: {error}"), findings)
         raise
     return _store(run, used, _result(run.profile, task, other, findings, began, ""), findings)
@@ -193,7 +193,7 @@ def _arms(profile: Profile, names: Sequence[str]) -> tuple[str, ...]:
 
 def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[str]:
     """What a person must know of the conditions."""
-    notes = [_NO_ORIENTATION]
+    notes: list[str] = []
     if used is None:
         notes.append(
             "the run is not calibrated: base and SMR of each arm were fitted to positions that the published geometry"
@@ -217,6 +217,7 @@ def _result(
 ) -> Iso9283Result:
     rng = np.random.default_rng([profile.seed, _SEED])
     arms, pairs = arm_results(profile, found, task.arms, rng), pair_results(found, rng)
+    turned = any(one.turned for one in found.measured.visits)
     arms = arms if other is None else other.compared(arms)
     air = [one.temperature_c for one in found.measured.visits if one.temperature_c is not None]
     conditions = IsoConditions(
@@ -241,7 +242,7 @@ def _result(
         abilities=tuple(found.abilities),
         missing=missing_words(found, task.tests),
         stopped=stopped,
-        notes=tuple(dict.fromkeys(found.notes)),
+        notes=tuple(dict.fromkeys([*([] if turned else [_NO_ORIENTATION]), *found.notes])),
         by_person=tuple(found.by_person),
     )
 

@@ -74,6 +74,7 @@ def _tables(result: Iso9283Result) -> list[tuple[bool, Table]]:
     tables = [
         (True, _judgements(result)),
         (True, _poses(result)),
+        (True, _orientations(result)),
         (False, _series(result)),
         *((False, table) for table in by_hand_tables(result)),
         (False, _axes(result)),
@@ -207,28 +208,17 @@ def _cubes_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCube | None]]:
 
 
 def _judgements(result: Iso9283Result) -> Table:
-    columns = (
-        Column("characteristic"),
-        Column("of"),
-        number_column("value", ".3f", "mm"),
-        number_column("U", ".3f", "mm"),
-        number_column("tolerance", ".3f", "mm"),
-        Column("verdict"),
-        Column("measured"),
+    return table_of(
+        "Characteristics against their tolerances",
+        result.judgements,
+        ("characteristic", lambda one: one.characteristic.replace("_", " ")),
+        ("of", "where"),
+        ("value", "value_mm", ".3f", "mm"),
+        ("U", "expanded_mm", ".3f", "mm"),
+        ("tolerance", "tolerance_mm", ".3f", "mm"),
+        ("verdict", "conformity"),
+        ("measured", "source"),
     )
-    rows = tuple(
-        (
-            one.characteristic.replace("_", " "),
-            one.where,
-            one.value_mm,
-            one.expanded_mm,
-            one.tolerance_mm,
-            one.conformity,
-            one.source,
-        )
-        for one in result.judgements
-    )
-    return Table("Characteristics against their tolerances", columns, rows)
 
 
 def _poses(result: Iso9283Result) -> Table:
@@ -239,6 +229,35 @@ def _poses(result: Iso9283Result) -> Table:
         ("pose", "one.pose"),
         *pair_fields("AP", "RP"),
     )
+
+
+def _orientations(result: Iso9283Result) -> Table:
+    """Angles about the axes of the base, of the poses at which the orientation of a probe was measured."""
+    columns = (
+        Column("arm"),
+        Column("commands"),
+        Column("pose"),
+        *(number_column(f"{what} {axis}", ".3f") for what in ("AP", "RP") for axis in "xyz"),
+        number_column("U(AP)", ".3f"),
+        number_column("U(RP)", ".3f"),
+        number_column("n", "d"),
+    )
+    rows = tuple(
+        (
+            name,
+            kind,
+            pose.pose,
+            *pose.orientation.accuracy_mrad,
+            *pose.orientation.repeatability_mrad,
+            pose.orientation.accuracy_expanded_mrad,
+            pose.orientation.repeatability_expanded_mrad,
+            pose.orientation.n,
+        )
+        for name, kind, tests in tests_of(result)
+        for pose in tests.pose
+        if pose.orientation is not None
+    )
+    return Table("Orientation accuracy AP and repeatability RP about the axes of the base [mrad]", columns, rows)
 
 
 def _measured_poses(result: Iso9283Result) -> list[Commanded]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.ground.results import Record, Result
@@ -17,11 +16,9 @@ class PlannedStop(Record):
     q: Mapping[str, tuple[float, ...]]
 
 
-class StopsResult(Result):
+class StopsResult(Result, schema="cellapp-stops"):
     """``show DIR plan``: every planned stop, and what is known of their design if they were designed."""
 
-    schema_: Literal["cellapp-stops"] = "cellapp-stops"
-    version: Literal[1] = 1
     run: str
     stops: tuple[PlannedStop, ...]
     design: PlanDesignResult | None = None

@@ -6,14 +6,15 @@ is designed again; measured stops never change.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cellapp.cell.driving.nests import Nests
 from cellapp.cell.driving.records import PlanResult, SweepCount
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
@@ -29,12 +30,13 @@ from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_sweeps
 from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.check_view import file_refusal_sentence
 from cellapp.commands.plan.request import PlanRequest
 from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.record import Work
 from cellapp.ground.control import JobControl
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, listed_numbers
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
@@ -43,7 +45,6 @@ from cellapp.ground.threads import one_blas_thread
 
 _CHANGED = "plan changed: "
 """Begins the line of the log for each change of a plan; their number varies the seed of the next one."""
-_NUMBERS = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
 _SEED = 0xADD
 """Beside the profile's seed: other candidates than those of which some could not be reached."""
 
@@ -69,7 +70,7 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | View
 def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
     with RunFile.open(folder, write=True) as opened:
         if request.freeze is not None:
-            return freeze_stops(opened, stop_numbers(request.freeze), work.control)
+            return freeze_stops(opened, listed_numbers(request.freeze, "configurations"), work.control)
         if request.add is not None:
             return extend_plan(opened, request.add, work.listener, work.control)
         return replan(opened, work.listener, work.control)
@@ -141,8 +142,15 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
         design=read_plan_design(run),
         time=planned_time(run.profile, visited),
         sweeps=planned_sweeps(run),
-        notes=tuple(notes),
+        notes=(*notes, *_nest_notes(run.profile, visited.q)),
     )
+
+
+def _nest_notes(profile: Profile, stops: Mapping[str, NDArray[np.float64]]) -> list[str]:
+    """What the tracker sees of several SMRs on a flange at stops, arm -> (n, N) [rad]."""
+    if not any(arm.smr.nests for arm in profile.arms.values()):
+        return []
+    return Nests.of(profile, cell_bodies(profile)).notes(stops)
 
 
 def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
@@ -333,24 +341,6 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
         frozen = np.isin(np.arange(len(stops)), list(chosen))
         write_planned_stops(run, replace(stops, frozen=frozen), proposed=proposed)
         return plan_result(run, [f"{int(frozen.sum())} of {counted(len(stops), 'stop is', 'stops are')} frozen"])
-
-
-def stop_numbers(text: str) -> tuple[int, ...]:
-    """The numbers that a text such as ``0-9,12`` lists, ascending; none for ``none``.
-
-    Raises
-    ------
-    InputError
-        If it is no such list.
-    """
-    found: set[int] = set()
-    for part in () if text.strip() == "none" else text.split(","):
-        match = _NUMBERS.fullmatch(part.strip())
-        if match is None:
-            raise InputError(f"'{part.strip()}': expected configurations such as 0-9,12, or none")
-        first, last = int(match[1]), int(match[2] or match[1])
-        found |= {*range(first, last + 1)}
-    return tuple(sorted(found))
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from cellapp.commands.calibrate.detail_tables import (
     pair_tables,
 )
 from cellapp.commands.calibrate.motion_view import motion_sentences
+from cellapp.commands.calibrate.nests_view import nest_sentences
 from cellapp.commands.calibrate.view import cooperative_noise_mm, detailed_tables, distance_mm, transform_tables
 from cellapp.commands.check.view import view as check_view
 from cellapp.commands.collect.charts_drift import residual_drift_chart
@@ -55,7 +56,6 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, StageName
 from cellapp.ground.times import day_of
-from cellapp.robot.kinematics.chain import parameter_names
 
 _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Names of the lengths of a chain: a1, d1 and so on."""
@@ -133,6 +133,7 @@ def _accuracy(data: ReportData) -> Section:
             *accuracy_charts(data),
             *detailed_tables(calibrate),
             *motion_sentences(calibrate),
+            *nest_sentences(calibrate),
             Section("Terms: models, errors, noise floor", [*_terms(calibrate)], folded=True),
         ],
         _accuracy_message(data),
@@ -387,7 +388,7 @@ def _parameters_message(data: ReportData) -> str:
     parts = []
     for name, arm in data.calibrate.arms.items():
         nominal = data.calibrated.arms[name].nominal
-        values = dict(zip(parameter_names(nominal.joints), nominal.vector().tolist(), strict=True))
+        values = dict(zip(nominal.names, nominal.vector().tolist(), strict=True))
         changes = {key: arm.identified[key].value - values[key] for key in arm.identified if _CHAIN_LENGTH.match(key)}
         words = f"{len(arm.identified)} parameters of arm {name}"
         if changes:

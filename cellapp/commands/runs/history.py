@@ -174,6 +174,6 @@ def _due(profile: Profile) -> str:
 
 
 def _last_session(sessions: list[Session]) -> LastSession | None:
-    if not sessions:
-        return None
-    return sessions[-1].outcome or "no end"
+    """How the last session ended that collected what was left; None if there is none."""
+    last = next((one for one in reversed(sessions) if not one.again), None)
+    return None if last is None else last.outcome or "no end"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from cellapp.commands.trials.benchmark.trial import BenchmarkResult
 from cellapp.commands.trials.blind_matrix import MatrixResult
 from cellapp.commands.trials.check_records import CheckTrialResult
 from cellapp.commands.trials.cost import CostResult
@@ -27,4 +28,5 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     SignatureResult,
     CheckTrialResult,
     CostResult,
+    BenchmarkResult,
 )

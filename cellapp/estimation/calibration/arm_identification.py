@@ -13,7 +13,8 @@ import numpy as np
 
 from cellapp.estimation.calibration.identification import Identification, TooFewReadings, identify
 from cellapp.estimation.calibration.parameters import ParameterSet, SetName
-from cellapp.estimation.calibration.weights import RobustName, excess_variance, with_excess
+from cellapp.estimation.calibration.quantities import with_probe
+from cellapp.estimation.calibration.weights import RobustName, excess_of_kinds, with_excess
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import Calibration
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
@@ -56,6 +57,7 @@ def identify_with_excess(
     p_M: Array,
     *,
     sigma: Array | None,
+    R_M_S: Array | None = None,
     parameter_set: SetName | ParameterSet = "auto",
     prior_sigma: Mapping[str, float] | None = None,
     robust: RobustName = "none",
@@ -77,6 +79,7 @@ def identify_with_excess(
     -------
     identification : Identification
         With the iterations and steps of all rounds.
+        ``excess_rad`` is the excess standard deviation of an orientation.
     excess : float
         Excess standard deviation of a coordinate [m].
     """
@@ -84,6 +87,7 @@ def identify_with_excess(
         identify,
         q=q,
         p_M=p_M,
+        R_M_S=R_M_S,
         prior_sigma=prior_sigma,
         prior_mean=start,
         robust=robust,
@@ -95,7 +99,10 @@ def identify_with_excess(
     if tool is None:
         return found, excess
     at_origin = replace(start, tool=tool).with_T_M_B(np.eye(4))
-    mirrored = at_origin.with_T_M_B(register(p_M, smr_positions(at_origin, q)))
+    points = slice(None) if found.turned is None else ~found.turned
+    mirrored = at_origin.with_T_M_B(register(p_M[points], smr_positions(at_origin, q[points])))
+    if R_M_S is not None:
+        mirrored = with_probe(mirrored, q, R_M_S)
     other, its_excess = _rounds(fit, mirrored, sigma, parameter_set)
     return (other, its_excess) if _square(other) < _square(found) else (found, excess)
 
@@ -107,16 +114,20 @@ def _rounds(
     found = fit(start, sigma=None, parameter_set=parameter_set)
     if sigma is None:
         return found, 0.0
-    tau_squared = math.inf
+    excess = (math.inf, math.inf)
     for _ in range(_EXCESS_ROUNDS):
-        before = tau_squared
-        tau_squared = excess_variance(found.residuals, sigma, found.degrees_of_freedom)
-        if abs(tau_squared - before) <= _EXCESS_SETTLED * tau_squared:
+        before, excess = excess, excess_of(found, sigma)
+        if all(abs(now - then) <= _EXCESS_SETTLED * now for now, then in zip(excess, before, strict=True)):
             break
-        earlier = found
-        found = fit(earlier.geometry, sigma=with_excess(sigma, tau_squared), parameter_set=parameter_set)
+        earlier, weighed = found, with_excess(sigma, excess[0], found.turned, excess[1])
+        found = fit(earlier.geometry, sigma=weighed, parameter_set=parameter_set)
         found = replace(found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps))
-    return found, math.sqrt(tau_squared)
+    return replace(found, excess_rad=math.sqrt(excess[1])), math.sqrt(excess[0])
+
+
+def excess_of(found: Identification, sigma: Array) -> tuple[float, float]:
+    """Variances of positions [m^2] and of orientations [rad^2] beyond the stated uncertainty ``sigma``."""
+    return excess_of_kinds(found.residuals, sigma, found.degrees_of_freedom, found.turned, found.freedom_of_turns)
 
 
 def _mirrored_tool(found: Identification) -> Array | None:

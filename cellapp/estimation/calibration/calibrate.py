@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -13,11 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.arm_identification import identify_with_excess, refused_by_arm, robust_loss
-from cellapp.estimation.calibration.evaluation import evaluate, evaluate_readings, repeatability
+from cellapp.estimation.calibration.evaluation import evaluate, evaluate_quantities, repeatability
 from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_geometry, left_out_words, without
 from cellapp.estimation.calibration.identification import Identification, start_from_nominal
-from cellapp.estimation.calibration.network_training import Shape, Training, train_network, training_steps
+from cellapp.estimation.calibration.learning import learn, learning_steps, require_learner
+from cellapp.estimation.calibration.network_training import Training, train_network, training_steps
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
+from cellapp.estimation.calibration.quantities import (
+    Quantities,
+    measured_quantities,
+    refuse_odd_orientations,
+    with_probe,
+)
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
 from cellapp.estimation.calibration.socket_arm import fit_arm, gauge_note, socket_notes
 from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
@@ -31,17 +38,16 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
-from cellapp.robot.kinematics.chain import Geometry, smr_positions
+from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 from cellapp.robot.plugins import program_of
 
-_BASE_STEPS = training_steps()
-_TRAINING_STEPS = _BASE_STEPS + training_steps(1)
-"""Steps of an arm's training: in the base frame, and of the best shape in the tracker frame."""
 _HARDLY_BETTER = 0.9
 """Share of the nominal error from which an identified geometry is hardly better."""
+_UNDETERMINED_MM = 1.0
+"""Standard deviation of a probe's offset from which it is said to be undetermined: ten times that of a usual run."""
 _OF_NOISE = 3.0
 """Multiple of the tracker's noise below which an error is no reason to look for wrong readings."""
 
@@ -123,7 +129,9 @@ def calibrate_readings(
     """
     cancel = cancel or CancelToken()
     notes: list[str] = []
-    training = _TRAINING_STEPS if profile.network.kind == "mlp" else 0
+    trains = profile.network.kind != "none"
+    require_learner(profile.network)
+    training = learning_steps(profile.network) + training_steps(1) if trains else 0  # the second in the tracker frame
     total = (1 + training) * len(readings) + 1
     arms: dict[str, ArmCalibration] = {}
     for name, arm_readings in readings.items():
@@ -131,13 +139,14 @@ def calibrate_readings(
         cancel.check()
         arms[name], arm_notes = (known[name], []) if name in known else calibrate_arm(profile, name, arm_readings)
         notes += arm_notes
-    if profile.network.kind == "mlp":
+    if trains:
         listener(Progress("calibrate", len(arms), total, "residual networks"))
         with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
             shared = SharedProgress(listener, "calibrate", len(arms), total)
             tasks = {
                 name: pool.submit(train_arm, profile, arm, readings[name], cancel, shared.part(f"arm {name}"))
                 for name, arm in arms.items()
+                if arm.training is None
             }
             for name, task in tasks.items():
                 arms[name] = task.result()
@@ -214,8 +223,11 @@ def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
     good, geometry = fitted.readings, fitted.identification.geometry
     if in_sockets(good):
         return gross_errors_in_sockets(geometry, fitted.nominal, good)
-    learned = len(good.in_split("identify"))
-    return gross_errors_of_geometry(geometry, fitted.nominal, good.q, good.p_M, learned)
+    learned, its = len(good.in_split("identify")), measured_quantities(good)
+    wrong = gross_errors_of_geometry(
+        geometry, fitted.nominal, its.readings.q, its.readings.p_M, learned, R_M_S=its.R_M_S
+    )
+    return np.isin(np.arange(len(good)), its.reading[wrong])
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +256,10 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
         notes = socket_notes(name, readings, fit, priors, nominal)
         return _Fitted(readings, nominal, fit.tabulated(priors, nominal), fit.noise_m, notes)
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
-    identification, excess = _identify(profile, name, nominal, learn, robust=robust)
+    refuse_odd_orientations(name, nominal, learn)
+    its = measured_quantities(learn)
+    nominal = with_probe(nominal, its.readings.q, its.R_M_S)
+    identification, excess = _identify(profile, name, nominal, its, robust=robust)
     return _Fitted(readings, nominal, identification, excess)
 
 
@@ -261,9 +276,11 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         identified=identification.estimated.names,
         covariance=identification.estimated_covariance,
     )
+    its = measured_quantities(held_out)
+    geometries: dict[Stage, Geometry] = {"nominal": nominal, "geometry": identification.geometry}
     stages: dict[Stage, StageErrors] = {
-        "nominal": evaluate_readings(held_out, smr_positions(nominal, held_out.q)),
-        "geometry": evaluate_readings(held_out, smr_positions(identification.geometry, held_out.q)),
+        stage: evaluate_quantities(its, smr_positions(geometry, its.readings.q, its.R_M_S))
+        for stage, geometry in geometries.items()
     }
     left_out = readings.take(~np.isin(readings.configuration, good.configuration))
     stated = None if in_sockets(held_out) else stated_uncertainty(held_out)
@@ -286,7 +303,7 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
     if arm.left_out:
         notes.append(left_out_note(name, arm))
-    notes += [*_hardly_better(name, arm), *fitted.notes]
+    notes += [*_hardly_better(name, arm), *fitted.notes, *undetermined_offset(name, found)]
     if in_sockets(readings):
         gauge, held_out = arm.validate["geometry"].gauge_mm, readings.take(readings.in_split("validate"))
         return notes if gauge is None else [*notes, *gauge_note(name, held_out, gauge.mean)]
@@ -321,17 +338,36 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
     ]
 
 
+def undetermined_offset(name: str, found: Identification) -> list[str]:
+    """A note where a probe's offset is hardly determined along some direction, in which it then hardly turned."""
+    places = [found.estimated.names.index(one) for one in TOOL_NAMES if one in found.estimated.names]
+    if found.turned is None or len(places) < len(TOOL_NAMES):
+        return []
+    variances, axes = np.linalg.eigh(found.estimated_covariance[np.ix_(places, places)])
+    sd_mm = 1e3 * float(np.sqrt(variances[-1]))
+    if sd_mm < _UNDETERMINED_MM:
+        return []
+    direction = axes[:, -1] * np.sign(axes[np.argmax(np.abs(axes[:, -1])), -1])
+    words = ", ".join(f"{round(one, 2) + 0.0:.2f}" for one in direction.tolist())
+    return [
+        f"arm '{name}': the probe's offset along ({words}) of the flange is not determined (95 % within"
+        f" +-{1.96 * sd_mm:.0f} mm), as that direction hardly turned; positions of the probe are not affected, those of"
+        " another tool are: measure with the wrist turned to more sides"
+    ]
+
+
 def _identify(
-    profile: Profile, name: str, nominal: Geometry, learn: Readings, *, robust: bool
+    profile: Profile, name: str, nominal: Geometry, learn: Quantities, *, robust: bool
 ) -> tuple[Identification, float]:
     """Identify one arm as the profile says; also its excess scatter [m]."""
     settings = profile.calibration
     with refused_by_arm(name):
         return identify_with_excess(
             nominal,
-            learn.q,
-            learn.p_M,
-            sigma=stated_uncertainty(learn),
+            learn.readings.q,
+            learn.readings.p_M,
+            R_M_S=learn.R_M_S,
+            sigma=learn.stated,
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(nominal, settings.priors),
             robust=robust_loss(settings, robust=robust),
@@ -355,36 +391,57 @@ def train_arm(
     if in_sockets(readings):  # a network would learn the unknown points with the rest
         return arm
     rows = readings.in_split("train")
-    learn = readings.take(rows if len(rows) else readings.in_split("identify"))
+    taught = readings.take(rows if len(rows) else readings.in_split("identify"))
     held_out = readings.take(readings.in_split("validate"))
-    if len(learn) < 2 * profile.network.folds:
+    if len(taught) < 2 * profile.network.folds:
         return arm
-    rotation = arm.model.geometry.T_M_B()[:3, :3]
-    left_M = learn.p_M - arm.model.predict(learn.q, learn.approach, learn.payload_kg)
+    left_M = taught.p_M - arm.model.predict(taught.q, taught.approach, taught.payload_kg)
+    arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, cancel, report)
+    if arm.model.network is None:
+        return arm
+    computed = arm.model.predict(held_out.q, held_out.approach, held_out.payload_kg)
+    errors = evaluate(held_out.p_M, computed).model_copy(
+        update={"orientation_mrad": arm.validate["geometry"].orientation_mrad}  # the network learns positions only
+    )
+    return replace(arm, validate={**arm.validate, "network": errors})
 
-    def train(residual: Array, shapes: Sequence[Shape] | None, first: int, frame: str) -> Training:
-        return train_network(
-            learn.q,
-            residual,
-            seed=profile.seed,
-            folds=profile.network.folds,
-            iterations=profile.network.iterations,
-            shapes=shapes,
-            cancel=cancel,
-            report=lambda done, words: report(first + done, f"{frame}: {words}"),
-        )
 
-    training = train(left_M @ rotation, None, 0, "base frame")
+def with_networks(
+    profile: Profile,
+    arm: ArmCalibration,
+    q: Array,
+    left_M: Array,
+    time_s: Array,
+    cancel: CancelToken | None = None,
+    report: Report = ignore_report,
+) -> ArmCalibration:
+    """An arm with the network that learns what its geometry leaves: ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad], and
+    with the same one trained in the tracker frame; without either where none helps."""
+    training = learn(
+        profile.network,
+        q,
+        left_M @ arm.model.geometry.T_M_B()[:3, :3],
+        time_s,
+        seed=profile.seed,
+        cancel=cancel,
+        report=lambda done, words: report(done, f"base frame: {words}"),
+    )
     if training.network is None:
         return replace(arm, training=training)
+    first = learning_steps(profile.network)
     # the same layer, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
-    in_tracker = train(
-        left_M, (replace(training.shape, rotates_with_joint_1=False),), _BASE_STEPS, "tracker frame"
+    in_tracker = train_network(
+        q,
+        left_M,
+        seed=profile.seed,
+        folds=profile.network.folds,
+        iterations=profile.network.iterations,
+        shapes=(replace(training.shape, rotates_with_joint_1=False),),
+        cancel=cancel,
+        report=lambda done, words: report(first + done, f"tracker frame: {words}"),
     ).network
     model = replace(arm.model, network=training.network)
-    computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
-    stages: dict[Stage, StageErrors] = {**arm.validate, "network": evaluate(held_out.p_M, computed)}
-    return replace(arm, model=model, validate=stages, training=training, tracker_frame_network=in_tracker)
+    return replace(arm, model=model, training=training, tracker_frame_network=in_tracker)
 
 
 def rms_length_mm(sigma: Array) -> float:

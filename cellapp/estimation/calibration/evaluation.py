@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from cellapp.estimation.calibration.quantities import Quantities
 from cellapp.estimation.calibration.records import Repeatability
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import gauge_errors, in_sockets, measured_positions
@@ -18,7 +19,7 @@ _SAME_JOINTS_RAD = 1e-4
 
 
 def summarise(errors: Array, means: Array | None = None) -> ErrorSummary:
-    """Statistics in mm of errors (n,) [m].
+    """Statistics in mm of errors (n,) [m], or in mrad of errors [rad].
 
     ``means`` (samples,) [m] are bootstrapped means, needed where the errors are not independent.
     """
@@ -91,6 +92,15 @@ def evaluate_readings(readings: Readings, computed: Array) -> StageErrors:
         position_mm=summarise(position_errors(measured_positions(readings, computed), computed)),
         gauge_mm=GaugeErrors(mean=float(gauge.mean()), max=float(gauge.max()), n=len(gauge)) if len(gauge) else None,
     )
+
+
+def evaluate_quantities(measured: Quantities, computed: Array) -> StageErrors:
+    """Errors of one model at positions [m] and orientations [rad], ``computed`` (m, 3)."""
+    turned = measured.turned
+    if turned is None:
+        return evaluate_readings(measured.readings, computed)
+    errors = evaluate_readings(measured.readings.take(~turned), computed[~turned])
+    return errors.model_copy(update={"orientation_mrad": summarise(np.linalg.norm(computed[turned], axis=1))})
 
 
 def evaluate(measured: Array, computed: Array) -> StageErrors:

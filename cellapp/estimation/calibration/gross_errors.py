@@ -40,8 +40,16 @@ _MOST_LISTED = 8
 """Configurations with gross errors that a sentence lists; more are counted."""
 
 
-def gross_errors(left_M: Array) -> NDArray[np.bool_]:
-    """Which of the residuals (n, 3) [m] are gross errors; none where there are few."""
+def gross_errors(left_M: Array, turned: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+    """Which of the residuals (n, 3) [m] are gross errors; none where there are few.
+
+    Orientations, at the readings ``turned`` (n,), are judged by themselves [rad].
+    """
+    if turned is not None:
+        wrong = np.zeros(len(left_M), dtype=np.bool_)
+        for rows in (turned, ~turned):
+            wrong[rows] = gross_errors(left_M[rows])
+        return wrong
     lengths = np.linalg.norm(left_M, axis=1)
     if len(lengths) < _LEAST_READINGS:
         return np.zeros(len(lengths), dtype=np.bool_)
@@ -50,7 +58,7 @@ def gross_errors(left_M: Array) -> NDArray[np.bool_]:
 
 
 def gross_errors_of_geometry(
-    start: Geometry, nominal: Geometry, q: Array, p_M: Array, fitted: int = 0
+    start: Geometry, nominal: Geometry, q: Array, p_M: Array, fitted: int = 0, R_M_S: Array | None = None
 ) -> NDArray[np.bool_]:
     """Which readings (n,) are gross errors for a geometry that gives such readings no weight.
 
@@ -65,18 +73,27 @@ def gross_errors_of_geometry(
     fitted : int
         Number of readings that ``start`` was fitted to by least squares; 0 if it may not be trusted to show gross
         errors. Clean readings then need no further fit.
+    R_M_S : array, shape (n, 3, 3), optional
+        Measured orientations, NaN where a position was measured.
     """
     none = np.zeros(len(q), dtype=np.bool_)
     if len(q) < _LEAST_READINGS:
         return none
+    turned = None if R_M_S is None else np.isfinite(R_M_S[:, 0, 0])
+
+    def lengths(geometry: Geometry) -> list[Array]:
+        """Lengths of the residuals of positions, and of orientations."""
+        found = np.linalg.norm(p_M - smr_positions(geometry, q, R_M_S), axis=1)
+        return [found] if turned is None else [found[~turned], found[turned]]
+
     if fitted >= _ENOUGH_FITTED:
-        lengths = np.linalg.norm(p_M - smr_positions(start, q), axis=1)
-        if lengths.max() <= _PLAINLY_NONE * float(np.median(lengths)):
+        clean = (one.max() <= _PLAINLY_NONE * float(np.median(one)) for one in lengths(start))
+        if all(clean):
             return none
     # A few wrong readings of a metre can pull a least-squares fit further off than the published geometry is.
-    begin = min((start, nominal), key=lambda one: float(np.median(np.linalg.norm(p_M - smr_positions(one, q), axis=1))))
-    found = identify(begin, q, p_M, prior_mean=nominal, robust="tukey", tolerance=1e-6)
-    return gross_errors(p_M - smr_positions(found.geometry, q))
+    begin = min((start, nominal), key=lambda one: float(np.median(lengths(one)[0])))
+    found = identify(begin, q, p_M, R_M_S=R_M_S, prior_mean=nominal, robust="tukey", tolerance=1e-6)
+    return gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), turned)
 
 
 def without(readings: Readings, configurations: Sequence[int]) -> Readings:

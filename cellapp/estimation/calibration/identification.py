@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.gauss_newton import Minimum, damped_step, minimise
 from cellapp.estimation.calibration.linear import inverse_diagonal, inverse_psd
@@ -107,6 +108,12 @@ class Identification:
         length, without priors.
     configurations : int
         Number of readings n.
+    turned : array, shape (n,), or None
+        Readings of an orientation, whose residuals are rotation vectors [rad]; None where there are none.
+    freedom_of_turns : float
+        Part of the degrees of freedom that these have.
+    excess_rad : float
+        Standard deviation of a component of an orientation beyond the stated uncertainty [rad].
     """
 
     geometry: Geometry
@@ -130,6 +137,9 @@ class Identification:
     steps: tuple[float, ...]
     gram: Array = field(repr=False)
     configurations: int
+    turned: NDArray[np.bool_] | None = field(default=None, repr=False)
+    freedom_of_turns: float = 0.0
+    excess_rad: float = 0.0
 
     @cached_property
     def singular_values(self) -> Array:
@@ -193,6 +203,7 @@ def identify(
     q: Array,
     p_M: Array,
     *,
+    R_M_S: Array | None = None,
     sigma: Array | None = None,
     parameter_set: SetName | ParameterSet = "auto",
     prior_sigma: Mapping[str, float] | None = None,
@@ -211,7 +222,10 @@ def identify(
     q : array, shape (n, N)
         Joint positions [rad].
     p_M : array, shape (n, 3)
-        Measured SMR positions in the tracker frame [m].
+        Measured SMR positions in the tracker frame [m]; zero where an orientation was measured.
+    R_M_S : array, shape (n, 3, 3), optional
+        Measured orientations of the probe of ``start``, NaN where a position was measured. Without ``sigma`` a radian
+        counts as a metre.
     sigma : array, shape (n,) or (n, 3, 3), optional
         Standard uncertainty of each point [m], or its covariance [m^2]. Equal weights if not given.
     parameter_set : str or ParameterSet
@@ -235,7 +249,7 @@ def identify(
         If there are fewer coordinates than parameters and not enough priors.
     """
     observations = Observations(
-        angles=JointAngles.of(q),
+        angles=JointAngles.of(q, R_M_S),
         q=q,
         p_M=np.ascontiguousarray(p_M.T),
         white=None if sigma is None else whitener(sigma),
@@ -389,6 +403,7 @@ class _Problem:
         of_geometry = kept[: len(chosen.columns)]
         gram = normal.gram[of_geometry[:, None], of_geometry]
         scale = parameter_scale(np.diag(gram), n, chosen)
+        turned = None if self.observations.angles.R_M_S is None else self.observations.angles.turned
         return Identification(
             geometry=geometry,
             estimated=self.parameters,
@@ -415,6 +430,8 @@ class _Problem:
             steps=minimum.steps,
             gram=gram / (scale * scale[:, None]) / n,
             configurations=n,
+            turned=turned,
+            freedom_of_turns=_freedom_of_turns(point, turned),
         )
 
     def _determined(self, information: Array) -> ParameterSet:
@@ -435,6 +452,17 @@ class _Problem:
         """Measured coordinates less the parameters that they determine."""
         n = self.observations.count if point.weights is None else int(np.count_nonzero(point.weights > _LEAST_WEIGHT))
         return max(1.0, 3 * n - len(by_priors) + float(by_priors.sum()))
+
+
+def _freedom_of_turns(point: _Estimate, turned: NDArray[np.bool_] | None) -> float:
+    """Degrees of freedom of the orientations: their coordinates less the parameters that they determine."""
+    if turned is None or point.normal.of_turns is None:
+        return 0.0
+    some = turned if point.weights is None else turned & (point.weights > _LEAST_WEIGHT)
+    unit = point.normal.unit
+    information = point.normal.of_turns * (unit * unit[:, None]) / point.variance
+    determined = float(np.sum(inverse_psd(_posterior_precision(point, point.variance)) * information))
+    return max(1.0, 3.0 * np.count_nonzero(some) - determined)
 
 
 def _covariance(point: _Estimate, variance: float) -> Array:

@@ -1,7 +1,9 @@
 """Residuals of the measurement model, their Jacobian and the weighted normal equations.
 
 The model of one reading is ``P_i = f(q_i + sum_j beta_j o_ij; g) + sum_j beta_j s_ij``: geometry g, and effects that
-are linear in their parameters beta, each an offset o of a joint or a shift s of the SMR. Readings are taken in chunks,
+are linear in their parameters beta, each an offset o of a joint or a shift s of the SMR. A measured orientation is a
+reading too: its P is zero, its f the rotation vector from the measured to the computed orientation, and s a turn.
+Readings are taken in chunks,
 so that memory does not grow with their number.
 """
 
@@ -68,7 +70,7 @@ class Observations:
     q : array, shape (n, N)
         Joint positions [rad].
     p_M : array, shape (3, n)
-        Measured SMR positions in the tracker frame [m].
+        Measured SMR positions in the tracker frame [m]; zero for a measured orientation, which ``angles`` hold.
     white : array, shape (3, 3, n) or (n,), or None
         Whitening factors (``weights.whitener``); None for equal weights.
     effects : EffectColumns or None
@@ -110,7 +112,8 @@ class Observations:
         for joint in np.unique(joints):
             columns = np.flatnonzero(joints == joint)
             q[:, joint] += beta[columns] @ offsets[columns]
-        return JointAngles.of(q)
+        R_M_S = self.angles.R_M_S
+        return JointAngles.of(q, None if R_M_S is None else R_M_S[first:last])
 
     def shift(self, beta: Array, first: int, last: int) -> Array | None:
         """Shift of the SMR by the effects in a chunk, (3, last - first) [m]; None without such effects."""
@@ -182,7 +185,9 @@ class NormalEquations:
         Root mean square displacement of the SMR per unit of each parameter, one value for all rotations of the
         geometry [m/rad, m/m]. It scales parameters to metres at arm's length.
     residuals : array, shape (3, n)
-        Measured minus computed SMR positions [m].
+        Measured minus computed SMR positions [m], or orientations [rad].
+    of_turns : array, shape (k, k), or None
+        Part of ``A`` that measured orientations contribute; None without any.
     """
 
     A: Array
@@ -191,6 +196,7 @@ class NormalEquations:
     cost: float
     scale: Array
     residuals: Array
+    of_turns: Array | None = None
 
     @cached_property
     def unit(self) -> Array:
@@ -228,6 +234,8 @@ def normal_equations(
     A, b, gram, cost = np.zeros((k, k)), np.zeros(k), np.zeros((size, size)), 0.0
     squares = np.zeros(k)
     residuals = np.empty((3, observations.count))
+    turned = None if observations.angles.R_M_S is None else observations.angles.turned
+    of_turns = None if turned is None else np.zeros((k, k))
     common = observations.common_white if weights is None else None
     for first, last in observations.chunks():
         if linearised is None:
@@ -246,6 +254,8 @@ def normal_equations(
                 root = np.sqrt(weights[first:last])
                 J, r = np.multiply(J, root, out=white), r * root
         A += gram_matrix(J)
+        if turned is not None and of_turns is not None:
+            of_turns += gram_matrix(J[:, :, turned[first:last]])
         b += J.swapaxes(0, 1).reshape(k, -1) @ r.ravel()
         cost += float(np.vdot(r, r))
     if common is None:
@@ -253,8 +263,9 @@ def normal_equations(
     else:
         gram, squares = A[:size, :size], A.diagonal()
         A, b, cost = A * common**2, b * common**2, cost * common**2
+        of_turns = None if of_turns is None else of_turns * common**2
     scale = parameter_scale(squares, observations.count, parameters)
-    return NormalEquations(A, b, gram, cost, scale, residuals)
+    return NormalEquations(A, b, gram, cost, scale, residuals, of_turns)
 
 
 def with_gradient(

@@ -283,10 +283,21 @@ class OnlineFit:
         """What the geometry alone leaves of all readings, in the order in which they came; None without a model."""
         if self._models is None:
             return None
-        readings, model = self._readings, self._models.geometry
-        P, J = self._rows.of(self._models.origin, readings.q)
-        left_M = readings.p_M - P.T - (J[:, : len(model.step)].transpose(2, 0, 1) @ model.step)
-        return Residuals.of(left_M, readings.stated(), model)
+        readings = self._readings
+        return Residuals.of(
+            self._left_M(self._models, readings.q, readings.p_M), readings.stated(), self._models.geometry
+        )
+
+    def lengths_m(self, q: Array, p_M: Array) -> Array | None:
+        """What it leaves (n,) [m] of other points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]; None without a model."""
+        return None if self._models is None else np.linalg.norm(self._left_M(self._models, q, p_M), axis=1)
+
+    def _left_M(self, models: _Models, q: Array, p_M: Array) -> Array:
+        """Points (n, 3) [m] minus those of the geometry alone."""
+        step = models.geometry.step
+        P, J = self._rows.of(models.origin, q)
+        left_M: Array = p_M - P.T - (J[:, : len(step)].transpose(2, 0, 1) @ step)
+        return left_M
 
     def _parameter_errors(self, covariance: Array) -> dict[str, float]:
         """Standard errors of the parameters that the planned stops determine, the others being nominal."""

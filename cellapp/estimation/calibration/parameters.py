@@ -21,6 +21,7 @@ from scipy.linalg import lapack
 from cellapp.robot.kinematics.chain import (
     Geometry,
     JointAngles,
+    all_names,
     jacobian,
     parallel_rows,
     parameter_names,
@@ -72,7 +73,7 @@ class ParameterSet:
     joints : int
         Number of joints N.
     columns : tuple of int, length k
-        Indices of the parameters in ``parameter_names``; rotations before translations.
+        Indices of the parameters in ``all_names``; rotations before translations.
     dropped : tuple of int, length l
         Indices of the candidates whose effect the data cannot tell from a linear combination of the columns'.
     scaled_information : array, shape (k + l, k + l), optional
@@ -114,7 +115,7 @@ class ParameterSet:
     @cached_property
     def merged(self) -> dict[str, dict[str, float]]:
         """Dropped parameter -> {kept parameter: coefficient}; an empty entry has no effect on these data."""
-        names = parameter_names(self.joints)
+        names = all_names(self.joints)
         return {
             names[column]: {
                 kept: round(float(share), 9)
@@ -145,7 +146,7 @@ class ParameterSet:
 
 @lru_cache(maxsize=64)
 def _names_of(columns: tuple[int, ...], joints: int) -> tuple[str, ...]:
-    names = parameter_names(joints)
+    names = all_names(joints)
     return tuple(names[c] for c in columns)
 
 
@@ -155,8 +156,7 @@ def _units_of(columns: tuple[int, ...], joints: int) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=32)
-def _candidates(joints: int, parallel: tuple[int, ...]) -> tuple[int, ...]:
-    names = parameter_names(joints)
+def _candidates(names: tuple[str, ...], joints: int, parallel: tuple[int, ...]) -> tuple[int, ...]:
     betas = {f"beta{i + 1}" for i in parallel}
     return _rotations_first(
         tuple(
@@ -176,8 +176,11 @@ def _preference(columns: tuple[int, ...], joints: int) -> NDArray[np.int64]:
 
 
 def candidate_columns(geometry: Geometry) -> tuple[int, ...]:
-    """Parameters that can have an effect: base, tool and D-H rows, with beta between parallel axes, without alpha_N."""
-    return _candidates(geometry.joints, parallel_rows(geometry))
+    """Parameters that can have an effect: base, tool and D-H rows, with beta between parallel axes, without alpha_N.
+
+    A probe's rotation too; it takes the place of alpha_N.
+    """
+    return _candidates(geometry.names, geometry.joints, parallel_rows(geometry))
 
 
 def full_set(geometry: Geometry) -> ParameterSet:
@@ -333,5 +336,5 @@ def gram_matrix(J: Array) -> Array:
 
 def _rotations_first(columns: tuple[int, ...], joints: int) -> tuple[int, ...]:
     """Rotations, then translations, each in the order of the chain: the fastest order for the Jacobian."""
-    names = parameter_names(joints)
+    names = all_names(joints)
     return tuple(sorted(columns, key=lambda c: (parameter_unit(names[c]) == "m", c)))

@@ -18,6 +18,7 @@ from cellapp.ground.results import (
     Stage,
     StageErrors,
 )
+from cellapp.robot.model.network import Inputs
 
 
 class Scatter(Record):
@@ -30,22 +31,44 @@ class Scatter(Record):
 class NetworkTrial(Record):
     """A network shape that was compared on left-out folds of the training split."""
 
-    inputs: Literal["sincos", "angles"]
+    inputs: Inputs
     hidden: tuple[int, ...]
     turning: bool = False
     left_out_rms_mm: float
 
 
-class NetworkResult(Record):
-    """How the residual network was trained; ``without_rms_mm`` is the left-out error without any network."""
+class BatchesResult(Record):
+    """A network from all readings in batches against the committee, on the same left-out blocks of time.
+
+    ``committee_rms_mm`` is that without a network where the committee is not better than none; ``sigmas`` says by how
+    many standard errors over the blocks the mean square is smaller. ``device`` trained it.
+    """
 
     used: bool
-    inputs: Literal["sincos", "angles"]
+    readings: int
+    blocks: int
+    hidden: tuple[int, ...]
+    device: str
+    left_out_rms_mm: float
+    committee_rms_mm: float
+    sigmas: float
+
+
+class NetworkResult(Record):
+    """How the residual network was trained; ``without_rms_mm`` is the left-out error without any network.
+
+    ``batches`` is there where one from all readings was asked for; where it is ``used``, it is the network.
+    """
+
+    used: bool
+    inputs: Inputs
     hidden: tuple[int, ...]
     turning: bool = False
     left_out_rms_mm: float
     without_rms_mm: float
     tried: tuple[NetworkTrial, ...] = ()
+    batches: BatchesResult | None = None
+    omitted_when_none = frozenset({"batches"})
 
 
 _MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)
@@ -133,6 +156,16 @@ class ClockSegmentResult(Record):
     last_s: float
 
 
+class TriggerResult(Record):
+    """The offset by pulses of a hardware trigger, with its standard error; ``difference_s`` is the motion's less it."""
+
+    offset_s: float
+    standard_error_s: float
+    pulses: int
+    difference_s: float
+    agrees: bool
+
+
 class ClockResult(Record):
     """The tracker's clock against the controller's in one recording.
 
@@ -152,6 +185,7 @@ class ClockResult(Record):
     steps_of_points: tuple[tuple[float, float], ...] = ()
     segments: tuple[ClockSegmentResult, ...] = ()
     correlation: float
+    trigger: TriggerResult | None = None
 
 
 class RecordingResult(Record):
@@ -184,16 +218,42 @@ class MotionResult(Record):
     undetermined: tuple[str, ...] = ()
 
 
+class NestEstimate(Record):
+    """Where a nest is on the flange: coordinates in F [m], their standard errors, and the number of rows."""
+
+    offset_m: tuple[float, float, float]
+    standard_error_m: tuple[float, float, float]
+    n: int
+
+
+class NestsResult(Record):
+    """Several SMRs on a flange.
+
+    ``found`` are the nests by name. Of so many ``stops``, some are ``with_orientation``, which is known to
+    ``orientation_mrad`` about the axis that is known least; those ``left_out`` had neither the first nest nor three
+    others. ``noise_mm`` is the scatter of a coordinate about the rigid figure of the nests.
+    """
+
+    found: Mapping[str, NestEstimate]
+    stops: int
+    with_orientation: int
+    left_out: tuple[int, ...] = ()
+    noise_mm: float | None = None
+    orientation_mrad: float | None = None
+
+
 class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
     those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
-    uncertainty, ``tracker_mm`` the rms length of the stated noise. Where an earlier calibration was taken as ``prior``,
+    uncertainty, ``excess_mrad`` that of an orientation where it was measured, ``tracker_mm`` the rms length of the
+    stated noise. Where an earlier calibration was taken as ``prior``,
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
-    has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion.
+    has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion. ``nests`` are
+    those of an arm with several SMRs.
     """
 
     identified: Mapping[str, Estimate]
@@ -207,6 +267,7 @@ class ArmCalibrationResult(Record):
     observability: Mapping[str, float | None]
     scatter: Scatter
     excess_mm: float | None = None
+    excess_mrad: float | None = None
     degrees_of_freedom: int
     splits: Mapping[str, int]
     tracker_mm: float | None = None
@@ -218,7 +279,8 @@ class ArmCalibrationResult(Record):
     validate_: Mapping[Stage, StageErrors]
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
-    omitted_when_none = frozenset({"prior", "clocks", "motion"})
+    nests: NestsResult | None = None
+    omitted_when_none = frozenset({"excess_mrad", "prior", "clocks", "motion", "nests"})
 
     @property
     def best_stage(self) -> Stage:
@@ -253,11 +315,9 @@ class PairMethodResult(Record):
     held_out: PairHeldOut | None = None
 
 
-class CalibrateResult(Result):
+class CalibrateResult(Result, schema="cellapp-calibrate"):
     """``calibrate``: every arm, the pair by method, notes."""
 
-    schema_: Literal["cellapp-calibrate"] = "cellapp-calibrate"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmCalibrationResult]
     pair: Mapping[Method, PairMethodResult]
     notes: tuple[str, ...]

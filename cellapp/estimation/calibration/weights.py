@@ -6,6 +6,7 @@ import math
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cellapp.robot.kinematics.transforms import Array
@@ -43,7 +44,7 @@ def robust_weights(norm: Array, robust: Literal["huber", "tukey"]) -> Array:
     return np.asarray(np.where(u < _TUKEY, (1.0 - (np.minimum(u, _TUKEY) / _TUKEY) ** 2) ** 2, 0.0))
 
 
-def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: int) -> float:
+def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: float) -> float:
     """Variance [m^2] per coordinate that must be added to the stated uncertainty to explain the scatter.
 
     Root tau^2 of ``sum_i r_i^T (S_i + tau^2 I)^-1 r_i = degrees of freedom``, after DerSimonian, Laird, Control. Clin.
@@ -54,7 +55,7 @@ def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: int) -> 
     residuals : array, shape (n, 3)
         [m]
     sigma : array, shape (n,) [m] or (n, 3, 3) [m^2]
-    degrees_of_freedom : int
+    degrees_of_freedom : float
     """
     if sigma.ndim == 1:
         variance, squares = sigma[:, None] ** 2, residuals**2
@@ -70,8 +71,32 @@ def excess_variance(residuals: Array, sigma: Array, degrees_of_freedom: int) -> 
     return float(brentq(surplus, 0.0, float(squares.sum()) / degrees_of_freedom, xtol=1e-18, rtol=1e-6))
 
 
-def with_excess(sigma: Array, tau_squared: float) -> Array:
-    """Stated uncertainty plus an excess variance [m^2] per coordinate, in the shape and unit of ``sigma``."""
+def excess_of_kinds(
+    residuals: Array, sigma: Array, degrees_of_freedom: float, turned: NDArray[np.bool_] | None, of_turns: float
+) -> tuple[float, float]:
+    """``excess_variance`` of positions [m^2] and of orientations [rad^2], each by its own scatter.
+
+    ``of_turns`` are the degrees of freedom of the orientations ``turned`` (n,), a part of all.
+    """
+    if turned is None:
+        return excess_variance(residuals, sigma, degrees_of_freedom), 0.0
+    freedom = (max(degrees_of_freedom - of_turns, 1.0), max(of_turns, 1.0))
+    found = [
+        excess_variance(residuals[rows], sigma[rows], its)
+        for rows, its in zip((~turned, turned), freedom, strict=True)
+        if rows.any()
+    ]
+    return found[0], found[-1]
+
+
+def with_excess(
+    sigma: Array, tau_squared: float, turned: NDArray[np.bool_] | None = None, of_turns: float = 0.0
+) -> Array:
+    """Stated uncertainty plus an excess variance [m^2] per coordinate, in the shape and unit of ``sigma``.
+
+    Where orientations were measured, at the readings ``turned`` (n,), theirs is ``of_turns`` [rad^2].
+    """
+    added = tau_squared if turned is None else np.where(turned, of_turns, tau_squared)
     if sigma.ndim == 1:
-        return np.sqrt(sigma**2 + tau_squared)
-    return np.asarray(sigma + tau_squared * np.eye(3))
+        return np.sqrt(sigma**2 + added)
+    return np.asarray(sigma + np.multiply.outer(added, np.eye(3)))

@@ -19,7 +19,7 @@ from cellapp.estimation.discovery.joint_fit import (
     JointFit,
     LinearModel,
     fit_terms,
-    mean_variance,
+    noise_of,
     refit,
     uncertainty_with_scatter,
 )
@@ -27,7 +27,7 @@ from cellapp.estimation.discovery.process.components import Component, component
 from cellapp.estimation.discovery.process.evidence import Hyperparameters, ProcessData
 from cellapp.estimation.discovery.process.structured import StructuredProcess, needed_components, process_terms
 from cellapp.estimation.discovery.search.state import Review, SearchResult
-from cellapp.estimation.discovery.terms import ModelTerm, ModelTerms, smoothness_of
+from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of
 from cellapp.robot.effects import EffectColumn
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -91,12 +91,13 @@ def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[Searc
     smooth = smoothness_of(found.fit.terms)
     assert smooth is not None
     named = tuple(term for term in found.fit.terms if term.smooth is None)
-    weighed = replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter_m)).at(found.fit.model)
+    weighed = replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter)).at(found.fit.model)
     process = _process(found, weighed, named, needed)
-    scatter_m = smooth.scatter_m * math.sqrt(process.values.noise)
-    terms = (*named, *process_terms(process, scatter_m))
-    weighed = replace(weighed, sigma=uncertainty_with_scatter(data, scatter_m))
-    some = replace(found.data, sigma=uncertainty_with_scatter(found.data, scatter_m))
+    more = math.sqrt(process.values.noise)
+    scatter = Excess(smooth.scatter.m * more, smooth.scatter.rad * more)
+    terms = (*named, *process_terms(process, scatter))
+    weighed = replace(weighed, sigma=uncertainty_with_scatter(data, scatter))
+    some = replace(found.data, sigma=uncertainty_with_scatter(found.data, scatter))
     here, fit = refit(some.at(found.fit.model), terms)
     chance = min(review.p_value for review in found.reviews)
     of_named = [review for review in found.reviews if review.term.smooth is None]
@@ -155,7 +156,12 @@ def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -
         white = whitening(chunk.sigma)
         columns = [*chunk.term_columns(fit.terms), *_columns(chunk, further)]
         rows = LinearModel.of(
-            fit.model.geometry, chunk.readings.q, white, fit.identification.estimated.columns, columns
+            fit.model.geometry,
+            chunk.readings.q,
+            white,
+            fit.identification.estimated.columns,
+            columns,
+            chunk.conditions.R_M_S,
         ).rows
         left = chunk.readings.p_M - fit.model.predict(chunk.readings.q, conditions=chunk.conditions)
         target = np.einsum("acn,nc->an", white, left).ravel() + values @ rows
@@ -168,16 +174,7 @@ def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -
 def _chunks(data: ArmData) -> Iterator[ArmData]:
     """The readings in parts."""
     for first in range(0, len(data), _CHUNK):
-        rows = np.arange(first, min(first + _CHUNK, len(data)), dtype=np.intp)
-        yield replace(
-            data,
-            readings=data.readings.take(rows),
-            conditions=data.conditions.take(rows),
-            stated=None if data.stated is None else data.stated[rows],
-            sigma=data.sigma[rows],
-            true_q=None if data.true_q is None else data.true_q[rows],
-            cache={},
-        )
+        yield data.take(np.arange(first, min(first + _CHUNK, len(data)), dtype=np.intp))
 
 
 def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
@@ -200,7 +197,7 @@ def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
         columns=tuple(columns),
         sizes=[term.size for term in fit.terms],
         covariance=normal.covariance(fit.precision),
-        noise_m=math.sqrt(mean_variance(data.sigma)),
         seed=(data.profile.seed, _DRAW_SEED),
+        **noise_of(data),
     )
     return replace(model, posterior=draws)

@@ -7,14 +7,16 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.calibration.quantities import measured_quantities, turned_rows
 from cellapp.estimation.calibration.socket_identification import estimated_in_sockets, identify_in_sockets
 from cellapp.estimation.calibration.socket_points import PointColumns
-from cellapp.estimation.calibration.weights import whitener
+from cellapp.estimation.calibration.weights import whitener, with_excess
 from cellapp.estimation.discovery.terms import ModelTerms
-from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
@@ -53,6 +55,9 @@ class ArmData:
         Joint positions with the offsets of known effects [rad]; None is the controller's positions.
     points : PointColumns, optional
         Of a ball in sockets: the unknown points, whose guesses stand for measured positions in ``readings``.
+    reading : array, shape (n,), or None
+        The reading of each row, where orientations were measured and are rows of their own
+        (``calibration.quantities``); None where rows are readings.
     cache : dict
         Columns that were computed before, by effect, law and names; None for all names.
     """
@@ -68,6 +73,7 @@ class ArmData:
     start: Mapping[tuple[str, str], float] = field(default_factory=dict)
     true_q: Array | None = None
     points: PointColumns | None = None
+    reading: NDArray[np.intp] | None = None
     cache: dict[tuple[str, str, tuple[str, ...] | None], list[EffectColumn]] = field(default_factory=dict)
 
     @classmethod
@@ -84,22 +90,37 @@ class ArmData:
         ``prior_sigma`` [m, rad] replaces the profile's, about ``robot.model.nominal``.
         """
         geometry_only = replace(model, effects=(), network=None)
-        stated = stated_uncertainty(readings)
         settings = profile.calibration
         if in_sockets(readings):
             return cls._in_sockets(profile, geometry_only, readings, conditions, prior_sigma)
-        found, _ = identify_with_excess(
+        its = measured_quantities(readings, conditions)
+        readings, conditions, stated = its.readings, its.conditions, its.stated
+        found, excess_m = identify_with_excess(
             model.nominal,
             readings.q,
             readings.p_M,
+            R_M_S=its.R_M_S,
             sigma=stated,
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma,
             tolerance=TOLERANCE,
         )
         sigma = np.full(len(readings), found.scale) if stated is None else stated
+        if stated is not None and its.turned is not None:
+            sigma = with_excess(stated, excess_m**2, its.turned, found.excess_rad**2)
         geometry_only = replace(geometry_only, geometry=found.geometry)
-        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, found.prior_sigma)
+        reading = None if its.turned is None else its.reading
+        return cls(
+            profile,
+            geometry_only,
+            readings,
+            conditions,
+            stated,
+            sigma,
+            found.estimated,
+            found.prior_sigma,
+            reading=reading,
+        )
 
     @classmethod
     def _in_sockets(
@@ -133,6 +154,11 @@ class ArmData:
         return len(self.readings)
 
     @cached_property
+    def turned(self) -> NDArray[np.bool_] | None:
+        """Rows (n,) of orientations; None where there are none."""
+        return turned_rows(self.conditions)
+
+    @cached_property
     def context(self) -> EffectContext:
         """Quantities that effects depend on, at the geometry of ``model``."""
         return replace(self.model.context(self.readings.q, conditions=self.conditions), q_actual=self.true_q)
@@ -147,6 +173,19 @@ class ArmData:
             points = PointColumns.near(self.points.contacts, centres)
             here = replace(here, points=points, readings=replace(self.readings, p_M=points.measured))
         return here.beginning_at(model)
+
+    def take(self, rows: NDArray[np.intp]) -> ArmData:
+        """Some of the rows; not of a ball in sockets, whose points all readings determine."""
+        return replace(
+            self,
+            readings=self.readings.take(rows),
+            conditions=self.conditions.take(rows),
+            stated=None if self.stated is None else self.stated[rows],
+            sigma=self.sigma[rows],
+            true_q=None if self.true_q is None else self.true_q[rows],
+            reading=None if self.reading is None else self.reading[rows],
+            cache={},
+        )
 
     def beginning_at(self, model: ArmModel) -> ArmData:
         """The same readings and columns; the next fit begins from the effects' values in ``model``."""

@@ -38,7 +38,9 @@ def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float
         return float(placement_gains(data, fit, new_rows).sum())
     folds = data.profile.discovery.folds
     generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
-    fold = np.tile(generator.permutation(len(data)) % folds, 3)
+    readings = len(data) if data.reading is None else int(data.reading.max()) + 1
+    fold = generator.permutation(readings) % folds
+    fold = np.tile(fold if data.reading is None else fold[data.reading], 3)
     gain = 0.0
     for rows, sign in ((fit.rows, 1.0), (np.concatenate([fit.rows, new_rows]), -1.0)):
         precision = np.concatenate([fit.precision, np.zeros(len(rows) - len(fit.rows))])

@@ -14,15 +14,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.arm_identification import excess_of
 from cellapp.estimation.calibration.identification import Identification, identify
 from cellapp.estimation.calibration.normal_equations import EffectColumns
 from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
-from cellapp.estimation.calibration.weights import excess_variance, with_excess
+from cellapp.estimation.calibration.weights import with_excess
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import TOLERANCE, ArmData, whitening
 from cellapp.estimation.discovery.candidates import CandidateLaw, blocks_beyond_bounds, whitened_displacements
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
-from cellapp.estimation.discovery.terms import ModelTerms, TermLayout, prior_sd, smoothness_of
+from cellapp.estimation.discovery.terms import Excess, ModelTerms, TermLayout, prior_sd, smoothness_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
@@ -63,10 +64,11 @@ class LinearModel:
         white: Array,
         parameters: tuple[int, ...],
         effects: Sequence[EffectColumn] = (),
+        R_M_S: Array | None = None,
     ) -> LinearModel:
         """At configurations ``q`` (n, N) [rad] with whitening ``white`` (3, 3, n), by some geometric parameters and the
-        columns of effects."""
-        angles = JointAngles.of(q)
+        columns of effects; where an orientation ``R_M_S`` (n, 3, 3) was measured, of that."""
+        angles = JointAngles.of(q, R_M_S)
         _, J = jacobian(geometry, angles, parameters)
         _, by_joint = joint_jacobian(geometry, angles)
         by_joint = np.einsum("acn,cjn->ajn", white, by_joint)
@@ -113,6 +115,12 @@ class JointFit:
     precision: Array
     residual: Array
     _behind: dict[int, ProjectedResidual] = field(default_factory=dict, repr=False)
+
+    @property
+    def positions(self) -> slice | NDArray[np.bool_]:
+        """Readings of positions: all, unless orientations were measured too."""
+        turned = self.identification.turned
+        return slice(None) if turned is None else ~turned
 
     @cached_property
     def projector(self) -> NuisanceProjector:
@@ -227,7 +235,9 @@ def fit_terms(data: ArmData, terms: ModelTerms) -> JointFit:
     points = 0 if data.points is None else len(data.points)
     layout = TermLayout.of(len(found.parameter_set.columns) + points, [term.size for term in terms])
     white = whitening(data.sigma)
-    linear = LinearModel.of(found.geometry, data.readings.q, white, found.parameter_set.columns, columns)
+    linear = LinearModel.of(
+        found.geometry, data.readings.q, white, found.parameter_set.columns, columns, data.conditions.R_M_S
+    )
     fit = JointFit(
         terms=terms,
         layout=layout,
@@ -265,10 +275,21 @@ def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
         columns=found.estimated.columns,
         sizes=[term.size for term in fit.terms],
         covariance=found.covariance[np.ix_(kept, kept)],
-        noise_m=math.sqrt(mean_variance(data.sigma)) * max(found.scale, 1.0),
         seed=(data.profile.seed, _DRAW_SEED),
+        **noise_of(data, max(found.scale, 1.0)),
     )
     return replace(fit.model, posterior=draws)
+
+
+def noise_of(data: ArmData, scale: float = 1.0) -> dict[str, float]:
+    """Standard deviations of a coordinate and of a component of an orientation that weigh the readings, times a scale.
+
+    ``noise_m`` [m], and ``noise_rad`` [rad] where orientations were measured.
+    """
+    if data.turned is None:
+        return {"noise_m": math.sqrt(mean_variance(data.sigma)) * scale}
+    variances = mean_variance(data.sigma[~data.turned]), mean_variance(data.sigma[data.turned])
+    return {"noise_m": math.sqrt(variances[0]) * scale, "noise_rad": math.sqrt(variances[1]) * scale}
 
 
 def mean_variance(sigma: Array) -> float:
@@ -296,7 +317,7 @@ def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
     """
     smooth = smoothness_of(terms)
     if smooth is not None:
-        return replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter_m))
+        return replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter))
     if data.stated is None:
         for _ in range(_WEIGHING_ROUNDS):
             found, _ = _identify(data, terms)
@@ -304,21 +325,21 @@ def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
             if abs(found.scale - 1.0) <= _EXCESS_CHANGE:
                 break
         return data
-    sigma, excess = data.stated, -1.0
+    sigma, excess = data.stated if data.turned is None else data.sigma, (-1.0, -1.0)
     for _ in range(_WEIGHING_ROUNDS):
         found, _ = _identify(replace(data, sigma=sigma), terms)
-        before, excess = excess, excess_variance(found.residuals, data.stated, found.degrees_of_freedom)
-        sigma = with_excess(data.stated, excess)
-        if abs(excess - before) <= _EXCESS_CHANGE * excess:
+        before, excess = excess, excess_of(found, data.stated)
+        sigma = with_excess(data.stated, excess[0], data.turned, excess[1])
+        if all(abs(now - then) <= _EXCESS_CHANGE * now for now, then in zip(excess, before, strict=True)):
             break
     return replace(data, sigma=sigma)
 
 
-def uncertainty_with_scatter(data: ArmData, scatter_m: float) -> Array:
-    """Standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]: the stated ones, with a scatter [m] added."""
+def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
+    """Standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]: the stated ones, with a scatter added."""
     if data.stated is None:
-        return np.full(len(data), scatter_m)
-    return with_excess(data.stated, scatter_m**2)
+        return np.full(len(data), scatter.m)
+    return with_excess(data.stated, scatter.m**2, data.turned, scatter.rad**2)
 
 
 def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[EffectColumn, ...]]:
@@ -331,6 +352,7 @@ def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[E
         data.model.geometry,
         data.readings.q,
         data.readings.p_M,
+        R_M_S=data.conditions.R_M_S,
         sigma=data.sigma,
         parameter_set=data.parameter_set,
         prior_sigma=data.prior_sigma,

@@ -24,6 +24,14 @@ _LEAST_PRIOR = 1e-9
 
 
 @dataclass(frozen=True)
+class Excess:
+    """Standard deviation beyond the stated one of a coordinate [m], and of a component of an orientation [rad]."""
+
+    m: float
+    rad: float = 0.0
+
+
+@dataclass(frozen=True)
 class Smoothness:
     """How a smooth term was found.
 
@@ -33,13 +41,13 @@ class Smoothness:
         Twice the gain of the log evidence by this term.
     hyperparameters : int
         Amplitudes and length scales that were fitted.
-    scatter_m : float
-        Standard deviation of a coordinate beyond the stated uncertainty that goes with the prior [m].
+    scatter : Excess
+        Standard deviation beyond the stated uncertainty that goes with the prior.
     """
 
     evidence: float
     hyperparameters: int
-    scatter_m: float
+    scatter: Excess
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,8 @@ from cellapp.ground.grouping import grouped
 
 NOT_ASKED = "not asked for"
 NOT_MEASURED = "asked for, and no two cycles were measured"
-ONE_SMR = "one SMR on the flange shows its position, not its orientation, and no driver measures that of a probe"
+ONE_SMR = "one SMR on the flange shows its position, not its orientation; a 6-D probe (smr.probe) does"
+POSES_ONLY = "orientation is evaluated in the pose test only"
 PERSON = "it needs a person at the arm: 'cellapp iso9283 compliance' asks for each step"
 OTHER_ARM = "it compares arms of one type; no test of another arm was named (--with-run)"
 
@@ -49,7 +50,8 @@ _Values = Callable[[CommandedTests], Sequence[_Counted]]
 class _Asked:
     """A characteristic of the norm; ``never`` is why this program does not measure it, else ``test`` does.
 
-    ``cycles`` are the norm's, where they are not those of the test; ``part`` says what of it is left out at any time.
+    ``without`` is why a test that was made does not show it. ``cycles`` are the norm's, where they are not those of the
+    test; ``part`` says what of it is left out at any time.
     """
 
     clause: str
@@ -59,6 +61,7 @@ class _Asked:
     never: str = ""
     cycles: int | None = None
     part: str = ""
+    without: str = ""
 
 
 def _settled(made: CommandedTests) -> Sequence[_Counted]:
@@ -67,7 +70,13 @@ def _settled(made: CommandedTests) -> Sequence[_Counted]:
 
 _ASKED: tuple[_Asked, ...] = (
     _Asked("7.2", "pose accuracy AP, repeatability RP", "pose", lambda made: [one.accuracy for one in made.pose]),
-    _Asked("7.2", "AP, RP of the orientation", never=ONE_SMR),
+    _Asked(
+        "7.2",
+        "AP, RP of the orientation",
+        "pose",
+        lambda made: [one.orientation for one in made.pose if one.orientation is not None],
+        without=ONE_SMR,
+    ),
     _Asked(
         "7.2.3",
         "multi-directional variation vAP",
@@ -80,13 +89,13 @@ _ASKED: tuple[_Asked, ...] = (
         "distance",
         lambda made: [one.accuracy for one in made.distance],
     ),
-    _Asked("7.3", "AD, RD of the orientation", never=ONE_SMR),
+    _Asked("7.3", "AD, RD of the orientation", never=POSES_ONLY),
     _Asked("7.4", "position stabilisation time", "stabilisation", _settled),
     _Asked("7.5", "position overshoot OV", "stabilisation", _settled),
     _Asked("7.6", "drift dAP, dRP", "drift", lambda made: () if made.drift is None else [made.drift.accuracy]),
     _Asked("7.7", _EXCHANGE, never=OTHER_ARM),
     _Asked("8.2, 8.3", "path accuracy AT, repeatability RT", "path", lambda made: [one.accuracy for one in made.path]),
-    _Asked("8.2, 8.3", "AT, RT of the orientation", never=ONE_SMR),
+    _Asked("8.2, 8.3", "AT, RT of the orientation", never=POSES_ONLY),
     _Asked(
         "8.4",
         "path accuracy on reorientation",
@@ -153,7 +162,7 @@ def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: s
     if not found:
         if asked.test not in tests:
             return "not done", PERSON if asked.test == "compliance" else NOT_ASKED
-        return "not done", refused or stopped or NOT_MEASURED
+        return "not done", refused or stopped or asked.without or NOT_MEASURED
     norm = asked.cycles or NORM_CYCLES[asked.test]
     n = min(value.n for values in found.values() for value in values)
     words = f"{n} of {counted(norm, 'cycle')}" if n < norm else counted(n, "cycle")

@@ -15,12 +15,14 @@ from cellapp.estimation.iso9283.characteristics import (
     pose_repeatability,
 )
 from cellapp.estimation.iso9283.cube import DIRECTIONAL_POSES, DIRECTIONS, POSES
+from cellapp.estimation.iso9283.orientation import orientation_characteristics
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
 from cellapp.estimation.iso9283.records import (
     DirectionalCharacteristics,
     DistanceCharacteristics,
     DriftCharacteristics,
     DriftGroup,
+    OrientationCharacteristics,
     PoseCharacteristics,
 )
 from cellapp.estimation.iso9283.uncertainty import (
@@ -41,6 +43,7 @@ class Measured:
     """One measured visit: arm -> SMR (3,) [m] and its covariance (3, 3) [m^2] as the tracker states it.
 
     ``group`` counts the groups of a drift test, ``time_s`` is on the cell's clock, ``temperature_c`` that of the air.
+    ``turned`` has the quaternion (4,) of a probe and its standard uncertainty [rad], of arms with one.
     """
 
     place: Place
@@ -50,6 +53,7 @@ class Measured:
     time_s: float
     temperature_c: float | None
     group: int = 0
+    turned: Mapping[str, tuple[Array, float]] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -81,9 +85,11 @@ def pose_characteristics(
     """
     found = []
     for pose in POSES:
-        cycles = _cycles(arm, pose, measured.at(arm.place("pose", pose, speed=speed, load_kg=load_kg)))
+        visits = measured.at(arm.place("pose", pose, speed=speed, load_kg=load_kg))
+        cycles = _cycles(arm, pose, visits)
         if cycles is not None:
-            found.append(_pose(pose, cycles, base_M, rng))
+            own = _pose(pose, cycles, base_M, rng)
+            found.append(own.model_copy(update={"orientation": _orientation(arm, pose, visits, base_M)}))
     return tuple(found)
 
 
@@ -195,6 +201,16 @@ def _pose(pose: str, cycles: Cycles, axes_M: Array, rng: np.random.Generator) ->
         deviations_mm=tuple(_mm(one) for one in (cycles.attained - cycles.commanded) @ axes_M),
         tracker_rp_mm=tracker * 1e3,
     )
+
+
+def _orientation(
+    arm: ArmProgramme, pose: str, visits: Sequence[Measured], base_M: Array
+) -> OrientationCharacteristics | None:
+    turned = [one.turned[arm.name] for one in visits if arm.name in one.turned]
+    if pose not in arm.rotation_M or not turned:
+        return None
+    attained, sigma_rad = zip(*turned, strict=True)
+    return orientation_characteristics(attained, arm.rotation_M[pose], base_M, sigma_rad)
 
 
 def _distance(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.robot.kinematics.transforms import Array
@@ -47,6 +47,8 @@ class ArmProgramme:
         Position -> where its SMR should be [m].
     frame : mapping
         Position -> covariance (3, 3) of that [m^2].
+    rotation_M : mapping
+        Position -> how its probe should be turned (3, 3); empty where that is not known.
     q : mapping
         (position, the one before) -> joint positions (N,) [rad]: a model with play commands by the side of approach.
     """
@@ -56,6 +58,7 @@ class ArmProgramme:
     position_M: Mapping[str, Array]
     frame: Mapping[str, Array]
     q: Mapping[tuple[str, str], Array]
+    rotation_M: Mapping[str, Array] = field(default_factory=dict)
 
     def place(
         self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0, load_kg: float | None = None

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from cellapp.estimation.iso9283.evaluate import Measurements
 from cellapp.estimation.iso9283.evaluate_paths import PathRuns, PathTrack
 from cellapp.estimation.iso9283.evaluate_settling import SettlingRuns
@@ -36,11 +39,17 @@ HEADER = (
     "direction_x",
     "direction_y",
     "direction_z",
+    "quat_w",
+    "quat_x",
+    "quat_y",
+    "quat_z",
 )
 """Positions are in the tracker frame [m], times on the cell's clock [s]; ``cycle`` and ``group`` count from 1.
 ``speed_percent`` is of the profile's speed where a test was repeated at another one, else empty, as is ``load_kg``;
-``force_n`` is the force on the flange along ``approach`` in a test of static compliance, whose group 2 is after it."""
+``force_n`` is the force on the flange along ``approach`` in a test of static compliance, whose group 2 is after it.
+Quaternions are those of a 6-D probe in the tracker frame, where its orientation was measured."""
 _NO_DIRECTION = ("", "", "")
+_NOT_TURNED = ("", "", "", "")
 
 Row = tuple[str, ...]
 
@@ -62,39 +71,48 @@ def raw_rows(
                 "",
                 "",
                 "",
-                *_xyz(programmes[name, place.commands].position_M[pose]),
-                "",
-                "",
-                "",
+                *_numbers(programmes[name, place.commands].position_M[pose]),
+                *_NO_DIRECTION,
+                *_commanded_turn(programmes[name, place.commands], pose),
             )
     for one in measured.visits:
         for name, p_M in one.p_M.items():
             counted = (str(one.group + 1), str(one.cycle + 1), repr(float(one.time_s)))
-            yield ("measured", *_place_cells(one.place, name), *counted, *_xyz(p_M), *_NO_DIRECTION)
+            turned = _numbers(one.turned[name][0]) if name in one.turned else _NOT_TURNED
+            yield ("measured", *_place_cells(one.place, name), *counted, *_numbers(p_M), *_NO_DIRECTION, *turned)
     for runs in paths:
         yield from _of_path(runs)
     for motions in settling:
         where = ("stabilisation", motions.commands, motions.arm, motions.pose, "", "", "", "")
-        yield ("commanded", *where, "", "", "", *_xyz(motions.commanded_M), *_NO_DIRECTION)
+        yield ("commanded", *where, "", "", "", *_numbers(motions.commanded_M), *_NO_DIRECTION, *_NOT_TURNED)
         yield from _of_tracks(where, motions.tracks)
     for weaves in weaving:
         where = ("path", weaves.commands, weaves.arm, "weaving", "", "", "", "")
         for place_M in weaves.commanded_M:
-            yield ("commanded", *where, "", "", "", *_xyz(place_M), *_NO_DIRECTION)
+            yield ("commanded", *where, "", "", "", *_numbers(place_M), *_NO_DIRECTION, *_NOT_TURNED)
         yield from _of_tracks(where, weaves.tracks)
 
 
 def _of_path(runs: PathRuns) -> Iterator[Row]:
     where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series), "", "")
     for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
-        yield ("commanded", *where, "", "", "", *_xyz(place_M), *_xyz(tangent_M))
+        yield ("commanded", *where, "", "", "", *_numbers(place_M), *_numbers(tangent_M), *_NOT_TURNED)
     yield from _of_tracks(where, runs.tracks)
 
 
 def _of_tracks(where: Row, tracks: Sequence[PathTrack]) -> Iterator[Row]:
     for number, track in enumerate(tracks, start=1):
         for time_s, p_M in zip(track.time_s, track.p_M, strict=True):
-            yield ("measured", *where, "1", str(number), repr(float(time_s)), *_xyz(p_M), *_NO_DIRECTION)
+            yield (
+                "measured",
+                *where,
+                "1",
+                str(number),
+                repr(float(time_s)),
+                *_numbers(p_M),
+                *_NO_DIRECTION,
+                *_NOT_TURNED,
+            )
 
 
 def _place_cells(place: Place, name: str) -> tuple[str, ...]:
@@ -106,7 +124,13 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:g}" if share else ""
 
 
-def _xyz(vector: Array) -> tuple[str, str, str]:
-    """Coordinates with all their digits."""
-    x, y, z = (repr(float(value)) for value in vector)
-    return x, y, z
+def _commanded_turn(arm: ArmProgramme, pose: str) -> Row:
+    """The commanded orientation of a probe, as a quaternion; empty where there is none."""
+    if pose not in arm.rotation_M:
+        return _NOT_TURNED
+    return _numbers(np.roll(Rotation.from_matrix(arm.rotation_M[pose]).as_quat(canonical=True), 1))
+
+
+def _numbers(vector: Array) -> Row:
+    """Numbers with all their digits."""
+    return tuple(repr(float(value)) for value in vector)

@@ -23,6 +23,21 @@ class IsoValue(Record):
     n: int
 
 
+class OrientationCharacteristics(Record):
+    """Accuracy AP_a, AP_b, AP_c and repeatability RP_a, RP_b, RP_c of the orientation at one pose.
+
+    Angles about the axes of the arm's base from the commanded to the attained orientation [mrad], with the expanded
+    uncertainties of both (coverage factor 2), of ``n`` cycles. ``deviations_mrad`` are those of each cycle.
+    """
+
+    accuracy_mrad: Vector3
+    accuracy_expanded_mrad: float
+    repeatability_mrad: Vector3
+    repeatability_expanded_mrad: float
+    n: int
+    deviations_mrad: tuple[Vector3, ...]
+
+
 class PoseCharacteristics(Record):
     """Accuracy AP and repeatability RP at one pose.
 
@@ -35,6 +50,8 @@ class PoseCharacteristics(Record):
         From the commanded position to each attained one, in the order of the cycles.
     tracker_rp_mm : float or None
         RP that the tracker's stated uncertainty alone would show, if all of it scattered from cycle to cycle.
+    orientation : OrientationCharacteristics or None
+        Where the orientation of a probe was measured.
     """
 
     pose: str
@@ -43,6 +60,8 @@ class PoseCharacteristics(Record):
     repeatability: IsoValue
     deviations_mm: tuple[Vector3, ...]
     tracker_rp_mm: float | None = None
+    orientation: OrientationCharacteristics | None = None
+    omitted_when_none = frozenset({"orientation"})
 
 
 class DirectionalCharacteristics(Record):
@@ -402,7 +421,7 @@ class IsoConditions(Record):
     temperature_c: tuple[float, float] | None = None
 
 
-class Iso9283Result(Result):
+class Iso9283Result(Result, schema="cellapp-iso9283"):
     """``iso9283``: the tests that were made, with their conditions; ``judgements`` against the profile's tolerances.
 
     ``missing`` says which cycles, poses or tests could not be measured, and why. ``pairs`` are those of arms.
@@ -412,8 +431,6 @@ class Iso9283Result(Result):
     ``points_file`` in the folder of the run holds every measured point with its time; ``points_sha256`` is its hash.
     """
 
-    schema_: Literal["cellapp-iso9283"] = "cellapp-iso9283"
-    version: Literal[1] = 1
     tests: tuple[IsoTest, ...]
     arms: Mapping[str, ArmIso9283]
     pairs: tuple[PairIso9283, ...] = ()

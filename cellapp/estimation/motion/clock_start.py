@@ -93,6 +93,26 @@ def clock_start(
     return replace(alike[0], others_s=tuple(one.offset_s for one in alike[1:]))
 
 
+def start_by_trigger(
+    start: ClockStart,
+    offset_s: float,
+    nominal: Geometry,
+    path: JointPath,
+    time_s: Array,
+    p_M: Array,
+    *,
+    tool_unknown: bool,
+) -> ClockStart:
+    """The start at the delay that a hardware trigger tells, unless the arm does not fit there: then ``start``.
+
+    No other delay can be meant then, however often the motion repeats.
+    """
+    found = _tried(nominal, path, time_s, p_M, offset_s, start.correlation, tool_unknown)
+    if found is None or found.rms_m > _ALIKE * start.rms_m:
+        return start
+    return found
+
+
 def _check_moving(where: str, what: str, speed: Array, seen: NDArray[np.bool_]) -> None:
     if not seen.any() or float(np.sqrt(np.mean(speed[seen] ** 2))) < _STILL_M_S:
         raise InputError(

@@ -19,6 +19,7 @@ from cellapp.estimation.motion.records import ClockFit, ClockSegment, MotionFit,
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
+from cellapp.estimation.motion.triggers import checked
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.kinematics.chain import Geometry
@@ -245,6 +246,7 @@ def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
         regular_joints=track.path.stamps.regular,
         regular_points=track.stamps.regular,
         correlation=track.start.correlation,
+        trigger=checked(track.trigger, first.offset_s, first.offset_standard_error_s),
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.motion.stamps import ClockStep
 from cellapp.estimation.motion.tracks import Track
+from cellapp.estimation.motion.triggers import TriggerCheck
 from cellapp.robot.kinematics.transforms import Array
 
 
@@ -47,6 +48,8 @@ class ClockFit:
         Whether stamps jittered about a regular clock that took their place.
     correlation : float
         Of the speeds, at the start of the fit.
+    trigger : TriggerCheck or None
+        The offset by pulses of a hardware trigger beside that of the motion.
     """
 
     offset_s: float
@@ -62,6 +65,7 @@ class ClockFit:
     regular_joints: bool
     regular_points: bool
     correlation: float
+    trigger: TriggerCheck | None = None
 
     def offset_at(self, stamp_s: float) -> float:
         """Tracker's stamp less the controller's [s] at a stamp of the tracker in the first segment."""

@@ -29,6 +29,8 @@ class JointStream:
         Joint torques [Nm]; motor currents [A].
     joint_temperature : array, shape (n, N), or None
         Joint temperatures [degC].
+    triggers_s : array, shape (k,)
+        Stamps of samples in which a pulse to the tracker began [s].
 
     Raises
     ------
@@ -42,6 +44,7 @@ class JointStream:
     tau: _Floats | None = field(default=None, repr=False)
     current: _Floats | None = field(default=None, repr=False)
     joint_temperature: _Floats | None = field(default=None, repr=False)
+    triggers_s: _Floats = field(default_factory=lambda: np.empty(0), repr=False)
 
     def __post_init__(self) -> None:
         n = _stamps("joint samples", self.time_s)
@@ -80,6 +83,8 @@ class PointStream:
         Orientation of the probe's frame S in M, scalar first.
     held_out : array of bool, shape (m,), or None
         Points that no fit may use (`split` validate); None where the file does not say.
+    triggers_s : array, shape (k,)
+        Stamps of pulses at the tracker's trigger input [s].
 
     Raises
     ------
@@ -92,6 +97,7 @@ class PointStream:
     sigma_m: _Floats | None = field(default=None, repr=False)
     quaternion: _Floats | None = field(default=None, repr=False)
     held_out: NDArray[np.bool_] | None = field(default=None, repr=False)
+    triggers_s: _Floats = field(default_factory=lambda: np.empty(0), repr=False)
 
     def __post_init__(self) -> None:
         m = _stamps("points", self.time_s)

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from cellapp.estimation.motion.clock_start import ClockStart, clock_start
+from cellapp.estimation.motion.clock_start import ClockStart, clock_start, start_by_trigger
 from cellapp.estimation.motion.joint_path import JointPath, joint_path
 from cellapp.estimation.motion.stamps import Stamps, read_stamps
 from cellapp.estimation.motion.streams import Recording
+from cellapp.estimation.motion.triggers import TriggeredClock, triggered_clock
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
@@ -60,6 +61,8 @@ class Track:
     learnt, held_out : array of bool, shape (m,)
         Points that the fit may use, and those that judge it; points in gaps are neither.
     start : ClockStart
+    trigger : TriggeredClock or None
+        The offset by pulses of a hardware trigger at ``middle_s``.
     """
 
     name: str
@@ -74,6 +77,7 @@ class Track:
     learnt: NDArray[np.bool_] = field(repr=False)
     held_out: NDArray[np.bool_] = field(repr=False)
     start: ClockStart = field(repr=False)
+    trigger: TriggeredClock | None = field(default=None, repr=False)
 
     def controller_times(self, rows: NDArray[np.intp], offsets_s: Array, rate: float) -> Array:
         """Times of some points by the controller's clock [s]."""
@@ -98,6 +102,14 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
     p_M = points.p_M[stamps.rows]
     usual = np.linalg.norm(p_M - median_filter(p_M, (7, 1)), axis=1) < _SPIKE_M
     start = clock_start(nominal, path, time[usual], p_M[usual], tool_unknown=tool_unknown, where=where)
+    trigger = None
+    if not stamps.steps and not path.stamps.steps:
+        middle_s, period_s = float((time[0] + time[-1]) / 2.0), float(np.median(np.diff(path.stamps.time_s)))
+        trigger = triggered_clock(recording.joints.triggers_s, points.triggers_s, middle_s, period_s)
+    if trigger is not None:
+        start = start_by_trigger(
+            start, trigger.offset_s, nominal, path, time[usual], p_M[usual], tool_unknown=tool_unknown
+        )
     if start.rms_m > _ABSURD_M:
         raise InputError(
             f"{where}: the points lie {start.rms_m * 1e3:.0f} mm from the arm wherever its base is and whatever the"
@@ -119,6 +131,7 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         known,
         known,
         start,
+        trigger,
     )
     track = _with_segment_starts(track, usual & known, nominal, tool_unknown, where)
     validate, guard = (

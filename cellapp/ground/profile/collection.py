@@ -94,5 +94,7 @@ class Collection(Section):
     finish: Finish = Finish()
     air: AirLimits = AirLimits()
     suspend: Suspend = Suspend()
+    motion_rate: Annotated[float, Field(strict=True, ge=5.0, le=1000.0)] = 250.0
+    """Points of the tracker in a second while an arm sweeps [1/s]; a serial line carries 150."""
     tolerated: Annotated[float, Field(strict=True, ge=0.0, le=1.0)] = 0.05
     """Share of planned measurements that may be missing at the end without a failure."""

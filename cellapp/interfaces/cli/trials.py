@@ -143,6 +143,33 @@ def judge(
     return Stated(result, judge_tables(result), judge_sentences(result), refused(result))
 
 
+@trial(trials_app, "benchmark")
+def benchmark(
+    work: Work,
+    profile: SimulatedCell = DEFAULT_CELL,
+    method: Annotated[
+        str, typer.Option("--method", metavar="LIST", help="Names of methods, as cellapp,ard; all: every one.")
+    ] = "cellapp",
+    problems: Annotated[
+        Path,
+        typer.Option("--problems", metavar="DIR", help="Folder of the problems; those that lack are made."),
+        Writes.OWN_FOLDER,
+    ] = Path("trials/benchmark"),
+    n: Annotated[int, typer.Option("--n", min=1, help="Runs of each kind to make, two arms each.")] = 10,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Draws the problems; left out, a secret one is drawn.")
+    ] = None,
+) -> Stated:
+    """Name the missing effect: methods on sealed problems; exact and false names, odds, held-out error, time."""
+    from cellapp.cell.profile import load_profile
+    from cellapp.commands.trials.benchmark.trial import benchmark_table, benchmark_trials, refused
+    from cellapp.commands.trials.skeleton import Stated
+
+    names = [name.strip() for name in method.split(",")]
+    result = benchmark_trials(load_profile(profile), problems, names, n, seed, work)
+    return Stated(result, (benchmark_table(result),), refused=refused(result))
+
+
 @trial(trials_app, "blind-matrix", "store")
 def blind_matrix(
     work: Work,

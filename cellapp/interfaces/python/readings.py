@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cellapp.cell.run.csv_import import readings_of_table
 from cellapp.cell.run.csv_text import CsvTable, read_csv_table
+from cellapp.cell.run.nests import all_one_a_stop
 from cellapp.cell.run.table_in_memory import is_frame, table_of_arrays, table_of_frame
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Column, Table, number_column
@@ -84,7 +85,7 @@ def checked_readings(profile: Profile, source: ReadingsLike, *, in_order: bool =
             return source
         source = source.arms
     readings, _, notes = readings_of_table(profile, _table(profile, source), in_order=in_order)
-    return CellReadings(profile, readings, tuple(notes))
+    return CellReadings(profile, all_one_a_stop(profile, readings), tuple(notes))
 
 
 def _table(profile: Profile, source: object) -> CsvTable:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from textual.binding import Binding, BindingType
 
 from cellapp.commands.registry import VERBS
+from cellapp.commands.view.table import Table
 from cellapp.interfaces.tui.workspace import STEPS, Step
 
 
@@ -43,7 +44,7 @@ KEYS: Mapping[str, Key] = {
     "import": Key("i", "i", "take from elsewhere: readings, an earlier run, the file of a certificate"),
     "save": Key("w", "w", "save what is shown: a list, tables, the log"),
     "copy": Key("y", "y", "copy what is shown or marked"),
-    "add": Key("plus,insert", "+", "add: a profile, stops, a target, a key that signs"),
+    "add": Key("plus,insert", "+", "add: a profile, stops, a target, a key that signs, a network from all readings"),
     "remove": Key("minus,delete", "-", "remove the row"),
     "mark": Key("space", "Space", "mark the row"),
     "undo": Key("ctrl+z", "Ctrl+Z", "take back the last edit"),
@@ -100,9 +101,10 @@ WAYS: Mapping[str, tuple[Step, str]] = {
 """Verb -> the screen and the meaning of the key that does it; the palette does the others."""
 _EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook"}
 """Verb -> the meaning of the key that does it on every screen; the palette has no such verb."""
+_VARIANTS = "|".join(re.escape(word) for verb in VERBS for word in verb.variants)
 _COMMAND = re.compile(
     r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
-    r"|\bcellapp ([a-z][\w-]*)(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
+    rf"|\bcellapp ([a-z][\w-]*)(?: (?:{_VARIANTS})\b)?(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
 )
 
 
@@ -130,6 +132,12 @@ def way_to(verb: str) -> str:
         return f"{SHOWN['palette']}, cellapp {verb}"
     step, meaning = WAYS[verb]
     return f"keys {STEPS.index(step) + 1}, {SHOWN[meaning]}"
+
+
+def table_with_keys(table: Table) -> Table:
+    """A table whose cells name keys instead of commands."""
+    rows = tuple(tuple(with_keys(cell) if isinstance(cell, str) else cell for cell in row) for row in table.rows)
+    return replace(table, rows=rows)
 
 
 def with_keys(text: str) -> str:

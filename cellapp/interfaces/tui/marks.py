@@ -61,7 +61,8 @@ def _collected(workspace: Workspace, measured: int, planned: int, left: int) -> 
     collection = workspace.collection
     if collection is not None and collection.missing_share > collection.tolerated_share:
         return Mark("part", f"{collection.missing_share:.0%} of the planned readings are missing")
-    accurate = collection is not None and collection.sessions[-1].outcome == "accurate enough"
+    last = None if collection is None else collection.last
+    accurate = last is not None and last.outcome == "accurate enough"
     if left and not accurate:
         return Mark("part", f"{measured} of {planned} stops are measured")
     return Mark("done", f"{measured} stops are measured" + (", accurate enough" if left else ""))

@@ -50,6 +50,9 @@ class MeasurementConditions:
         Joint positions of the other arm [rad].
     record : TemperatureRecord
         Temperatures of the whole run, for effects that follow them with a lag; not per stop.
+    R_M_S : array, shape (n, 3, 3)
+        Measured orientations of a probe: what is computed at these readings is the rotation vector from them [rad], at
+        those where it is NaN a position [m]. A stop at which both were measured has a reading of each.
     """
 
     approach: Array | NDArray[np.int8] | None = None
@@ -63,6 +66,7 @@ class MeasurementConditions:
     other_moment_M: Array | None = None
     other_q: Array | None = None
     record: TemperatureRecord | None = None
+    R_M_S: Array | None = None
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> MeasurementConditions:
         """Select some of the stops; the temperature record stays whole."""
@@ -151,6 +155,29 @@ class EffectContext:
         return np.asarray(origins[-1] + rotations[-1] @ self.geometry.tool)
 
     @cached_property
+    def angles(self) -> JointAngles:
+        """Best known joint positions as the chain takes them, with what is computed at each reading."""
+        return JointAngles.of(self.posture, self.conditions.R_M_S)
+
+    @cached_property
+    def turned(self) -> Array | None:
+        """1 at readings (n, 1) of an orientation, 0 at those of a position; None where all are of positions."""
+        return None if self.conditions.R_M_S is None else self.angles.turned[:, None].astype(np.float64)
+
+    def moved(self, shift_M: Array | None, turn_M: Array | None = None, lever_M: Array | None = None) -> Array:
+        """What a small motion (n, 3) in the tracker frame does to each reading, a position [m] or an orientation [rad].
+
+        A body shifts by ``shift_M`` [m] and turns by ``turn_M`` [rad] about a point from which ``lever_M`` (n, 3) [m]
+        points to the SMR. An orientation is changed by the turn alone.
+        """
+        moved = np.zeros((len(self), 3)) if shift_M is None else np.asarray(shift_M)
+        if turn_M is not None and lever_M is not None:
+            moved = moved + np.cross(turn_M, lever_M)
+        if self.turned is None:
+            return moved
+        return np.asarray(moved * (1.0 - self.turned) + (0.0 if turn_M is None else turn_M * self.turned))
+
+    @cached_property
     def base_twists(self) -> Array:
         """SMR shift per unit translation along and rotation about the base's x, y, z (6, n, 3) [m/m, m/rad]."""
         axes = np.eye(3)
@@ -161,7 +188,7 @@ class EffectContext:
     def link_growth(self) -> Array:
         """SMR shift per unit strain of each link, of its a and its d (N, n, 3) [m]."""
         d_and_a = tuple(6 + 5 * i + k for i in range(self.joints) for k in (1, 2))
-        _, J = jacobian(self.geometry, JointAngles.of(self.posture), d_and_a)
+        _, J = jacobian(self.geometry, self.angles, d_and_a)
         grown = J * self.geometry.rows[:, 1:3].ravel()[:, None]
         return np.ascontiguousarray((grown[:, 0::2] + grown[:, 1::2]).transpose(1, 2, 0))
 
@@ -191,16 +218,16 @@ class EffectContext:
     def twist_shift(self, frame: int, shift: Array | None, turn: Array | None) -> Array:
         """SMR shift (n, 3) [m, tracker frame] for a small twist of D-H frame ``frame`` (0: base).
 
-        ``shift`` [m] and ``turn`` [rad], each (n, 3) or (3,), are in that frame.
+        ``shift`` [m] and ``turn`` [rad], each (n, 3) or (3,), are in that frame. At readings of an orientation, its
+        change [rad].
         """
         rotations, origins = self.frames
         R, o = rotations[frame], origins[frame]
-        moved = np.zeros((len(self), 3))
-        if shift is not None:
-            moved += np.einsum("nab,nb->na", R, np.broadcast_to(shift, moved.shape))
-        if turn is not None:
-            moved += np.cross(np.einsum("nab,nb->na", R, np.broadcast_to(turn, moved.shape)), self.p_M - o)
-        return moved
+        in_M = [
+            None if one is None else np.einsum("nab,nb->na", R, np.broadcast_to(one, (len(self), 3)))
+            for one in (shift, turn)
+        ]
+        return self.moved(in_M[0], in_M[1], self.p_M - o)
 
 
 def varies(values: Array | NDArray[np.int8] | None) -> bool:

@@ -133,7 +133,7 @@ def _link_columns(context: EffectContext, form: LawForm, i: int) -> list[EffectC
 
     columns = []
     if form in (OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT):
-        own_force, own_moment, fraction = beam.own_weight(context, i)
+        own_force, own_moment, fraction = beam.own_weight(i)
         bent_by_own = beam.bent(own_force, own_moment, fraction)
         twisted = twisted + beam.twisted(own_moment, fraction)
         if form == FREE_WEIGHT:
@@ -162,6 +162,7 @@ def _link_columns(context: EffectContext, form: LawForm, i: int) -> list[EffectC
 class _Beam:
     """A link at n configurations: direction (n, 3), length (n,) [m], and vector from its end to the SMR (n, 3) [m]."""
 
+    context: EffectContext
     along: Array
     length: Array
     to_smr: Array
@@ -172,7 +173,7 @@ class _Beam:
         _, origins = context.frames
         along = origins[i + 1] - origins[i]
         length = np.linalg.norm(along, axis=1)
-        return cls(along / np.maximum(length, _SHORTEST)[:, None], length, context.p_M - origins[i + 1])
+        return cls(context, along / np.maximum(length, _SHORTEST)[:, None], length, context.p_M - origins[i + 1])
 
     def bent(self, force: Array, moment: Array, fraction: Array) -> Array:
         """SMR shift (n, 3) for EI = 1, under a force and a moment (n, 3) at a fraction (n,) of the length.
@@ -185,21 +186,21 @@ class _Beam:
         turn = moment_across * L + lever * L**2 / 2.0
         shift = np.cross(lever, e) * L**3 / 3.0 + np.cross(moment, e) * L**2 / 2.0
         beyond = self.to_smr + e * (self.length[:, None] - L)
-        return np.asarray(shift + np.cross(turn, beyond))
+        return self.context.moved(shift, turn, beyond)
 
     def twisted(self, moment: Array, fraction: Array | float = 1.0) -> Array:
         """SMR shift (n, 3) for GJ = 1, under a moment (n, 3) at a fraction of the length."""
         turn = np.einsum("na,na->n", moment, self.along) * fraction * self.length
-        return np.cross(turn[:, None] * self.along, self.to_smr)
+        return self.context.moved(None, turn[:, None] * self.along, self.to_smr)
 
     def sheared(self, force: Array) -> Array:
         """SMR shift (n, 3) for k G A = 1, under a force (n, 3) at the end."""
         across = force - np.einsum("na,na->n", force, self.along)[:, None] * self.along
-        return np.asarray(across * self.length[:, None])
+        return self.context.moved(across * self.length[:, None])
 
-    def own_weight(self, context: EffectContext, i: int) -> tuple[Array, Array, Array]:
+    def own_weight(self, i: int) -> tuple[Array, Array, Array]:
         """Weight of body ``i``, its moment about the nearest point of the beam, and where that is (fraction)."""
-        loads = context.loads
+        loads = self.context.loads
         from_joint = loads.centers[i] - loads.origins[i]
         along = np.einsum("na,na->n", from_joint, self.along)
         fraction = np.clip(along / np.maximum(self.length, _SHORTEST), 0.0, 1.0)

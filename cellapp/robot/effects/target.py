@@ -67,7 +67,7 @@ class TargetSlip(Effect):
         """Three columns; after the onset where the time is unknown."""
         moved = context.frames[0][-1] * after_onset(context, law)[:, None, None]
         return [
-            shift_column(f"slip_{letter}", "m", Channel.TOOL, moved[:, :, k], -_MOST_SLIP, _MOST_SLIP)
+            shift_column(f"slip_{letter}", "m", Channel.TOOL, context.moved(moved[:, :, k]), -_MOST_SLIP, _MOST_SLIP)
             for k, letter in enumerate("xyz")
         ]
 
@@ -128,6 +128,6 @@ class TargetIncidence(Effect):
         if law.form == LATERAL:
             shifts["incidence_lateral"] = lateral
         return [
-            shift_column(name, "m", Channel.TRACKER, shift_M, -_MOST_INCIDENCE, _MOST_INCIDENCE)
+            shift_column(name, "m", Channel.TRACKER, context.moved(shift_M), -_MOST_INCIDENCE, _MOST_INCIDENCE)
             for name, shift_M in shifts.items()
         ]

@@ -181,7 +181,7 @@ def _conduction(context: EffectContext, law: Law, names: Collection[str] | None)
     ends, air = _lagged_temperatures(context, law, joints, above_mean_air(context, law))
     by_joints = context.link_growth * ends.T[:, :, None]
     by_air = context.link_growth.sum(axis=0) * air[:, None]
-    housing = np.einsum("inc,ni->nc", context.frames[0][:-1, :, :, 2], joints)
+    housing = context.moved(np.einsum("inc,ni->nc", context.frames[0][:-1, :, :, 2], joints))
     columns = [
         shift_column("growth_air", "1/K", Channel.LINK, by_air, 0.0, _MOST_GROWTH, "air"),
         shift_column("growth_housings", "m/K", Channel.AXIS, housing, 0.0, _MOST_HOUSING, "housings"),

@@ -82,10 +82,10 @@ class TrackerScale(Effect):
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column; zero, as at the run's mean, where the law needs a temperature that is unknown."""
         if law.form == AIR_SCALE:
-            shift_M = above_mean_air(context, law)[:, None] * context.p_M
+            shift_M = context.moved(above_mean_air(context, law)[:, None] * context.p_M)
             largest = _MOST_SCALE_PER_KELVIN
             return [shift_column("scale_air", "1/K", Channel.TRACKER, shift_M, -largest, largest)]
-        return [shift_column("scale", "m/m", Channel.TRACKER, context.p_M, -_MOST_SCALE, _MOST_SCALE)]
+        return [shift_column("scale", "m/m", Channel.TRACKER, context.moved(context.p_M), -_MOST_SCALE, _MOST_SCALE)]
 
 
 class TrackerDistanceOffset(Effect):
@@ -128,7 +128,8 @@ class TrackerDistanceOffset(Effect):
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column."""
-        return [shift_column("distance_offset", "m", Channel.TRACKER, context.beam[1], -_MOST_OFFSET, _MOST_OFFSET)]
+        along = context.moved(context.beam[1])
+        return [shift_column("distance_offset", "m", Channel.TRACKER, along, -_MOST_OFFSET, _MOST_OFFSET)]
 
 
 class TrackerAngleError(Effect):
@@ -181,7 +182,7 @@ class TrackerAngleError(Effect):
                 f"{name}_{letter}{n}",
                 "rad",
                 Channel.TRACKER,
-                wave(n * angle)[:, None] * across,
+                context.moved(wave(n * angle)[:, None] * across),
                 -_MOST_ANGLE,
                 _MOST_ANGLE,
                 f"{name} {n}",

@@ -206,12 +206,12 @@ def _shift(context: EffectContext, channel: Channel, direction: Direction) -> tu
     if direction in axes:
         axis = axes[direction]
         if channel is Channel.TOOL:
-            return "m", context.frames[0][-1][:, :, axis]
+            return "m", context.moved(context.frames[0][-1][:, :, axis])
         return ("m" if axis < 3 else "rad"), context.base_twists[axis]
     distance, beam = context.beam
     _, elevation, horizontal, upward = context.across
     if direction is Direction.RADIAL:
-        return "m", beam
+        return "m", context.moved(beam)
     if direction is Direction.AZIMUTH:
-        return "rad", (distance * np.cos(elevation))[:, None] * horizontal
-    return "rad", distance[:, None] * upward
+        return "rad", context.moved((distance * np.cos(elevation))[:, None] * horizontal)
+    return "rad", context.moved(distance[:, None] * upward)

@@ -1,17 +1,20 @@
-"""Forward kinematics of a serial arm with revolute joints, and analytic derivatives of the SMR position.
+"""Forward kinematics of a serial arm with revolute joints, and analytic derivatives of what is measured of it.
 
 The model is that of Bai et al., ROBOT 45(3) 2023, 276-286: D-H parameters with Hayati's angle beta,
 
-    T_M_S = T_M_B A_1 ... A_N trans(t_x, t_y, t_z)
+    T_M_S = T_M_B A_1 ... A_N trans(t_x, t_y, t_z) rot(r_x, r_y, r_z)
     T_M_B = R_ref trans(x0, y0, 0) rot_x(alpha0) rot_y(beta0) trans(0, 0, z0) rot_z(theta0)
     A_i   = rot_z(q_i + theta_i) trans(a_i, 0, d_i) rot_x(alpha_i) rot_y(beta_i)
 
-M is the tracker frame, B the base, S the SMR centre. ``R_ref`` is the identity unless the first joint axis is more than
-60 degrees off the tracker's z axis (an arm on a wall). There the parameters x0, y0, z0 become singular, and ``R_ref``
-permutes the tracker's axes so that its z is the one nearest to the first joint axis.
+M is the tracker frame, B the base, S the SMR centre or the frame of a 6-D probe, whose rotation in the last frame is
+that about the vector r by its length; an SMR has none. ``R_ref`` is the identity unless the first joint axis is more
+than 60 degrees off the tracker's z axis (an arm on a wall). There the parameters x0, y0, z0 become singular, and
+``R_ref`` permutes the tracker's axes so that its z is the one nearest to the first joint axis.
 
 Jacobian: a rotation parameter about axis u through point c moves the SMR at P by u x (P - c) per radian; a translation
-parameter along u moves it by u per metre.
+parameter along u moves it by u per metre. What is computed at a configuration is the position of S or, where an
+orientation was measured, the rotation vector from the measured to the computed orientation: a rotation about u changes
+it by u, to first order in that vector, a translation not at all.
 
 Internal arrays have the shape (m, 3, n), vector first and configurations last: every operation runs along the
 configurations, and the components of all m vectors times a matrix are one product.
@@ -27,16 +30,27 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.robot.kinematics.transforms import Array, rotation_x, rotation_y, transform
+from cellapp.robot.kinematics.constant_frames import IN_TRACKER_AXES, base_frame, row_matrices
+from cellapp.robot.kinematics.transforms import (
+    Array,
+    left_jacobian,
+    rotation_from_vector,
+    rotation_vectors,
+    rotation_x,
+    rotation_y,
+    transform,
+)
 from cellapp.robot.kinematics.workspace import Workspace
 
 BASE_NAMES = ("x0", "y0", "z0", "alpha0", "beta0", "theta0")
 ROW_NAMES = ("theta", "d", "a", "alpha", "beta")
 TOOL_NAMES = ("tx", "ty", "tz")
+PROBE_NAMES = ("rx", "ry", "rz")
+"""Rotation of a probe whose orientation is measured; they follow the names of ``parameter_names``."""
 _REFERENCES = (
     np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
-    np.eye(3),
+    IN_TRACKER_AXES,
 )
 """``R_ref`` by reference axis: rotations that map z to x, to y and to z."""
 _PARALLEL = math.sin(math.radians(5.0))
@@ -57,35 +71,51 @@ class Geometry:
         SMR centre in the last joint's frame [m].
     reference_axis : int
         Tracker axis (0 x, 1 y, 2 z) that ``base`` uses as z: 2 unless the arm is mounted on a wall.
+    probe : array, shape (3,), or None
+        Rotation vector of a 6-D probe in the last joint's frame [rad]; None for an SMR, which has no orientation.
     """
 
     base: Array
     rows: Array
     tool: Array
     reference_axis: int = 2
+    probe: Array | None = None
 
     @cached_property
     def base_vectors(self) -> Array:
-        """Vectors of the base in the tracker frame, (8, 3): see ``_base_frame``."""
-        return _base_frame(self)
+        """Vectors of the base in the tracker frame, (8, 3): see ``base_frame``."""
+        return base_frame(self.base, self.reference())
 
     @cached_property
     def row_matrices(self) -> Array:
-        """Matrices (N, 4, 4) of the rows: see ``_row_matrices``."""
-        return _row_matrices(self)
+        """Matrices (N, 4, 4) of the rows: see ``row_matrices``."""
+        return row_matrices(self.rows)
 
     @property
     def joints(self) -> int:
         """Number of joints N."""
         return len(self.rows)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its parameters in the order of ``vector``: ``parameter_names``, then the probe's if it has one."""
+        return parameter_names(self.joints) + (() if self.probe is None else PROBE_NAMES)
+
     def vector(self) -> Array:
-        """All 6 + 5 N + 3 parameters in the order of ``parameter_names`` [rad, m]."""
-        return np.concatenate([self.base, self.rows.ravel(), self.tool])
+        """All 6 + 5 N + 3 parameters, and the 3 of a probe, in the order of ``names`` [rad, m]."""
+        of_probe = () if self.probe is None else (self.probe,)
+        return np.concatenate([self.base, self.rows.ravel(), self.tool, *of_probe])
 
     def with_vector(self, vector: Array) -> Geometry:
-        """The same arm with other parameters, in the order of ``parameter_names``."""
-        return replace(self, base=vector[:6].copy(), rows=vector[6:-3].reshape(-1, 5).copy(), tool=vector[-3:].copy())
+        """The same arm with other parameters, in the order of ``names``."""
+        tool = 6 + 5 * self.joints
+        return replace(
+            self,
+            base=vector[:6].copy(),
+            rows=vector[6:tool].reshape(-1, 5).copy(),
+            tool=vector[tool : tool + 3].copy(),
+            probe=None if self.probe is None else vector[tool + 3 :].copy(),
+        )
 
     def reference(self) -> Array:
         """``R_ref``, shape (3, 3)."""
@@ -131,9 +161,15 @@ def parameter_names(joints: int) -> tuple[str, ...]:
     return BASE_NAMES + rows + TOOL_NAMES
 
 
+@lru_cache(maxsize=32)
+def all_names(joints: int) -> tuple[str, ...]:
+    """Names of all parameters that a chain can have: those of ``parameter_names``, and of a probe's rotation."""
+    return parameter_names(joints) + PROBE_NAMES
+
+
 def parameter_unit(name: str) -> str:
     """Unit of a parameter: ``rad`` or ``m``."""
-    return "rad" if name.startswith(("theta", "alpha", "beta")) else "m"
+    return "rad" if name.startswith(("theta", "alpha", "beta", "r")) else "m"
 
 
 def parallel_rows(geometry: Geometry) -> tuple[int, ...]:
@@ -146,16 +182,28 @@ def parallel_rows(geometry: Geometry) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class JointAngles:
-    """Cosines and sines (N, n) of joint positions, computed once and used for several geometries."""
+    """Cosines and sines (N, n) of joint positions, computed once and used for several geometries.
+
+    ``R_M_S`` (n, 3, 3) are orientations that were measured: at these configurations orientation is computed, at those
+    where it is NaN position. None: position at all.
+    """
 
     cosines: Array
     sines: Array
+    R_M_S: Array | None = None
 
     @classmethod
-    def of(cls, q: Array) -> JointAngles:
+    def of(cls, q: Array, R_M_S: Array | None = None) -> JointAngles:
         """Cosines and sines of joint positions ``q`` (n, N) [rad]."""
         angles = np.ascontiguousarray(q.T)
-        return cls(np.cos(angles), np.sin(angles))
+        return cls(np.cos(angles), np.sin(angles), R_M_S)
+
+    @cached_property
+    def turned(self) -> NDArray[np.bool_]:
+        """Configurations (n,) at which orientation is computed."""
+        if self.R_M_S is None:
+            return np.zeros(self.count, dtype=np.bool_)
+        return np.asarray(np.isfinite(self.R_M_S[:, 0, 0]))
 
     @cached_property
     def signed_sines(self) -> Array:
@@ -169,7 +217,8 @@ class JointAngles:
         """The configurations first to last - 1."""
         if last - first == self.count:
             return self
-        return JointAngles(self.cosines[:, first:last], self.sines[:, first:last])
+        R_M_S = None if self.R_M_S is None else self.R_M_S[first:last]
+        return JointAngles(self.cosines[:, first:last], self.sines[:, first:last], R_M_S)
 
     @property
     def count(self) -> int:
@@ -177,14 +226,23 @@ class JointAngles:
         return int(self.cosines.shape[1])
 
 
-def smr_positions(geometry: Geometry, q: Array) -> Array:
-    """SMR positions in the tracker frame, shape (n, 3) [m], of configurations ``q`` (n, N) [rad]."""
-    return np.ascontiguousarray(smr_positions_of(geometry, JointAngles.of(q)).T)
+def smr_positions(geometry: Geometry, q: Array, R_M_S: Array | None = None) -> Array:
+    """SMR positions in the tracker frame, shape (n, 3) [m], of configurations ``q`` (n, N) [rad].
+
+    Where an orientation ``R_M_S`` (n, 3, 3) was measured, the rotation vector from it to the computed one [rad].
+    """
+    return np.ascontiguousarray(smr_positions_of(geometry, JointAngles.of(q, R_M_S)).T)
 
 
 def smr_positions_of(geometry: Geometry, angles: JointAngles) -> Array:
-    """SMR positions in the tracker frame, shape (3, n) [m]: component first."""
-    return _smr(geometry, _new_frames(geometry, angles))
+    """SMR positions in the tracker frame, shape (3, n) [m], or rotation vectors [rad]: component first."""
+    return _computed(geometry, angles, _new_frames(geometry, angles))
+
+
+def probe_rotations(geometry: Geometry, q: Array) -> Array:
+    """Rotations (n, 3, 3) of the probe frame in the tracker frame; of the flange where there is no probe."""
+    rotations, _ = flange_poses(geometry, q)
+    return rotations if geometry.probe is None else np.asarray(rotations @ rotation_from_vector(geometry.probe))
 
 
 def frame_vectors(geometry: Geometry, q: Array) -> Array:
@@ -223,16 +281,16 @@ def jacobian(
     angles : JointAngles
         n configurations.
     columns : tuple of int, length k
-        Indices into ``parameter_names``. Rotations before translations are fastest: no reordering is needed.
+        Indices into ``all_names``. Rotations before translations are fastest: no reordering is needed.
     workspace : Workspace, optional
         Holds J and what leads to it; the next call with it overwrites J. New arrays without.
 
     Returns
     -------
     P : array, shape (3, n)
-        SMR positions in the tracker frame [m].
+        SMR positions in the tracker frame [m]; where an orientation was measured, the rotation vector from it [rad].
     J : array, shape (3, k, n)
-        Derivatives [m/rad or m/m].
+        Derivatives [m/rad or m/m; rad/rad].
     """
     sources = _column_sources(columns, geometry.joints)
     r, n = len(columns) - len(sources.along), angles.count
@@ -241,7 +299,7 @@ def jacobian(
     shapes = (3, r, n), (3, r, n), (r, n), (r, n), *_frame_shapes(geometry, n)
     axes, lever, first, second, *of_frames = work.arrays("before J", *shapes)
     frames = _frames(geometry, angles, *of_frames)
-    P = _smr(geometry, frames)
+    P = _computed(geometry, angles, frames)
     # every index is valid: "clip" only spares the copy that the check of indices makes
     components = frames.reshape(-1, n)
     np.take(components, sources.axes, axis=0, out=axes, mode="clip")
@@ -256,11 +314,20 @@ def jacobian(
             J[r + a_place] = axis
         if alpha_place >= 0:
             axes[:, alpha_place] = axis
-    np.subtract(P[:, None], lever, out=lever)
+    of_probe = list(sources.slot[6 + 5 * geometry.joints + 3 :])
+    if max(of_probe) >= 0:
+        axes[:, of_probe] = _probe_axes(geometry, frames)
+    np.subtract((P if angles.R_M_S is None else _smr(geometry, frames))[:, None], lever, out=lever)
     for x, y, z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         np.multiply(axes[y], lever[z], out=first)
         np.multiply(axes[z], lever[y], out=second)
         np.subtract(first, second, out=J[:r, x])
+    if max(of_probe) >= 0:
+        J[of_probe] = 0.0  # a probe turns about its own origin
+    if angles.R_M_S is not None:
+        turned = angles.turned
+        J[:r, :, turned] = axes[:, :, turned].swapaxes(0, 1)
+        J[r:, :, turned] = 0.0
     return P, (J if sources.restore is None else J[sources.restore]).swapaxes(0, 1)
 
 
@@ -316,7 +383,7 @@ class _ColumnSources:
 
 @lru_cache(maxsize=64)
 def _column_sources(columns: tuple[int, ...], joints: int) -> _ColumnSources:
-    names = parameter_names(joints)
+    names = all_names(joints)
     slot = [-1] * len(names)
     rotations = [c for c in columns if parameter_unit(names[c]) == "rad"]
     translations = [c for c in columns if parameter_unit(names[c]) == "m"]
@@ -342,41 +409,16 @@ def _components(vectors: Sequence[int]) -> NDArray[np.int64]:
 
 def _source(column: int, joints: int) -> tuple[int, int]:
     """Indices into ``_frames`` of a parameter's axis and of a point on it, which a translation does not need."""
-    fixed = 4 * (joints + 1)  # the four fixed vectors of _base_frame
+    fixed = 4 * (joints + 1)  # the four fixed vectors of base_frame
     if column < 6:
         of_base = ((fixed, 0), (fixed + 1, 0), (2, 0), (fixed, fixed + 3), (fixed + 2, fixed + 3), (2, 3))
         return of_base[column]
-    if column >= 6 + 5 * joints:
-        return 4 * joints + column - 6 - 5 * joints, 0
+    if column >= 6 + 5 * joints:  # those of a probe are replaced by ``_probe_axes``
+        return 4 * joints + (column - 6 - 5 * joints) % 3, 0
     joint, which = divmod(column - 6, 5)
     previous, own = 4 * joint, 4 * joint + 4  # the D-H frames before and after A_i
     axis = (previous + 2, previous + 2, own, own, own + 1)[which]  # theta, d, a, alpha, beta
     return axis, (previous if which == 0 else own) + 3
-
-
-def _base_frame(geometry: Geometry) -> Array:
-    """Vectors of the base in the tracker frame, shape (8, 3).
-
-    x, y, z axes and origin of the base; then what does not rotate with theta0: x and y axes of the reference frame, the
-    y axis after rot_x(alpha0), and the point (x0, y0, 0).
-    """
-    x0, y0, z0, alpha0, beta0, theta0 = geometry.base.tolist()
-    ca, sa, cb, sb = math.cos(alpha0), math.sin(alpha0), math.cos(beta0), math.sin(beta0)
-    ct, st = math.cos(theta0), math.sin(theta0)
-    x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)
-    vectors = np.array(
-        [
-            [ct * u + st * v for u, v in zip(x, y, strict=True)],
-            [ct * v - st * u for u, v in zip(x, y, strict=True)],
-            z,
-            (x0 + z0 * z[0], y0 + z0 * z[1], z0 * z[2]),
-            (1.0, 0.0, 0.0),
-            (0.0, 1.0, 0.0),
-            y,
-            (x0, y0, 0.0),
-        ]
-    )
-    return vectors if geometry.reference_axis == 2 else vectors @ _REFERENCES[geometry.reference_axis].T
 
 
 def _smr(geometry: Geometry, frames: Array) -> Array:
@@ -387,6 +429,24 @@ def _smr(geometry: Geometry, frames: Array) -> Array:
     P += ty * frames[last + 1]
     P += tz * frames[last + 2]
     return P
+
+
+def _computed(geometry: Geometry, angles: JointAngles, frames: Array) -> Array:
+    """SMR positions (3, n) [m], or where an orientation was measured, the rotation vector from it [rad]."""
+    P = _smr(geometry, frames)
+    if angles.R_M_S is not None:
+        turned, last = angles.turned, 4 * geometry.joints
+        flange = frames[last : last + 3][:, :, turned].transpose(2, 1, 0)
+        R_M_S = flange if geometry.probe is None else flange @ rotation_from_vector(geometry.probe)
+        P[:, turned] = rotation_vectors(R_M_S @ angles.R_M_S[turned].swapaxes(1, 2)).T
+    return P
+
+
+def _probe_axes(geometry: Geometry, frames: Array) -> Array:
+    """Axes (3, 3, n) about which the three components of a probe's rotation vector turn it: component, axis."""
+    last = 4 * geometry.joints
+    turn = np.eye(3) if geometry.probe is None else left_jacobian(geometry.probe)
+    return np.asarray(np.einsum("can,ck->akn", frames[last : last + 3], turn))
 
 
 def _frame_shapes(geometry: Geometry, n: int) -> tuple[tuple[int, ...], ...]:
@@ -416,16 +476,3 @@ def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, turned: Arr
         turned[2:] = before[2:]
         np.matmul(rows[i], turned_flat, out=flat[4 * i + 4 : 4 * i + 8])
     return vectors
-
-
-def _row_matrices(geometry: Geometry) -> Array:
-    """Matrices (N, 4, 4) that map (x, y, z axis, origin) after rot_z(q_i) to those after A_i."""
-    _, d, a, _, _ = geometry.rows.T
-    angles = geometry.rows.T[[0, 3, 4]]  # theta, alpha, beta
-    (ct, ca, cb), (st, sa, sb) = np.cos(angles), np.sin(angles)
-    M = np.zeros((geometry.joints, 4, 4))
-    M[:, 0, 0], M[:, 0, 1], M[:, 0, 2] = cb * ct - sb * sa * st, cb * st + sb * sa * ct, -sb * ca
-    M[:, 1, 0], M[:, 1, 1], M[:, 1, 2] = -ca * st, ca * ct, sa
-    M[:, 2, 0], M[:, 2, 1], M[:, 2, 2] = sb * ct + cb * sa * st, sb * st - cb * sa * ct, cb * ca
-    M[:, 3, 0], M[:, 3, 1], M[:, 3, 2], M[:, 3, 3] = a * ct, a * st, d, 1.0
-    return M

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+_SMALL_ANGLE = 1e-9
+"""Below it [rad] a rotation is its vector to double precision."""
 
 
 def rotation_x(angle: float) -> Array:
@@ -77,6 +79,25 @@ def rotation_vectors(rotations: Array) -> Array:
     if len(rotations) == 0:  # some versions of scipy refuse an empty batch
         return np.zeros((0, 3))
     return np.asarray(Rotation.from_matrix(rotations).as_rotvec())
+
+
+def left_jacobian(vector: Array) -> Array:
+    """Rotation (3, 3) [rad/rad] in the outer frame by each component of a rotation vector (3,) [rad].
+
+    With the angle t about the unit vector u: ``(sin t / t) I + (1 - sin t / t) u u^T + ((1 - cos t) / t) [u x]``.
+    Source: Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2 (2012), section 10.6.
+    """
+    angle = float(np.linalg.norm(vector))
+    if angle < _SMALL_ANGLE:
+        return np.eye(3)
+    u, share = vector / angle, math.sin(angle) / angle
+    across = np.cross(u, np.eye(3)).T
+    return np.asarray(share * np.eye(3) + (1.0 - share) * np.outer(u, u) + (1.0 - math.cos(angle)) / angle * across)
+
+
+def mean_rotation(rotations: Array) -> Array:
+    """Rotation (3, 3) nearest to rotations (n, 3, 3) in least squares of their entries."""
+    return np.asarray(Rotation.from_matrix(rotations).mean().as_matrix())
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -23,7 +24,14 @@ from cellapp.robot.effects import (
     term_from_json,
     term_to_json,
 )
-from cellapp.robot.kinematics.chain import Geometry, flange_poses, parameter_names, parameter_unit, smr_positions
+from cellapp.robot.kinematics.chain import (
+    PROBE_NAMES,
+    Geometry,
+    flange_poses,
+    parameter_unit,
+    probe_rotations,
+    smr_positions,
+)
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.arguments import configurations, of_arm, require_radians
@@ -137,41 +145,90 @@ class ArmModel:
         """SMR positions (n, 3) in the tracker frame [m] where the controller reads ``q`` (n, N) [rad].
 
         ``approach`` (n, N) are the signs of each joint's last motion, ``payload_kg`` (n,) the payload; unknown if not
-        given. ``conditions`` replaces both, see ``context``. Another shape of ``q`` raises ``InputError``.
+        given. ``conditions`` replaces both, see ``context``; where it has a measured orientation, the rotation vector
+        from that to the computed one [rad] takes the place of a position. Another shape of ``q`` raises ``InputError``.
         """
         q = configurations(q, self.geometry.joints)
+        R_M_S = None if conditions is None else conditions.R_M_S
         if self.effects:
             moved = self.effect_displacement(q, approach, payload_kg, conditions)
-            p_M = smr_positions(self.geometry, q + moved.joints) + moved.shift_M
+            p_M = smr_positions(self.geometry, q + moved.joints, R_M_S) + moved.shift_M
         else:
-            p_M = smr_positions(self.geometry, q)
+            p_M = smr_positions(self.geometry, q, R_M_S)
         if self.network is None:
             return p_M
-        return np.asarray(p_M + self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T)
+        correction_M = self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T
+        if R_M_S is not None:
+            correction_M[np.isfinite(R_M_S[:, 0, 0])] = 0.0  # it learnt positions only
+        return np.asarray(p_M + correction_M)
+
+    def orientation(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
+        """Rotations (n, 3, 3) of the probe in the tracker frame where the controller reads ``q`` (n, N) [rad].
+
+        Of the flange, if no orientation was ever measured. The network corrects positions only.
+        """
+        q = configurations(q, self.geometry.joints)
+        rotations = probe_rotations(self.geometry, self.true_joints(q, conditions=conditions))
+        return self.turns(q, conditions) @ rotations if self.effects else rotations
+
+    def turns(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
+        """Rotations (n, 3, 3) of the flange, in the tracker frame, by links, bearings and base that give way."""
+        some = conditions or MeasurementConditions()
+        moved = self.effect_displacement(q, conditions=replace(some, R_M_S=np.tile(np.eye(3), (len(q), 1, 1))))
+        return np.asarray(Rotation.from_rotvec(moved.shift_M).as_matrix())
 
     def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise of measuring.
 
         Root mean square over the three coordinates, of geometry, effects and network together; zero where the model
-        holds no draws and no network. It grows outside the trained joint ranges.
+        holds no draws and no network. It grows outside the trained joint ranges. At readings of an orientation it is
+        that of a component of the rotation [rad].
         """
         q = configurations(q, self.geometry.joints)
         variance = np.zeros(len(q))
+        turned = None if conditions is None or conditions.R_M_S is None else np.isfinite(conditions.R_M_S[:, 0, 0])
         if self.posterior is not None:
             moved = self.posterior.displacements(self.geometry, self.effects, self.context(q, conditions=conditions))
             variance += np.mean(moved**2, axis=(0, 2))
         if self.network is not None:
-            variance += np.mean(self.network.spread(q) ** 2, axis=1)
+            of_network = np.mean(self.network.spread(q) ** 2, axis=1)
+            variance += of_network if turned is None else np.where(turned, 0.0, of_network)
         return np.asarray(np.sqrt(variance))
 
     def measured_uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
-        """Standard deviation (n,) [m] of a measured coordinate about its prediction: ``uncertainty`` and noise."""
-        noise_m = 0.0 if self.posterior is None else self.posterior.noise_m
-        return np.asarray(np.hypot(self.uncertainty(q, conditions), noise_m))
+        """Standard deviation (n,) [m] of a measured coordinate about its prediction: ``uncertainty`` and noise.
 
-    def flange(self, q: Array) -> tuple[Array, Array]:
-        """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame."""
-        return flange_poses(self.geometry, self.true_joints(q))
+        At readings of an orientation that of a component of the rotation [rad].
+        """
+        noise: Array = np.full(len(q), 0.0 if self.posterior is None else self.posterior.noise_m)
+        if conditions is not None and conditions.R_M_S is not None:
+            of_turns = None if self.posterior is None else self.posterior.noise_rad
+            noise[np.isfinite(conditions.R_M_S[:, 0, 0])] = of_turns or 0.0
+        return np.asarray(np.hypot(self.uncertainty(q, conditions), noise))
+
+    def flange(self, q: Array, conditions: MeasurementConditions | None = None) -> tuple[Array, Array]:
+        """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame.
+
+        The rotations include ``turns`` only where orientations were measured, which show whether the model has them.
+        """
+        rotations, origins = flange_poses(self.geometry, self.true_joints(q, conditions=conditions))
+        if self.geometry.probe is None or not self.effects:
+            return rotations, origins
+        return self.turns(q, conditions) @ rotations, origins
+
+    def of_positions(self) -> ArmModel:
+        """The arm as positions alone show it, without the rotation of a probe."""
+        if self.geometry.probe is None:
+            return self
+        kept = [place for place, name in enumerate(self.identified) if name not in PROBE_NAMES]
+        return replace(
+            self,
+            geometry=replace(self.geometry, probe=None),
+            nominal=replace(self.nominal, probe=None),
+            identified=tuple(self.identified[place] for place in kept),
+            covariance=None if self.covariance is None else self.covariance[np.ix_(kept, kept)],
+            posterior=None if self.posterior is None else self.posterior.of_columns(len(self.geometry.vector()) - 3),
+        )
 
     def in_base(self) -> ArmModel:
         """Return the arm with its base at the origin, so that it predicts positions in the base frame B."""
@@ -296,9 +353,8 @@ class CellModel:
 
 
 def _geometry_to_json(geometry: Geometry) -> dict[str, Any]:
-    names = parameter_names(geometry.joints)
     return {
-        "parameters": dict(zip(names, geometry.vector().tolist(), strict=True)),
+        "parameters": dict(zip(geometry.names, geometry.vector().tolist(), strict=True)),
         "base_z_is_tracker_axis": "xyz"[geometry.reference_axis],
         "T_M_B": geometry.T_M_B().tolist(),
     }
@@ -306,20 +362,22 @@ def _geometry_to_json(geometry: Geometry) -> dict[str, Any]:
 
 def _geometry_from_json(content: Mapping[str, Any]) -> Geometry:
     vector = np.array(list(content["parameters"].values()), dtype=np.float64)
-    joints, left = divmod(len(vector) - 9, 5)
-    if left or tuple(content["parameters"]) != parameter_names(joints):
-        raise ValueError("the parameters are not those of a chain")
+    has_probe = PROBE_NAMES[0] in content["parameters"]
+    joints, left = divmod(len(vector) - (12 if has_probe else 9), 5)
     geometry = Geometry(
         base=np.zeros(6),
         rows=np.zeros((joints, 5)),
         tool=np.zeros(3),
         reference_axis="xyz".index(content["base_z_is_tracker_axis"]),
+        probe=np.zeros(3) if has_probe else None,
     )
+    if left or tuple(content["parameters"]) != geometry.names:
+        raise ValueError("the parameters are not those of a chain")
     return geometry.with_vector(vector)
 
 
 def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
-    names = parameter_names(arm.geometry.joints)
+    names = arm.geometry.names
     delta = arm.geometry.vector() - arm.nominal.vector()
     return {
         "geometry": _geometry_to_json(arm.geometry),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,16 +40,25 @@ class PosteriorDraws:
         One for each term of the model, in the order of its names.
     noise_m : float
         Standard deviation of a measured coordinate about the true prediction [m].
+    noise_rad : float, optional
+        The same of each component of a measured orientation [rad]; None where none was measured.
     """
 
     columns: tuple[int, ...]
     geometry: Array
     terms: tuple[Array, ...]
     noise_m: float
+    noise_rad: float | None = None
 
     @classmethod
     def of_covariance(
-        cls, columns: tuple[int, ...], sizes: Sequence[int], covariance: Array, noise_m: float, seed: Sequence[int]
+        cls,
+        columns: tuple[int, ...],
+        sizes: Sequence[int],
+        covariance: Array,
+        noise_m: float,
+        seed: Sequence[int],
+        noise_rad: float | None = None,
     ) -> PosteriorDraws:
         """Draws from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -61,10 +70,16 @@ class PosteriorDraws:
         drawn = (normal @ root.T) * scale
         ends = np.cumsum([len(columns), *sizes])
         parts = np.split(drawn, ends[:-1], axis=1)
-        return cls(columns, parts[0], tuple(parts[1:]), noise_m)
+        return cls(columns, parts[0], tuple(parts[1:]), noise_m, noise_rad)
+
+    def of_columns(self, end: int) -> PosteriorDraws:
+        """The draws of the geometric parameters before ``end``, and of all terms; without noise of orientations."""
+        kept = [place for place, column in enumerate(self.columns) if column < end]
+        columns = tuple(self.columns[place] for place in kept)
+        return replace(self, columns=columns, geometry=self.geometry[:, kept], noise_rad=None)
 
     def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
-        """Deviations (S, n, 3) [m] of the SMR from its prediction, to first order."""
+        """Deviations (S, n, 3) [m] of the SMR from its prediction, to first order; of an orientation [rad]."""
         by_geometry, by_terms = self.displacements_by_part(geometry, terms, context)
         return by_geometry + by_terms
 
@@ -72,7 +87,7 @@ class PosteriorDraws:
         self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext
     ) -> tuple[Array, Array]:
         """Deviations (S, n, 3) [m] of the SMR by the geometric parameters and by the terms: their sum is the whole."""
-        angles = JointAngles.of(context.q)
+        angles = JointAngles.of(context.q, context.conditions.R_M_S)
         _, J = jacobian(geometry, angles, self.columns)
         _, by_joint = joint_jacobian(geometry, angles)
         by_geometry = np.einsum("sk,ckn->snc", self.geometry, J, optimize=True)
@@ -120,6 +135,7 @@ def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
         "geometry": _rounded(posterior.geometry),
         "terms": [_rounded(one) for one in posterior.terms],
         "noise_m": posterior.noise_m,
+        **({} if posterior.noise_rad is None else {"noise_rad": posterior.noise_rad}),
     }
 
 
@@ -127,7 +143,8 @@ def posterior_from_json(content: Mapping[str, Any]) -> PosteriorDraws:
     """Read what ``posterior_to_json`` wrote."""
     geometry = np.array(content["geometry"], dtype=np.float64)
     terms = tuple(np.array(one, dtype=np.float64).reshape(len(geometry), -1) for one in content["terms"])
-    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]))
+    noise_rad = float(content["noise_rad"]) if "noise_rad" in content else None
+    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise_rad)
 
 
 def _rounded(values: Array) -> list[list[float]]:

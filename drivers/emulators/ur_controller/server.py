@@ -185,6 +185,10 @@ class UrControllerServer:
     def _open_control(self, link: Link) -> ControlSession:
         return ControlSession(link.send, lambda line: execute(line, self._arms, self.cell, time.monotonic()))
 
+    def wire(self, name: str, output: int, rises: Callable[[], None]) -> None:
+        """Have ``rises`` called, with ``cell.lock`` held, when a digital output of an arm's controller rises."""
+        self._arms[name].controller.outputs.wired[output] = rises
+
     # -- life --------------------------------------------------------------------------------------------------------
 
     def open(self) -> Addresses:

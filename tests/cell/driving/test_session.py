@@ -17,6 +17,7 @@ from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import missing_share, reference_drifts
+from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.estimation.readings import Reading
 from cellapp.ground.control import Aborted, JobControl, Request, Stopped
 from cellapp.ground.errors import HardwareError, InputError
@@ -120,6 +121,58 @@ def practise(bench: Bench, **settings: Any) -> None:
 
 def complete(bench: Bench) -> bool:
     return bench.run.stops_done() >= set(range(STOPS))
+
+
+# -- stops again ------------------------------------------------------------------------------------------------------
+
+
+def test_stops_are_measured_again_as_planned_and_nothing_else_is_visited(bench: Bench) -> None:
+    bench.collect()
+    before, measured = {name: bench.run.readings(name) for name in bench.run.arms()}, bench.measured
+    bench.shift_M = np.array([1e-3, 0.0, 0.0])
+    result = bench.collect(again=[5, 2])
+    assert (result.replaced, result.outcome) == (4, "complete")
+    assert bench.measured == measured + 4
+    for name, old in before.items():
+        new, earlier = bench.run.readings(name), earlier_readings(bench.run, name)
+        again = np.isin(new.configuration, [2, 5])
+        np.testing.assert_array_equal(new.p_M[~again], old.p_M[~again])
+        np.testing.assert_allclose(new.p_M[again] - old.p_M[again], [bench.shift_M] * 2, atol=3e-4)
+        np.testing.assert_allclose(new.q[again], old.q[again], atol=1e-4)
+        np.testing.assert_array_equal(earlier.readings.p_M, old.p_M[again])
+        assert new.time_s[again].min() > old.time_s.max()
+    assert [one.again for one in bench.run.sessions()] == ["", "3, 6"]
+
+
+def test_stopped_while_it_measures_again_a_stop_keeps_what_it_had(bench: Bench) -> None:
+    bench.collect()
+    old = bench.run.readings("left").p_M
+    bench.shift_M, measured = np.array([1e-3, 0.0, 0.0]), bench.measured
+    bench.before_measuring[measured + 4] = lambda bench: bench.control.ask("stop")
+    with pytest.raises(Stopped):
+        bench.collect(again=[1, 3])
+    moved = np.linalg.norm(bench.run.readings("left").p_M - old, axis=1) > 5e-4
+    assert np.flatnonzero(moved).tolist() == [1], "the second stop was not finished"
+    assert earlier_readings(bench.run, "left").readings.configuration.tolist() == [1]
+    assert complete(bench)
+
+
+@pytest.mark.parametrize(
+    ("stops", "message"),
+    [
+        ([-1], r"there is no stop 0; there are 1 to 11"),
+        ([99], r"there is no stop 100; there are 1 to 11"),
+        ([9], r"stop 10 was not measured yet; 'cellapp collect .* --resume' measures what is left"),
+        ([], "no stop is named"),
+    ],
+)
+def test_what_cannot_be_measured_again_is_said_and_nothing_moves(bench: Bench, stops: list[int], message: str) -> None:
+    bench.collect()
+    measured = bench.measured
+    with pytest.raises(InputError, match=message):
+        bench.collect(again=stops)
+    assert bench.measured == measured
+    assert len(bench.run.sessions()) == 1
 
 
 # -- persons ----------------------------------------------------------------------------------------------------------
@@ -238,6 +291,10 @@ def test_suspensions_are_bounded_and_reserves_take_the_place(bench: Bench) -> No
     assert bench.run.stops_done() == set(range(STOPS + 2)), "two reserves"
     assert missing_share(bench.run, summary.missing) == 0.0
     assert [event.done for event in bench.heard if event.total][-1] == STOPS + 2
+    assert bench.collect(again=[2, 3]).missing == (), "what was covered is seen now"
+    assert bench.run.stops_done() == set(range(STOPS + 2)), "no further reserve"
+    assert earlier_readings(bench.run, "left").replaced == ()
+    assert earlier_readings(bench.run, "right").readings.configuration.tolist() == [2, 3]
 
 
 def test_a_stalled_computer_resumes_only_where_the_profile_allows_it(bench: Bench) -> None:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cellapp.cell.driving import sweeping
-from cellapp.cell.driving.cell import open_cell
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.planned_stops import PlannedStops, straight_stops
 from cellapp.cell.planning.stored_stops import read_planned_stops
@@ -128,12 +126,8 @@ def test_a_person_stops_before_a_sweep(planned: Path, tmp_path: Path, monkeypatc
         assert len(run.stops_done()) == 1
 
 
-def test_a_cell_that_cannot_record_says_so(planned: Path, tmp_path: Path) -> None:
-    notes: list[str] = []
-    with copied(planned, tmp_path) as run, open_cell(run.profile) as cell:
-        sweeps = sweeping.Sweeps(run, replace(cell, record_sweep=None), cell_bodies(run.profile), 1, notes.append)
-        assert sweeps.at_stop(0, {}, lambda: None) == []
-        assert "simulated cells only" in notes[0]
+def test_damaged_sweeps_are_named(planned: Path, tmp_path: Path) -> None:
+    with copied(planned, tmp_path) as run:
         run.write_result(SWEEPS_RESULT, "{")
         with pytest.raises(InputError, match="is damaged"):
             read_sweeps(run)

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from cellapp.cell.planning.stored_stops import read_planned_stops
 from cellapp.cell.run import RunFile
-from cellapp.commands.plan.run import freeze_stops, new_planned_run, replan, stop_numbers
+from cellapp.commands.plan.run import freeze_stops, new_planned_run, replan
+from cellapp.ground.counting import listed_numbers
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.app import app
 from tests.twin import small_twin
@@ -22,14 +23,14 @@ pytestmark = pytest.mark.fast
 
 @given(st.sets(st.integers(0, 999), min_size=1))
 def test_any_set_of_stops_can_be_listed(stops: set[int]) -> None:
-    assert stop_numbers(",".join(map(str, stops))) == tuple(sorted(stops))
-    assert stop_numbers(f" {min(stops)}-{max(stops)} ") == tuple(range(min(stops), max(stops) + 1))
+    assert listed_numbers(",".join(map(str, stops)), "configurations") == tuple(sorted(stops))
+    assert listed_numbers(f" {min(stops)}-{max(stops)} ", "configurations") == tuple(range(min(stops), max(stops) + 1))
 
 
 @pytest.mark.parametrize("text", ["", "1,", "a", "-3", "1-2-3", "1.5", "99999999"])
 def test_what_is_no_list_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="expected configurations such as 0-9,12, or none"):
-        stop_numbers(text)
+        listed_numbers(text, "configurations")
 
 
 def test_a_new_design_leaves_what_is_frozen(tmp_path: Path) -> None:

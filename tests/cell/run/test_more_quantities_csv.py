@@ -44,7 +44,7 @@ def test_every_quantity_comes_back_bit_for_bit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(left.tau_nm, [[10.5, -3.0], [np.nan, np.nan], [11.0, -4.0]])
     with RunFile.create(tmp_path / "run", two_arms()) as run:
         run.add_readings("left", left)
-        stored = run.readings("left")
+        stored = run.rows("left")
         write_readings_csv(run, tmp_path / "out.csv")
     again, _ = read_readings_csv(tmp_path / "out.csv", {"left": 2})
     assert_same(stored, left)

@@ -276,8 +276,9 @@ def test_a_run_of_an_older_schema_has_no_recordings_and_takes_some(tmp_path: Pat
         path = run.path
     with sqlite3.connect(path) as connection:
         older_reading_table(connection, 5)
-        for statement in ("DROP TABLE recording", "DROP TABLE stream", "PRAGMA user_version=5"):
-            connection.execute(statement)
+        for table in ("recording", "stream"):
+            connection.execute(f"DROP TABLE {table}")
+        connection.execute("PRAGMA user_version=5")
     connection.close()
     with RunFile.open(path.parent, write=True) as older:
         assert recording_states(older) == ()

@@ -529,9 +529,9 @@ def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_
     with RunFile.create(folder, profile) as run:
         run.append_stage("calibrate", None, "{}", None)
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
+        older_reading_table(connection, 3)
         for table in ("session", "request", "outcome", "reference", "recording", "stream"):
             connection.execute(f"DROP TABLE {table}")
-        older_reading_table(connection, 3)
         connection.execute("PRAGMA user_version=3")
         connection.commit()
     with RunFile.open(folder) as run:
@@ -581,10 +581,8 @@ def test_a_file_of_the_seventh_schema_takes_several_nests_at_a_stop(profile: Pro
             run.add_stop(2, {"left": replace(reading(2), smr=nest)})
         with pytest.raises(InputError, match="a stop is measured once"):
             run.add_stop(2, {"left": replace(reading(3), smr="A")})
-        run.assign_splits("left", [None, "identify", "train"])
-        left = run.readings("left")
+        left = run.rows("left")
     assert left.smr == (None, "B", "A")
-    assert left.split == (None, "identify", "train")
 
 
 @pytest.mark.fast

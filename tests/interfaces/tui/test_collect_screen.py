@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import re
+import shutil
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 from textual.pilot import Pilot
+from textual.widgets import Static
 
 from cellapp.cell.run import ReferenceRow, RunFile
+from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.plan.run import plan_new_run
 from cellapp.commands.record import Verb
@@ -43,6 +46,7 @@ from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import point_at
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens.collect_state import headline
+from cellapp.interfaces.tui.widgets.arm_panel import residual_line
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
@@ -184,11 +188,25 @@ async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int])
             assert widget.size.height > 0, name
             assert app.screen.region.contains_region(widget.region), name
         assert app.screen.query_one(LogView).size.height >= 5
+        assert ("residuals left ▁" in text) == (size == SMALL), "where no plot is shown"
         await see_plots(pilot, app)
         while not app.screen.has_class("log"):
             await pilot.press("t")
         assert app.focused is app.screen.query_one(LogView)
         await finished(pilot, app, held)
+
+
+@pytest.mark.parametrize("count", [1, 3, 90])
+def test_the_newest_residuals_fit_into_a_line(count: int) -> None:
+    stops = {
+        name: [StopReport(stop, name, size * (1 + stop % 7), 1.0, {}) for stop in range(count)]
+        for name, size in (("left", 0.1), ("right", 0.0))
+    }
+    line = residual_line(stops, SMALL[0])
+    assert len(line) <= SMALL[0]
+    assert line.startswith("residuals left ")
+    assert f"█ {0.1 * min(count, 7):.3f} mm  right ▁" in line
+    assert residual_line({"left": []}, SMALL[0]) == ""
 
 
 async def see_plots(pilot: Pilot[None], app: CellApp) -> None:
@@ -431,12 +449,20 @@ async def test_a_job_that_holds_for_a_drift_is_resumed_by_accepting_it() -> None
         await finished(pilot, app, held)
 
 
+async def show_tables(pilot: Pilot[None], app: CellApp, run: Path) -> None:
+    """What a run stores; it opens on the stops one by one."""
+    await show_collect(pilot, app, run)
+    await until(pilot, lambda: app.screen.has_class("stops"), "the stops")
+    await pilot.press("t")
+    await until(pilot, lambda: "Sessions of collecting" in shown_text(app), "the tables")
+
+
 async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> None:
     run = drifted_run(Path("logs/part"), 0.0)
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
-        await show_collect(pilot, app, run)
-        await until(pilot, lambda: "Sessions of collecting" in shown_text(app), "the tables")
+        await show_tables(pilot, app, run)
+        assert "Sessions of collecting" in shown_text(app)
         assert "failed" in shown_text(app)
         await pilot.press("t")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log")
@@ -457,8 +483,8 @@ async def test_missing_readings_are_listed_with_their_reasons() -> None:
     run = collected_run(Path("logs/part"), "stopped")
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
-        await show_collect(pilot, app, run)
-        await until(pilot, lambda: "Missing readings: 4" in shown_text(app), "the tables")
+        await show_tables(pilot, app, run)
+        assert "Missing readings: 4" in shown_text(app)
         assert "the session ended before" in shown_text(app)
 
 
@@ -576,6 +602,44 @@ async def test_a_click_on_a_residual_puts_the_cursor_on_its_stop(measured_run: P
         assert stops.chosen is not None
         assert stops.chosen.arm == "right"
         assert stops_of(app)[stops.table.cursor_row][:2] == ("12", "right")
+
+
+async def test_marked_stops_are_measured_again_after_a_question(measured_run: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(measured_run, tmp_path / "again"))
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(120, 40)) as pilot:
+        await show_stops(pilot, app, run)
+        await pilot.press("s", "s", "f", "space")  # the gross error alone
+        assert stops_of(app)[0][0] == "* 12"
+        assert "1 stop is marked: r measures again." in " ".join(shown_text(app).split())
+        await pilot.press("r")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        assert isinstance(app.screen, Choice)
+        asked = "Measure 1 stop again, all arms: 12. The readings before are kept and not used"
+        assert asked in str(app.screen.query_one(".text", Static).content)
+        await pilot.press("n")
+        assert not app.jobs.running
+        await pilot.press("r", "b")
+        await until(pilot, lambda: app.record.name == "collect again", "the job")
+        await ended(pilot, app)
+        stops = app.day_screen.query_one(CollectedStops)
+        await until(pilot, lambda: not stops.table.row_count, "the stops as they are now, none suspicious")
+        await pilot.press("f")
+        rows = [row for row in stops_of(app) if row[0] == "12"]
+        assert [row[5] for row in rows] == ["again", "again"]
+    with RunFile.open(run) as opened:
+        assert [one.again for one in opened.sessions()] == ["", "12"]
+        assert earlier_readings(opened, "right").readings.configuration.tolist() == [11]
+
+
+async def test_without_a_mark_the_stop_under_the_cursor_is_proposed(measured_run: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_stops(pilot, app, measured_run)
+        await pilot.press("down", "down", "space", "space", "r")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
+        assert isinstance(app.screen, Choice)
+        assert "all arms: 2." in str(app.screen.query_one(".text", Static).content)
 
 
 async def test_without_a_collection_the_stops_say_why() -> None:

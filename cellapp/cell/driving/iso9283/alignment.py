@@ -7,15 +7,17 @@ the published geometry has wrong remains in the residuals; they give the covaria
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cellapp.cell.safety.gate import CellBodies
 from cellapp.cell.targets.choice import admissible_configurations
 from cellapp.estimation.calibration.identification import identify, start_from_nominal
 from cellapp.estimation.calibration.parameters import ParameterSet
+from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -24,6 +26,7 @@ from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, para
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import nominal_arm
+from drivers.trackers.protocol import Point
 
 ALIGNMENT_POSITIONS = 20
 """Sixty coordinates for nine parameters."""
@@ -103,9 +106,19 @@ def alignment_configurations(
     return np.asarray(liked[chosen])
 
 
-def align(profile: Profile, name: str, q: Array, p_M: Array) -> Alignment:
+def align_points(profile: Profile, name: str, q: Array, points: Sequence[Point]) -> Alignment:
+    """``align`` to measured points, with the orientations of a probe where all have them."""
+    quaternions = [one.quaternion_M for one in points if one.quaternion_M is not None]
+    R_M_S = None
+    if quaternions and len(quaternions) == len(points):
+        R_M_S = Rotation.from_quat(np.roll(np.array(quaternions), -1, axis=1)).as_matrix()
+    return align(profile, name, q, np.array([one.p_M for one in points]).reshape(-1, 3), R_M_S)
+
+
+def align(profile: Profile, name: str, q: Array, p_M: Array, R_M_S: Array | None = None) -> Alignment:
     """Fit base and SMR offset of an arm to positions ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad].
 
+    The rotation of a probe on the flange is the mean of its orientations ``R_M_S`` (n, 3, 3) against the fit.
     Raises ``InputError`` for fewer than six positions.
     """
     if len(q) < FEWEST_POSITIONS:
@@ -117,6 +130,7 @@ def align(profile: Profile, name: str, q: Array, p_M: Array) -> Alignment:
     start = start_from_nominal(nominal_arm(arm), q, p_M, tool_unknown=arm.smr.offset == "unknown")
     columns = base_and_tool(start.joints)
     found = identify(start, q, p_M, parameter_set=ParameterSet("base and SMR", start.joints, columns))
-    model = replace(nominal_model(profile, name), geometry=found.geometry, nominal=found.geometry)
+    geometry = with_probe(found.geometry, q, R_M_S)
+    model = replace(nominal_model(profile, name), geometry=geometry, nominal=geometry)
     rms_m = float(np.sqrt(np.mean(np.sum(found.residuals**2, axis=1))))
     return Alignment(model, columns, found.estimated_covariance, rms_m, len(q))

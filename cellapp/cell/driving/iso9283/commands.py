@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from cellapp.cell.targets.working_conditions import beside
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.places import ArmProgramme
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import Array, apply
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector
 from cellapp.robot.model import CellModel
 
 
@@ -60,7 +61,16 @@ def arm_programme(
         position_M=dict(zip(names, wanted_M, strict=True)),
         frame=dict(zip(names, frame, strict=True)),
         q=sent,
+        rotation_M=_wanted_orientations(arm.nominal if commands == "nominal" else arm.geometry, cube, names),
     )
+
+
+def _wanted_orientations(geometry: Geometry, cube: ChosenCube, names: Sequence[str]) -> dict[str, Array]:
+    """How the probe should be turned at each position (3, 3): the same at all; empty without a probe."""
+    if geometry.probe is None:
+        return {}
+    R_M_S = geometry.T_M_B()[:3, :3] @ cube.rotation_B @ rotation_from_vector(geometry.probe)
+    return dict.fromkeys(names, R_M_S)
 
 
 def _conditions(

@@ -13,7 +13,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.driving_targets import Driver
-from cellapp.cell.driving.iso9283.alignment import align, alignment_configurations, published_cell
+from cellapp.cell.driving.iso9283.alignment import align_points, alignment_configurations, published_cell
 from cellapp.cell.driving.iso9283.chosen_cube import choose_cube, same_cube
 from cellapp.cell.driving.iso9283.commands import arm_programme
 from cellapp.cell.driving.iso9283.findings import IsoFindings
@@ -176,12 +176,12 @@ class _Session:
                 self._hold()
                 try:
                     state = self._drive({name: target})[name]
-                    points.append(self._at_rest(name, state.q).p_M)
+                    points.append(self._at_rest(name, state.q))
                     reached.append(state.q)
                 except (MotionRefused, TrackerError) as error:
                     _raise_if_not_ready(error)
                     self.findings.notes.append(f"arm {name}: a position to find its base: {error}")
-            self.findings.alignments[name] = align(profile, name, np.array(reached), np.array(points))
+            self.findings.alignments[name] = align_points(profile, name, np.array(reached), points)
             self.mover.go_home([name])
         return published_cell(profile, self.findings.alignments)
 
@@ -438,6 +438,7 @@ class _Session:
                 time_s=first.time_s,
                 temperature_c=first.temperature_c,
                 group=group,
+                turned={name: its for name, point in points.items() if (its := point.orientation) is not None},
             )
         )
 

@@ -17,7 +17,7 @@ from cellapp.estimation.design.discrimination import Discrimination
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, refit
 from cellapp.estimation.discovery.outcome import Discovery
-from cellapp.estimation.discovery.terms import ModelTerm, Smoothness
+from cellapp.estimation.discovery.terms import Excess, ModelTerm, Smoothness
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.transforms import Array
 
@@ -120,5 +120,5 @@ def refitted_discovery(data: ArmData, discovery: Discovery) -> tuple[ArmData, Jo
 
 def _model_term(term: EffectTerm, scatter_m: float) -> ModelTerm:
     """An accepted term, without free part, as a term under test; ``scatter_m`` goes with the priors of smooth terms."""
-    smooth = Smoothness(0.0, 0, scatter_m) if term.law.form.is_smooth else None
+    smooth = Smoothness(0.0, 0, Excess(scatter_m)) if term.law.form.is_smooth else None
     return ModelTerm(term.slug, term.law, term.law_names, smooth, note=term.note)

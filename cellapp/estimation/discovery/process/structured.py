@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, mean_variance, uncertainty_with_scatter
@@ -27,7 +29,8 @@ from cellapp.estimation.discovery.process.evidence import (
     losses,
     most_evident,
 )
-from cellapp.estimation.discovery.terms import ModelTerm, ModelTerms, Smoothness
+from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, Smoothness
+from cellapp.robot.kinematics.transforms import Array
 
 LEAST_READINGS = 40
 """Readings from which a process is tried: 120 coordinates for some 20 hyperparameters beside 30 of geometry."""
@@ -37,6 +40,8 @@ _NEXT_EVALUATIONS = 12
 """Evaluations after a change of weights or components, from the values found before."""
 _LEAST_SIGNAL = 0.03
 """An amplitude whose signal is below this share of the noise (rms) is removed at once."""
+_SMALLEST = 1e-300
+"""Guards the precision of columns without any variance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +128,8 @@ def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
     )
 
 
-def fit_process(data: ArmData, fit: JointFit, needed: float) -> tuple[StructuredProcess, float] | None:
-    """The process that the residuals of a fit need, and the scatter beyond the stated uncertainty [m]; None for none.
+def fit_process(data: ArmData, fit: JointFit, needed: float) -> tuple[StructuredProcess, Excess] | None:
+    """The process that the residuals of a fit need, and the scatter beyond the stated uncertainty; None for none.
 
     ``needed`` is the gain of the score from which a component stays.
     """
@@ -136,14 +141,55 @@ def fit_process(data: ArmData, fit: JointFit, needed: float) -> tuple[Structured
     screened = StructuredProcess.fitted(fit, [one.coarse() for one in candidates], None, _FIRST_EVALUATIONS)
     if not screened.components:
         return None
-    scatter_m = _scatter(data, screened.values.noise)
-    weighed = replace(data, sigma=uncertainty_with_scatter(data, scatter_m))
-    fit = fit_terms(weighed, fit.terms)
-    chosen = [replace(one, rows=fit.displacements(one.columns)) for one in _whole(candidates, screened.components)]
-    process = StructuredProcess.fitted(fit, chosen, replace(screened.values, noise=1.0), _NEXT_EVALUATIONS)
-    scatter_m = _scatter(weighed, process.values.noise)
+    weighed = _weighed(data, fit, screened)
+    process = _fitted_anew(weighed, fit, _whole(candidates, screened.components), screened)
+    if data.turned is not None:  # what few waves leave weighs positions and orientations badly
+        weighed = _weighed(weighed, fit_terms(weighed, fit.terms), process)
+        process = _fitted_anew(weighed, fit, process.components, process)
+    scatter = _scatter(weighed, process.values.noise)
     process = needed_components(process, needed)
-    return (process, scatter_m) if process.components else None
+    return (process, scatter) if process.components else None
+
+
+def _fitted_anew(
+    data: ArmData, fit: JointFit, chosen: Sequence[Component], before: StructuredProcess
+) -> StructuredProcess:
+    """A process of some components after a change of weights, from the hyperparameters found ``before``."""
+    fit = fit_terms(data, fit.terms)
+    here = [replace(one, rows=fit.displacements(one.columns)) for one in chosen]
+    return StructuredProcess.fitted(fit, here, replace(before.values, noise=1.0), _NEXT_EVALUATIONS)
+
+
+def _weighed(data: ArmData, fit: JointFit, process: StructuredProcess) -> ArmData:
+    """The data with weights that include the scatter that a process leaves, beside the fit that it was fitted to."""
+    scatter = _scatter(data, process.values.noise)
+    if data.turned is not None:
+        of_points, of_turns = noise_of_kinds(fit, process, data.turned)
+        scatter = Excess(_scatter(data, of_points).m, _scatter(data, of_turns).rad)
+    return replace(data, sigma=uncertainty_with_scatter(data, scatter))
+
+
+def noise_of_kinds(fit: JointFit, process: StructuredProcess, turned: NDArray[np.bool_]) -> tuple[float, float]:
+    """Variance of positions, and of orientations ``turned`` (n,), about a process, over that of the weights.
+
+    What each kind leaves, over its coordinates less the parameters that it determines (MacKay, Neural Comput. 4 (1992)
+    415): at the maximum of the evidence that is its noise.
+    """
+    rows = np.concatenate([one.rows for one in process.components])
+    noise, projector = process.values.noise, fit.projector
+    projected = projector.project(rows)
+    A = process.gram.gram / noise + np.diag(1.0 / np.maximum(process.values.variances(process.components), _SMALLEST))
+    lower = cholesky(A, lower=True, check_finite=False)
+    half = solve_triangular(lower, projected, lower=True, check_finite=False, overwrite_b=True) / math.sqrt(noise)
+    behind = fit.projected_residual.projected
+    left = behind - (half @ behind) @ half
+    determined = np.sum(half**2, axis=0) + np.sum(projector.basis**2, axis=1)
+    found = []
+    for kind in (~turned, turned):
+        of_kind = np.tile(kind, 3)
+        freedom = max(np.count_nonzero(of_kind) - float(determined[of_kind].sum()), 1.0)
+        found.append(float(left[of_kind] @ left[of_kind]) / freedom)
+    return found[0], found[1]
 
 
 def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> list[Component]:
@@ -179,7 +225,7 @@ def needed_components(process: StructuredProcess, needed: float) -> StructuredPr
     return process
 
 
-def process_terms(process: StructuredProcess, scatter_m: float) -> ModelTerms:
+def process_terms(process: StructuredProcess, scatter: Excess) -> ModelTerms:
     """The components as smooth terms of a model, with the columns whose prior matters."""
     terms, first = [], 0
     variances = process.values.variances(process.components)
@@ -190,12 +236,21 @@ def process_terms(process: StructuredProcess, scatter_m: float) -> ModelTerms:
         first += len(one.columns)
         names = tuple(one.columns[k].name for k in np.flatnonzero(here > NEGLIGIBLE_COLUMN))
         law = one.law(process.values.amplitudes[number], process.values.lengths[number])
-        terms.append(ModelTerm(one.slug, law, names, Smoothness(gains[number], one.hyperparameters, scatter_m)))
+        terms.append(ModelTerm(one.slug, law, names, Smoothness(gains[number], one.hyperparameters, scatter)))
     return tuple(terms)
 
 
-def _scatter(data: ArmData, noise: float) -> float:
-    """Standard deviation of a coordinate [m] beyond the stated uncertainty, from the noise over that of the weights."""
-    total = noise * mean_variance(data.sigma)
-    stated = 0.0 if data.stated is None else mean_variance(data.stated)
-    return math.sqrt(max(total - stated, 0.0))
+def _scatter(data: ArmData, noise: float) -> Excess:
+    """Standard deviations beyond the stated uncertainty, from the noise over that of the weights."""
+    if data.turned is None:
+        return Excess(_beyond(noise, data.sigma, data.stated))
+    kinds = (
+        (data.sigma[rows], None if data.stated is None else data.stated[rows]) for rows in (~data.turned, data.turned)
+    )
+    return Excess(*(_beyond(noise, *kind) for kind in kinds))
+
+
+def _beyond(noise: float, sigma: Array, stated: Array | None) -> float:
+    """Standard deviation beyond the stated one, of readings with weights from ``sigma``."""
+    total = noise * mean_variance(sigma)
+    return math.sqrt(max(total - (0.0 if stated is None else mean_variance(stated)), 0.0))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc
 
+from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.search.scan import choice_price
@@ -34,8 +35,15 @@ def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
     """Scatter that a model leaves; None where the readings state no uncertainty."""
     if data.stated is None:
         return None
-    total = float(np.sum(np.einsum("acn,nc->an", whitening(data.stated), fit.identification.residuals) ** 2))
-    freedom = max(3.0 * len(data) - fit.projector.effective_parameters, 1.0)
+    squares = np.sum(np.einsum("acn,nc->an", whitening(data.stated), fit.identification.residuals) ** 2, axis=0)
+    total, freedom = float(squares.sum()), 3.0 * len(data) - fit.projector.effective_parameters
+    for kind in () if data.turned is None else (data.turned, ~data.turned):
+        if states_nothing(data.stated[kind]):
+            total -= float(squares[kind].sum())
+            freedom -= 3.0 * np.count_nonzero(kind) - float(np.sum(fit.projector.basis[np.tile(kind, 3)] ** 2))
+    if total <= 0.0:
+        return None
+    freedom = max(freedom, 1.0)
     return Scatter(math.sqrt(total / freedom), float(chdtrc(freedom, total)))
 
 

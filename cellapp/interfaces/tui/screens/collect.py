@@ -42,7 +42,7 @@ from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.collect_state import Headline, headline
-from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
+from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel, residual_line
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view_pane import LogPane
 from cellapp.interfaces.tui.widgets.log_view_rows import as_text
@@ -85,6 +85,8 @@ and what you can do now. **{go}** begins, or goes on with what is left; real arm
 - **{tab}** goes from the log to the plots, the stops and the tables of what is stored; **{plots}** shows the plots.
 - Stops one by one: **{sort}** sorts by the next column, **{filter}** shows only suspicious ones. The plot marks the
   residual of the row under the cursor; **{before}** and **{after}** go to another stop, there and in the plots.
+- **{mark}** marks a stop, **{again}** measures the marked ones again, all arms, as they were planned. What was measured
+  before is kept and not used; a calibration is out of date then.
 
 Log: up and down choose a line, with Shift more; **End** follows the newest line.
 """
@@ -92,6 +94,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Begin", "measure the stops that are left: THE ARMS MOVE"),
         bind("drift", "accept_drift", "Accept drift", "count drift from new first measurements, and resume"),
+        bind("again", "measure_again", "Measure again", "visit the marked stops again: THE ARMS MOVE", show=False),
         bind("plots", "view('plots')", "Plots", "show the plots; again: the next one"),
         bind("tab", "next_tab", "Next tab", "from the log to the plots, the stops, the tables"),
         bind("search", "search", "Search", "search in the log"),
@@ -114,6 +117,10 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
     CollectScreen #suspicions.any { display: block; }
+    CollectScreen #residual-line { height: 1; padding: 0; display: none; }
+    CollectScreen.measured #residual-line { display: block; }
+    CollectScreen.measured.-wide #residual-line, CollectScreen.measured.plots #residual-line,
+    CollectScreen.measured.-tall #residual-line { display: none; }
     CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
     CollectScreen #log, CollectScreen #stops, CollectScreen #collected { height: 4fr; display: none; }
     CollectScreen.-low.-narrow #plots ChartPlot, CollectScreen.-low.-medium #plots ChartPlot { display: none; }
@@ -124,6 +131,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1;
     }
     CollectScreen.-wide #plots ChartPlot { display: block; }
+    CollectScreen.-wide #plots ChartPlot.empty { display: none; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
     CollectScreen.stops #stops { display: block; }
     CollectScreen.-wide.plots #plots { width: 65%; }
@@ -149,6 +157,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         yield Horizontal(id="arms")
         yield TrackerPanel()
         yield ProgressBars()
+        yield Static("", id="residual-line", markup=False)
         yield Static("", id="suspicions", markup=False)
         with Container(id="plots"):
             for name in _PLOTS:
@@ -177,7 +186,9 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         idle, state = not self.cell_app.jobs.running, self.state
         free = idle and state.left > 0 and not (state.in_use or state.read_only or state.no_run)
         drift = free and state.drift if idle else holds_for_drift(self.cell_app.record)
-        return {"begin": free, "accept_drift": drift}.get(action, True)
+        again = idle and not (state.in_use or state.read_only or state.no_run)
+        again = again and self.has_class("stops") and bool(self.query_one(CollectedStops).again)
+        return {"begin": free, "accept_drift": drift, "measure_again": again}.get(action, True)
 
     def action_begin(self) -> None:
         """Collect the planned run that is open, or what an interrupted one lacks."""
@@ -195,13 +206,22 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         what = f"{counted(self.state.left, 'stop')}; drift of the references counts from new first measurements"
         self._collect("Accept the drift and resume?", what, resume=True, accept_drift=True)
 
-    def _collect(self, title: str, what: str, *, resume: bool, accept_drift: bool = False) -> None:
+    def action_measure_again(self) -> None:
+        """Measure the marked stops again, or the one under the cursor."""
+        stops = self.query_one(CollectedStops).again
+        listed = ", ".join(str(stop + 1) for stop in stops)
+        what = f"{counted(len(stops), 'stop')} again, all arms: {listed}. The readings before are kept and not used"
+        if self.state.stored == "calibrated":
+            what += "; what was calibrated with them is out of date then"
+        self._collect("Measure again?", what, again=listed.replace(" ", ""))
+
+    def _collect(self, title: str, what: str, **asked: bool | str) -> None:
         """Ask, then start. Real arms ask themselves, with the first path, before they move."""
         folder, kind = self.workspace.folder, self.workspace.kind
         if folder is None:
             return
-        job = jobs.job_of(COLLECT, folder=folder, resume=resume, accept_drift=accept_drift)
-        if kind == "real" and not accept_drift:
+        job = jobs.job_of(COLLECT, folder=folder, **asked)
+        if kind == "real" and not {"accept_drift", "again"} & asked.keys():
             self.start(job)
             return
         moves = arms_words(self.workspace) + (", after one more question" if kind == "real" else "")
@@ -316,7 +336,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             self.query_one(CollectedStops).show(state)
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
-            self.action_view("log" if workspace.collection is None else "collected")
+            self.action_view("log" if workspace.collection is None else "stops")
             if workspace.folder is not None:
                 self._read_log(workspace.folder)
 
@@ -339,12 +359,15 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.query_one(TrackerPanel).tracker = record.tracker
         self.query_one(ProgressBars).parts = parts_of(record)
         self._draw_suspicions(record)
+        line = residual_line(record.stops, self.size.width)
+        self.query_one("#residual-line", Static).update(line)
+        self.set_class(bool(line), "measured")
         self._draw_plots(record)
 
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
         """A job was begun: its log is what people look at."""
         self.query_one(LogPane).show_session(record)
-        if self.has_class("collected"):
+        if self.has_class("collected") or self.has_class("stops"):
             self.action_view("log")
         self._job = job
         self._opened = job.folder or self._opened  # what it stores is heard already
@@ -403,8 +426,10 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
                 self._plot_waits = True
                 self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
                 break
-        empty = all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot))
-        self.set_class(empty, "unplotted")
+        empty = {plot: plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot)}
+        for plot, nothing in empty.items():
+            plot.set_class(nothing, "empty")
+        self.set_class(all(empty.values()), "unplotted")
 
     @on(CollectedStops.Chosen)
     def mark_chosen(self) -> None:

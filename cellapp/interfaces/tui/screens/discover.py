@@ -100,7 +100,9 @@ The handbook explains each effect.
     def action_propose(self) -> None:
         """Search, then plan further stops."""
         if folder := self.open_folder():
-            self.start(work.job_of(request.VERB, folder=folder, propose=_PROPOSED))
+            job = work.job_of(request.VERB, folder=folder, propose=_PROPOSED)
+            title = "Search again, then propose stops?"
+            offer_again(self, title, self._result, DISCOVER, partial(self.start, job))
 
     def action_collect(self) -> None:
         """Ask, then measure what is planned and not measured yet."""

@@ -156,7 +156,7 @@ class PlanScreen(PlanEdits):
         """Ask for the folder, then make a new run."""
         profile, path = self.workspace.file_profile, self.workspace.profile_path
         if profile is None or path is None:
-            self.say(self.state.no_run, "warning")
+            self.say(self.state.no_profile, "warning")
             return
         if self.cell_app.jobs.running:
             self.say("A job is running; plan when it has ended.", "warning")
@@ -176,7 +176,7 @@ class PlanScreen(PlanEdits):
     def action_view(self) -> None:
         """Look at what the tracker sees."""
         if self.workspace.file_profile is None or self.workspace.profile_path is None:
-            self.say(self.state.no_run, "warning")
+            self.say(self.state.no_profile, "warning")
             return
         self.start(verbs.job_of(PLAN, profile=self.workspace.profile_path, view=True))
 

@@ -31,6 +31,7 @@ class CollectedStops(Vertical):
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("sort", "sort", "Sort", "sort by the next column"),
         bind("filter", "filter", "Only suspicious", "show only stops with a suspicion; again: all"),
+        bind("mark", "mark", "Mark", "mark the stop, both arms: {again} measures marked stops again".format_map(SHOWN)),
         bind("copy", "copy", "Copy", "copy the stops that are shown as Markdown", show=False),
         bind("save", "save", "Save", "save the stops that are shown as a Markdown file", show=False),
     ]
@@ -48,6 +49,8 @@ class CollectedStops(Vertical):
         self._shown: list[CollectedStop] = []
         self._range, self._empty = "", ""
         self._sorted, self._only_suspicious = "stop", False
+        self._run = ""
+        self._marked: dict[int, int] = {}  # stop -> how many of its readings were replaced when it was marked
         self.chosen: CollectedStop | None = None
 
     def compose(self) -> ComposeResult:
@@ -64,6 +67,12 @@ class CollectedStops(Vertical):
         return self.query_one(TextTable)
 
     @property
+    def again(self) -> list[int]:
+        """The stops that are marked, else that under the cursor."""
+        under_cursor = [] if self.chosen is None else [self.chosen.stop]
+        return sorted(self._marked) or under_cursor
+
+    @property
     def shown(self) -> Table:
         """The table as it is sorted and filtered."""
         return stops_table(self._shown)
@@ -76,6 +85,9 @@ class CollectedStops(Vertical):
         self._stops, self._range = stops, "" if state is None else residual_range_words(state)
         if self.chosen not in stops:
             self.chosen = None
+        run = "" if state is None else state.run
+        self._marked = {stop: n for stop, n in self._marked.items() if run == self._run and n == self._replaced(stop)}
+        self._run = run
         self._draw()
 
     def say_empty(self, sentence: str) -> None:
@@ -126,6 +138,16 @@ class CollectedStops(Vertical):
             self.chosen = chosen
             self.post_message(self.Chosen())
 
+    def _replaced(self, stop: int) -> int:
+        """How many readings of a stop were replaced: more once it is measured again."""
+        return sum(one.again for one in self._stops if one.stop == stop)
+
+    def action_mark(self) -> None:
+        """Mark the stop under the cursor, or take its mark away."""
+        if self.chosen is not None and self._marked.pop(self.chosen.stop, None) is None:
+            self._marked[self.chosen.stop] = self._replaced(self.chosen.stop)
+        self._draw()
+
     def action_copy(self) -> None:
         """Copy the stops that are shown."""
         self.app.copy_to_clipboard(markdown((self.shown,), (self._range,)))
@@ -157,7 +179,12 @@ class CollectedStops(Vertical):
             table.add_column(Text(f"{column.heading}{mark}", justify=side), key=column.title)
         for row in order:
             name = f"{kept[row].stop} {kept[row].arm}"
-            table.add_row(*(Text(text, justify=side) for text, side in zip(texts[row], sides, strict=True)), key=name)
+            style = "reverse" if kept[row].stop in self._marked else ""
+            mark = "* " if style else ""
+            cells_of_row = (mark + texts[row][0], *texts[row][1:])
+            table.add_row(
+                *(Text(text, style, justify=side) for text, side in zip(cells_of_row, sides, strict=True)), key=name
+            )
         if chosen in self._shown:
             table.move_cursor(row=self._shown.index(chosen))
         self._say()
@@ -167,7 +194,9 @@ class CollectedStops(Vertical):
         words = self._empty
         if self._stops:
             count = f"{len(self._shown)} of {len(self._stops)}, suspicious only" if self._only_suspicious else ""
-            words = " ".join(filter(None, (self._range, count and f"Shown: {count} ({SHOWN['filter']}: all).")))
+            shown = count and f"Shown: {count} ({SHOWN['filter']}: all)."
+            marked = f"{counted(len(self._marked), 'stop is', 'stops are')} marked: {SHOWN['again']} measures again."
+            words = " ".join(filter(None, (self._range, shown, marked if self._marked else "")))
         self.query_one(Static).update(words)
 
 

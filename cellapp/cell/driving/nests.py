@@ -1,0 +1,99 @@
+"""Further SMRs on a flange: which of them the tracker sees at a stop, and the cheapest order to measure them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.safety.gate import CellBodies, predicted_smr, visible
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
+
+_MOST_IN_ALL_ORDERS = 6
+"""Nests whose orders are all compared; more are taken as the profile names them."""
+
+
+@dataclass(frozen=True)
+class Nests:
+    """The nests of each arm whose offset is known, as cells in which the arm's SMR is in that nest.
+
+    Attributes
+    ----------
+    names : mapping
+        Arm -> name of its SMR, of arms with nests.
+    cell : CellBodies
+        With each arm's SMR where the profile has it.
+    cells : mapping
+        Arm -> nest -> cell.
+    """
+
+    names: Mapping[str, str]
+    cell: CellBodies
+    cells: Mapping[str, Mapping[str, CellBodies]]
+
+    @classmethod
+    def of(cls, profile: Profile, cell: CellBodies) -> Nests:
+        """The nests of a profile; those of unknown offset cannot be pointed at and are left out."""
+        names, cells = {}, {}
+        for name, arm in profile.arms.items():
+            if not arm.smr.nests:
+                continue
+            names[name] = arm.smr.name
+            cells[name] = {
+                nest: _with_smr_at(cell, name, np.array(its.offset))
+                for nest, its in arm.smr.nests.items()
+                if its.offset != "unknown"
+            }
+        return cls(names, cell, cells)
+
+    def seen(self, name: str, q: Mapping[str, Array]) -> dict[str, NDArray[np.bool_]]:
+        """Whether the tracker sees each nest of an arm at n stops of all arms, arm -> (n, N) [rad]."""
+        others = {other: rows for other, rows in q.items() if other != name}
+        return {nest: visible(cell, name, q[name], others) for nest, cell in self.cells.get(name, {}).items()}
+
+    def in_order(self, name: str, q: Mapping[str, Array]) -> list[tuple[str, Array]]:
+        """The nests of an arm that the tracker sees at one stop, arm -> (N,) [rad], and where it expects them (3,) [m].
+
+        In the order in which the beam has the shortest way from the arm's SMR, which is measured first.
+        """
+        at = {other: rows[None] for other, rows in q.items()}
+        seen = [nest for nest, visible_there in self.seen(name, at).items() if visible_there[0]]
+        places = {nest: predicted_smr(self.cells[name][nest], name, at[name])[0] for nest in seen}
+        if not seen or len(seen) > _MOST_IN_ALL_ORDERS:
+            return list(places.items())
+        start = predicted_smr(self.cell, name, at[name])[0]
+        order = min(permutations(seen), key=lambda one: _way(start, [places[nest] for nest in one]))
+        return [(nest, places[nest]) for nest in order]
+
+    def notes(self, q: Mapping[str, Array]) -> list[str]:
+        """At how many of n stops, arm -> (n, N) [rad], the tracker sees how many nests."""
+        found = []
+        for name, own in self.names.items():
+            seen = self.seen(name, q)
+            if not seen:
+                found.append(f"arm {name}: no offset of a further nest is known; none can be measured, only imported")
+                continue
+            n = len(q[name])
+            together = int(np.count_nonzero(np.sum(list(seen.values()), axis=0) >= 2))
+            each = ", ".join(f"{nest} at {int(np.count_nonzero(rows))}" for nest, rows in seen.items())
+            found.append(
+                f"arm {name}: beside nest {own} the tracker sees {each} of {n} stops; orientation follows at {together}"
+            )
+        return found
+
+
+def _with_smr_at(cell: CellBodies, name: str, offset_F: Array) -> CellBodies:
+    arm = cell.arms[name]
+    moved = replace(arm, geometry=replace(arm.geometry, tool=offset_F))
+    return replace(cell, arms={**cell.arms, name: moved})
+
+
+def _way(start: Array, places: list[Array]) -> float:
+    """Angle that the beam turns through from a point (3,) to others in turn [rad]."""
+    beams = np.array([start, *places])
+    beams = beams / np.linalg.norm(beams, axis=1, keepdims=True)
+    return float(np.arccos(np.clip(np.sum(beams[1:] * beams[:-1], axis=1), -1.0, 1.0)).sum())

@@ -1,0 +1,1 @@
+"""Methods of the benchmark: one file and one line in ``registry`` each, or a plug-in."""

@@ -1,0 +1,44 @@
+"""The list of methods: a new one is one file and one line here, or a plug-in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import cast
+
+from cellapp.commands.trials.benchmark.methods.forward_selection import forward_bic
+from cellapp.commands.trials.benchmark.methods.gaussian_process import gaussian_process
+from cellapp.commands.trials.benchmark.methods.geometry import geometry
+from cellapp.commands.trials.benchmark.methods.neural_network import neural_network
+from cellapp.commands.trials.benchmark.methods.relevance import ard
+from cellapp.commands.trials.benchmark.methods.search_of_effects import search_of_effects
+from cellapp.commands.trials.benchmark.methods.sparse_regression import sparse_regression
+from cellapp.commands.trials.benchmark.methods.symbolic_regression import symbolic_regression
+from cellapp.commands.trials.benchmark.problem import Method
+from drivers.plugins import Registry
+
+
+def _method(name: str, found: object) -> Method:
+    """The method of a plug-in. Raises ``ValueError`` if it cannot be called."""
+    if not callable(found):
+        raise ValueError(f"expected a function of a Problem that returns an Answer, got {found!r}")
+    return cast(Method, found)
+
+
+NEEDED: Mapping[str, str] = {
+    "sparse-regression": "pysindy",
+    "symbolic-regression": "gplearn",
+    "gaussian-process": "sklearn",
+    "neural-network": "torch",
+}
+"""Package that a built-in method needs beyond those of cellapp; ``cellapp[benchmark]`` has them all."""
+_BUILT_IN: Mapping[str, Method] = {
+    "cellapp": search_of_effects,
+    "geometry": geometry,
+    "forward-bic": forward_bic,
+    "ard": ard,
+    "sparse-regression": sparse_regression,
+    "symbolic-regression": symbolic_regression,
+    "gaussian-process": gaussian_process,
+    "neural-network": neural_network,
+}
+METHODS: Registry[Method] = Registry("cellapp.trials.methods", "method of the benchmark", _BUILT_IN, _method)

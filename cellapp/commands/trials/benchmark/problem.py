@@ -1,0 +1,147 @@
+"""A problem of the benchmark, what a method answers, and the projection to joints that methods without a library need.
+
+A method is a function from a ``Problem`` to an ``Answer``. It sees how an arm is built, what was measured at some stops
+and under which conditions, and the conditions of further stops. It names the effects that are missing, each with a
+probability, and predicts where the SMR was at the further stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from cellapp.commands.trials.visible_size import registered_model
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import EffectContext, MeasurementConditions
+from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One arm from which something is hidden, or nothing.
+
+    Attributes
+    ----------
+    name : str
+        The same for the same problem: ``single/run-0003/left``.
+    profile : Profile
+        The cell as its user describes it, without what is hidden. ``profile.arms[arm]`` has rows, masses and limits.
+    arm : str
+    learn : Readings
+        Joint positions (n, N), points (n, 3) [m] in the tracker frame, and their conditions.
+    held_out : Readings
+        Joint positions and conditions (m, ...) of the stops to predict; their points are NaN.
+    learn_conditions, held_out_conditions : MeasurementConditions
+        The same conditions as effects take them; with the load of the other arm.
+    """
+
+    name: str
+    profile: Profile
+    arm: str
+    learn: Readings
+    held_out: Readings
+    learn_conditions: MeasurementConditions
+    held_out_conditions: MeasurementConditions
+
+    @classmethod
+    def of(
+        cls, name: str, profile: Profile, arm: str, readings: Readings, conditions: MeasurementConditions
+    ) -> Problem:
+        """The problem of an arm's readings: those of the validate split are held out."""
+        held = np.zeros(len(readings), dtype=np.bool_)
+        held[readings.in_split("validate")] = True
+        hidden = readings.take(held)
+        return cls(
+            name,
+            profile,
+            arm,
+            readings.take(~held),
+            replace(hidden, p_M=np.full_like(hidden.p_M, np.nan)),
+            conditions.take(~held),
+            conditions.take(held),
+        )
+
+    @cached_property
+    def data(self) -> ArmData:
+        """The readings to learn from as cellapp's discovery takes them: weights, and geometry that fits them best."""
+        nominal = registered_model(self.profile, self.arm, self.learn.q, self.learn.p_M)
+        return ArmData.of(self.profile, nominal, self.learn, self.learn_conditions)
+
+    @cached_property
+    def geometry_fit(self) -> JointFit:
+        """Least squares of the geometry alone, weighted by the stated uncertainty."""
+        return fit_terms(self.data, ())
+
+    def predicted(self, model: ArmModel) -> Array:
+        """SMR positions (m, 3) [m] at the held-out stops by a model."""
+        return model.predict(self.held_out.q, conditions=self.held_out_conditions)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a method says of a problem.
+
+    Attributes
+    ----------
+    names : mapping
+        Slug of each accepted effect -> its probability; ``unknown`` for one without a name. Empty: nothing is missing.
+    p_M : array, shape (m, 3)
+        SMR positions at the held-out stops [m], tracker frame.
+    """
+
+    p_M: Array
+    names: Mapping[str, float] = field(default_factory=dict)
+
+
+Method = Callable[[Problem], Answer]
+
+
+@dataclass(frozen=True, eq=False)
+class JointProjection:
+    """The residual of the geometry as offsets of the joints: for methods that regress joint by joint.
+
+    Three coordinates do not determine six joints: each reading's least offsets are taken, damped by the noise.
+
+    Attributes
+    ----------
+    offsets : array, shape (n, N)
+        [rad], of the readings to learn from.
+    """
+
+    problem: Problem
+    offsets: Array
+
+    @classmethod
+    def of(cls, problem: Problem) -> JointProjection:
+        """Project the residual that the best geometry leaves."""
+        fit = problem.geometry_fit
+        J = _by_joints(fit.model, problem.learn.q)
+        residual = problem.learn.p_M - fit.model.predict(problem.learn.q, conditions=problem.learn_conditions)
+        gram = np.einsum("naj,nbj->nab", J, J)
+        damped = gram + 1e-4 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        return cls(problem, np.einsum("naj,na->nj", J, np.linalg.solve(damped, residual[..., None])[..., 0]))
+
+    def context(self, *, held_out: bool) -> EffectContext:
+        """Torques and other quantities at the stops."""
+        own = self.problem
+        q, conditions = (own.held_out.q, own.held_out_conditions) if held_out else (own.learn.q, own.learn_conditions)
+        return own.geometry_fit.model.context(q, conditions=conditions)
+
+    def predicted(self, offsets: Array) -> Array:
+        """SMR positions (m, 3) [m] at the held-out stops with offsets (m, N) [rad] of the joints."""
+        own = self.problem
+        J = _by_joints(own.geometry_fit.model, own.held_out.q)
+        return np.asarray(own.predicted(own.geometry_fit.model) + np.einsum("naj,nj->na", J, offsets))
+
+
+def _by_joints(model: ArmModel, q: Array) -> Array:
+    """Derivatives (n, 3, N) [m/rad] of the SMR position by the joints."""
+    return joint_jacobian(model.geometry, JointAngles.of(q))[1].transpose(2, 0, 1)

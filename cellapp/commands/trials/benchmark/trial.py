@@ -1,0 +1,212 @@
+"""``trials benchmark``: methods on sealed problems. The truth is opened after a method has answered."""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from cellapp.cell.run import RunFile
+from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED
+from cellapp.commands.trials.benchmark.problem import Problem
+from cellapp.commands.trials.benchmark.scoring import ScoredAnswer, SetScore, by_set, scored, set_score
+from cellapp.commands.trials.sealed import TRUTH_FILE, check_seal, open_truth, seal_trials
+from cellapp.commands.trials.sealed_cases import ONE, OUT, PAIR
+from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.skeleton import IN_PLACE, Work, not_computed
+from cellapp.commands.trials.visible_size import registered_model
+from cellapp.commands.view.table import Table, table_of
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.results import Record, Result
+from cellapp.ground.scale.task import TaskKind, as_given
+from cellapp.ground.threads import one_blas_thread
+from cellapp.ground.version import __version__
+from cellapp.robot.kinematics.transforms import Array
+
+KINDS = (ONE, PAIR, OUT)
+"""Sets of sealed runs. One arm of each run is without effects: these arms are the set ``clean``."""
+ALL = "all"
+
+
+class MethodScore(Record):
+    """Scores of one method by set and in total."""
+
+    sets: Mapping[str, SetScore]
+    total: SetScore
+
+
+class BenchmarkResult(Result, schema="cellapp-trials-benchmark"):
+    """``trials benchmark``: the scores of the first method, those of further ones beside it, and every answer.
+
+    ``failed`` names problems that a method could not answer, and why.
+    """
+
+    date: str
+    program: str
+    folder: str
+    method: str
+    sets: Mapping[str, SetScore]
+    total: SetScore
+    compared: Mapping[str, MethodScore] = {}
+    answers: tuple[ScoredAnswer, ...]
+    failed: tuple[str, ...] = ()
+
+
+class _Shared(Record):
+    """Nothing is shared but the program."""
+
+
+class _Question(Record):
+    """One arm of one sealed run for one method; ``folder`` is that of the set."""
+
+    method: str
+    folder: str
+    run: str
+    arm: str
+
+
+def _answered(shared: _Shared, asked: _Question) -> ScoredAnswer:
+    """Let the method answer, then open the truth."""
+    folder = Path(asked.folder)
+    problem, measured = _problem(folder, asked.run, asked.arm)
+    method = METHODS[asked.method]
+    began_s = time.process_time()
+    with one_blas_thread():
+        answer = method(problem)
+    seconds = time.process_time() - began_s
+    if answer.p_M.shape != measured.shape:
+        raise InputError(
+            f"method {asked.method}: {problem.name}: predicted shape {answer.p_M.shape}, expected {measured.shape}"
+        )
+    truth = next(one for one in open_truth(folder).trials if one.run == asked.run)
+    return scored(asked.method, problem.name, asked.arm, truth, answer, measured, seconds)
+
+
+ANSWERS = TaskKind(
+    "cellapp.commands.trials.benchmark.trial:ANSWERS", _Shared, _Question, ScoredAnswer, as_given, _answered
+)
+
+
+def benchmark_trials(
+    profile: Profile, folder: Path, methods: Sequence[str], n: int, seed: int | None, work: Work = IN_PLACE
+) -> BenchmarkResult:
+    """Let each method answer every problem of a folder; problems that are not there yet are made first.
+
+    Parameters
+    ----------
+    folder : Path
+        Sealed problems, a folder for each of ``KINDS``; a former benchmark's are used as they are.
+    methods : sequence of str
+        Names of ``METHODS``; ``all`` stands for all of them.
+    n : int
+        Runs of each kind to make, two arms each, by laws of other shapes than the library's.
+    seed : int or None
+        Draws the problems; None draws a secret one.
+
+    Raises
+    ------
+    InputError
+        For a method that is not known, or a folder that holds something else.
+    CheckFailed
+        If a seal is broken.
+    Cancelled
+        On request.
+    """
+    names = _known(methods)
+    for place, kind in enumerate(KINDS):
+        own = folder / kind
+        if not (own / TRUTH_FILE).is_file():
+            setup = Setup(kind=kind, laws="same" if kind == OUT else "other")
+            drawn = None if seed is None else seed + place
+            seal_trials(profile, own, n, setup, seed=drawn, listener=work.listener, cancel=work.cancel)
+        check_seal(own)
+    asked = [
+        _Question(method=name, folder=str(folder / kind), run=run.name, arm=arm)
+        for name in names
+        for kind in KINDS
+        for run in sorted((folder / kind).glob("run-*"))
+        for arm in profile.arms
+    ]
+    gathered = work.gather(ANSWERS, "benchmark", _Shared(), asked, "{0.method}, {0.run}, arm {0.arm}")
+    return _result(folder, names, gathered.found, gathered.failed)
+
+
+def benchmark_table(result: BenchmarkResult) -> Table:
+    """A row for each method and set."""
+    everything = {result.method: MethodScore(sets=result.sets, total=result.total), **result.compared}
+    rows = [
+        (method, name, score)
+        for method, its in everything.items()
+        for name, score in {**its.sets, "total": its.total}.items()
+    ]
+    return table_of(
+        "Name the missing effect",
+        rows,
+        ("method", lambda row: row[0]),
+        ("set", lambda row: row[1]),
+        ("arms", lambda row: row[2].n, "d"),
+        ("exact names", lambda row: row[2].exact, ".0f", "%"),
+        ("with a false name", lambda row: row[2].false_arms, ".0f", "%"),
+        ("Brier score", lambda row: row[2].brier, ".3f"),
+        ("held-out error / noise", lambda row: row[2].heldout_ratio, ".2f"),
+        ("processor time", lambda row: row[2].seconds, ".1f", "s"),
+    )
+
+
+def refused(result: BenchmarkResult) -> str:
+    """What could not be answered, in words; empty if all was."""
+    said = not_computed(result.failed)
+    return f"trials benchmark: {said}" if said else ""
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _known(methods: Sequence[str]) -> list[str]:
+    """The methods that are meant. Raises ``InputError`` for one that is not there or cannot run here."""
+    names = [name for one in methods for name in (METHODS if one == ALL else (one,))]
+    for name in names:
+        if name not in METHODS:
+            why = METHODS.refusal(name) or f"methods are {', '.join(METHODS)}, and {ALL}"
+            raise InputError(f"--method: '{name}' is not known; {why}")
+        package = NEEDED.get(name)
+        if package is not None and importlib.util.find_spec(package) is None:
+            raise InputError(f"method '{name}' needs {package}: pip install 'cellapp[benchmark]', or leave it out")
+    return list(dict.fromkeys(names))
+
+
+def _problem(folder: Path, run: str, arm: str) -> tuple[Problem, Array]:
+    """An arm of a sealed run as a problem, and the points (m, 3) [m] that are held out."""
+    with RunFile.open(folder / run) as file:
+        profile, readings = file.profile, {name: file.readings(name) for name in file.profile.arms}
+    models = {name: registered_model(profile, name, own.q, own.p_M) for name, own in readings.items()}
+    own = readings[arm]
+    conditions = conditions_of_arms(models, readings)[arm]
+    name = f"{folder.name}/{run}/{arm}"
+    return Problem.of(name, profile, arm, own, conditions), own.p_M[own.in_split("validate")]
+
+
+def _result(
+    folder: Path, names: Sequence[str], answers: Sequence[ScoredAnswer], failed: Sequence[str]
+) -> BenchmarkResult:
+    scores = {}
+    for name in names:
+        own = [one for one in answers if one.method == name]
+        if own:
+            scores[name] = MethodScore(sets=by_set(own), total=set_score(own))
+    (first, score), *others = scores.items()
+    return BenchmarkResult(
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+        program=f"cellapp {__version__}",
+        folder=str(folder),
+        method=first,
+        sets=score.sets,
+        total=score.total,
+        compared=dict(others),
+        answers=tuple(answers),
+        failed=tuple(failed),
+    )

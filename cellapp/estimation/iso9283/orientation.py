@@ -1,0 +1,56 @@
+"""Accuracy and repeatability of orientation by ISO 9283:1998, 7.2.1 and 7.2.2, from a 6-D probe on the flange.
+
+The norm takes differences of three angles of the attained and the commanded orientation. Here they are those of the
+rotation from the commanded to the attained orientation about the axes of the arm's base: to first order the same for
+rotations about these axes, and without a choice of angles that may be singular at the commanded orientation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cellapp.estimation.iso9283.characteristics import FEWEST_CYCLES, coverage_of_mean
+from cellapp.estimation.iso9283.records import OrientationCharacteristics
+from cellapp.robot.kinematics.transforms import Array, xyz_of
+
+COVERAGE = 2.0
+"""Coverage factor of expanded uncertainties."""
+
+
+def orientation_characteristics(
+    attained: Sequence[Array], commanded_M: Array, base_M: Array, sigma_rad: Sequence[float]
+) -> OrientationCharacteristics | None:
+    """Characteristics of one pose; None with fewer than two cycles.
+
+    Parameters
+    ----------
+    attained : sequence of n arrays, shape (4,)
+        Measured orientations of the probe in the tracker frame, unit quaternions, scalar first.
+    commanded_M : array, shape (3, 3)
+        Commanded orientation of the probe in the tracker frame.
+    base_M : array, shape (3, 3)
+        Rotation of the base in the tracker frame.
+    sigma_rad : sequence of n float
+        Standard uncertainty of each orientation about each axis [rad]; all of it is taken as common to the cycles in
+        the uncertainty of the accuracy.
+    """
+    n = len(attained)
+    if n < FEWEST_CYCLES:
+        return None
+    found = Rotation.from_quat(np.roll(np.array(attained), -1, axis=1))
+    off = (found * Rotation.from_matrix(commanded_M).inv()).as_rotvec() @ base_M
+    scatter = off.std(axis=0, ddof=1)
+    largest = float(scatter.max())
+    accuracy = math.hypot(coverage_of_mean(n) * largest, COVERAGE * float(np.mean(sigma_rad)))
+    return OrientationCharacteristics(
+        accuracy_mrad=xyz_of(1e3 * off.mean(axis=0)),
+        accuracy_expanded_mrad=1e3 * accuracy,
+        repeatability_mrad=xyz_of(3e3 * scatter),
+        repeatability_expanded_mrad=COVERAGE * 3e3 * largest / math.sqrt(2.0 * (n - 1)),
+        n=n,
+        deviations_mrad=tuple(xyz_of(1e3 * one) for one in off),
+    )

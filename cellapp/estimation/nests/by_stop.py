@@ -1,0 +1,125 @@
+"""Readings of several nests as one reading a stop: the position of the first nest, and the orientation of all.
+
+A nest's row at a stop is p_k = p + R s_k with the figure s of the nests. Position p and orientation R of a stop follow
+from three nests or more by weighted least squares, with their covariance. Two nests fix no orientation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cellapp.estimation.nests.shape import NestShape, UnseenPair, fit_shape, laid_on
+from cellapp.estimation.nests.stop_groups import StopGroups
+from cellapp.estimation.readings import Readings
+from cellapp.robot.kinematics.transforms import Array
+
+
+@dataclass(frozen=True, eq=False)
+class NestStops:
+    """One reading a stop, and what it was made of.
+
+    Attributes
+    ----------
+    readings : Readings
+        Of the first nest, with orientations where three nests were measured; rows in the order of the stops.
+    shape : NestShape or None
+        None where no figure can be told.
+    groups : StopGroups
+    left_out : array, shape (S,)
+        Stops without a reading: neither the first nest nor three others were measured.
+    """
+
+    readings: Readings
+    shape: NestShape | None
+    groups: StopGroups
+    left_out: NDArray[np.bool_]
+
+
+def by_stop(readings: Readings, names: Sequence[str], offsets_F: Array) -> NestStops:
+    """One reading a stop from rows of nests.
+
+    Parameters
+    ----------
+    readings : Readings
+        Rows with ``smr``: one of ``names``, None is the first.
+    names : sequence of K str
+    offsets_F : array, shape (K, 3)
+        Where the nests are on the flange [m], NaN where unknown. Where three are known, S has the flange's axes.
+    """
+    groups = StopGroups.of(readings, names)
+    try:
+        shape: NestShape | None = fit_shape(groups)[0].turned_like(offsets_F)
+    except UnseenPair:
+        shape = None
+    turned = groups.seen.sum(axis=1) >= 3
+    if shape is None or not shape.spans:
+        turned = np.zeros(len(turned), dtype=np.bool_)
+    kept = turned | groups.seen[:, 0]
+    first = np.where(groups.seen[:, 0], groups.row[:, 0], groups.first_rows)
+    one = replace(_means(readings, groups, first), smr=None)
+    if shape is not None and turned.any():
+        one = _with_poses(one, shape, groups, turned)
+    return NestStops(one.take(np.flatnonzero(kept)), shape, groups, ~kept)
+
+
+def _means(readings: Readings, groups: StopGroups, first: NDArray[np.intp]) -> Readings:
+    """The rows ``first`` (S,), with joint positions, times and dwell as their means over the rows of a stop."""
+    one = readings.take(first)
+    count = groups.seen.sum(axis=1)
+    means: dict[str, Any] = {}
+    for name in ("q", "time_s", "dwell_s", "sequence"):
+        values = getattr(readings, name)
+        if values is not None:
+            own = np.where(groups.seen.reshape(*groups.seen.shape, *(1,) * (values.ndim - 1)), values[groups.row], 0.0)
+            means[name] = own.sum(axis=1) / count.reshape(-1, *(1,) * (values.ndim - 1))
+    return replace(one, **means)
+
+
+def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDArray[np.bool_]) -> Readings:
+    """Readings (S,) with position, orientation and their uncertainty where ``turned`` (S,) says so."""
+    p_M, information = groups.p_M[turned], groups.information[turned]
+    if not groups.stated:
+        information = information / (shape.noise_m**2 if np.isfinite(shape.noise_m) and shape.noise_m > 0.0 else 1e-10)
+    rotation, origin = laid_on(shape.points_S, p_M)
+    rotation, origin, covariance = _weighted(shape.points_S, p_M, information, rotation, origin)
+    S = len(one)
+    points, quaternion = one.p_M.copy(), np.full((S, 4), np.nan)
+    sigma_rad, turning = np.full(S, np.nan), np.full((S, 3, 3), np.nan)
+    points[turned] = origin
+    quaternion[turned] = np.roll(Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=1)
+    turning[turned] = covariance[:, 3:, 3:]
+    sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(turning[turned])[:, -1])  # of the axis that is known least
+    of_points: dict[str, Any] = {"turning_covariance_M": turning}
+    if one.covariance_M is not None:
+        of_points["covariance_M"] = one.covariance_M.copy()
+        of_points["covariance_M"][turned] = covariance[:, :3, :3]
+    elif one.sigma_m is not None:
+        of_points["sigma_m"] = one.sigma_m.copy()
+        of_points["sigma_m"][turned] = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3.0)
+    return replace(one, p_M=points, quaternion_M=quaternion, sigma_rad=sigma_rad, **of_points)
+
+
+def _weighted(
+    points_S: Array, p_M: Array, information: Array, rotation: Array, origin: Array
+) -> tuple[Array, Array, Array]:
+    """Rotations and origins after a step of weighted least squares; covariances (S, 6, 6) of origin and rotation."""
+    arms = np.einsum("sab,kb->ska", rotation, points_S)
+    J = np.zeros((*arms.shape[:2], 3, 6))
+    J[..., :3] = np.eye(3)
+    J[..., 0, 4], J[..., 0, 5] = arms[..., 2], -arms[..., 1]
+    J[..., 1, 3], J[..., 1, 5] = -arms[..., 2], arms[..., 0]
+    J[..., 2, 3], J[..., 2, 4] = arms[..., 1], -arms[..., 0]
+    left = np.nan_to_num(p_M - origin[:, None] - arms)
+    weighed = np.einsum("skab,skbi->skai", information, J)
+    unit = np.array([1.0, 1.0, 1.0, *(1.0 / max(np.abs(points_S).max(), 1e-6),) * 3])
+    normal = np.einsum("skai,skaj->sij", J, weighed) * unit * unit[:, None]
+    covariance = np.linalg.inv(normal) * unit * unit[:, None]
+    step = np.einsum("sij,skaj,ska->si", covariance, weighed, left)
+    turned = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ rotation
+    return turned, origin + step[:, :3], covariance

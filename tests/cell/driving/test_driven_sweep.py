@@ -1,0 +1,253 @@
+"""Sweeps driven and recorded through the drivers, in the simulated cell: whole, with lost beams, stopped, resumed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.driving.driven_sweep import _rest_of
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweeps, read_sweeps
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.recordings import read_recordings_of, recording_states
+from cellapp.commands.plan.run import new_planned_run
+from cellapp.estimation.motion.tracks import track_of
+from cellapp.ground.errors import HardwareError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.collection import Collection
+from cellapp.robot.model.nominal import nominal_arm
+from cellapp.robot.paths.sweep import Sweep
+from drivers.arms.protocol import ArmError
+from drivers.arms.simulated import SimulatedArm
+from drivers.arms.ur_settings import UrSettings
+from drivers.clock import SimulatedClock
+from drivers.plant import Plant
+from drivers.trackers.imperfections import Imperfections
+from drivers.trackers.protocol import StreamLimits
+from drivers.trackers.simulated import SimulatedTracker
+from tests.twin import small_twin
+
+CLOCK = Imperfections(clock_offset_s=321.0, clock_rate=20e-6, packet_jitter_s=0.04)
+PERIOD_S = 4.0
+RATE_HZ = 100.0
+Opened = Callable[..., AbstractContextManager[Cell]]
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two stops, and about the first one a short sweep of each arm."""
+    folder = tmp_path_factory.mktemp("sweeps") / "run"
+    profile = small_twin(2, plan={"method": "random"})
+    collection = profile.collection.model_copy(update={"motion_rate": RATE_HZ})
+    with new_planned_run(profile.model_copy(update={"collection": collection}), folder, sweeps=2) as run:
+        sweeps = [one for one in read_sweeps(run) if one.stop == 0]
+        assert {one.arm for one in sweeps} == {"left", "right"}
+        short = tuple(
+            one.model_copy(
+                update={
+                    "period_s": PERIOD_S,
+                    "sine": tuple(tuple(0.2 * value for value in row) for row in one.sine),
+                    "cosine": tuple(tuple(0.2 * value for value in row) for row in one.cosine),
+                }
+            )
+            for one in sweeps
+        )
+        run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=short).model_dump_json())
+    return folder
+
+
+def copied(planned: Path, folder: Path) -> RunFile:
+    (folder / "run").mkdir()
+    (folder / "run" / "run.sqlite").write_bytes((planned / "run.sqlite").read_bytes())
+    return RunFile.open(folder / "run", write=True)
+
+
+def driven_cell(errors: Imperfections = CLOCK, prepare: Callable[[Cell], Any] = lambda cell: None) -> Opened:
+    """Opens the simulated cell as one whose devices are all that there is: nothing is calculated at once."""
+
+    @contextmanager
+    def opened(profile: Profile, **_: Any) -> Iterator[Cell]:
+        with open_cell(profile) as cell:
+            assert isinstance(cell.clock, SimulatedClock)
+            tracker = SimulatedTracker(cell.clock.plant, errors)
+            tracker.connect()
+            driven = replace(cell, tracker=tracker, record_sweep=None)
+            prepare(driven)
+            yield driven
+
+    return opened
+
+
+def plant_of(cell: Cell) -> Plant:
+    assert isinstance(cell.clock, SimulatedClock)
+    return cell.clock.plant
+
+
+def names(run: RunFile) -> set[tuple[str, str]]:
+    return {(one.arm, one.part_of) for one in recording_states(run) if one.reached_s is None}
+
+
+def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path: Path) -> None:
+    with copied(planned, tmp_path) as run:
+        assert collect_run(run, opened=driven_cell()).outcome == "complete"
+        sweeps = read_sweeps(run)
+        assert len(sweeps) >= 2
+        assert names(run) == {(one.arm, one.name) for one in sweeps}
+        for state in recording_states(run):
+            assert state.joints.rate_hz == pytest.approx(125.0, rel=1e-3)
+            assert state.points.rate_hz == pytest.approx(RATE_HZ, rel=1e-3)
+            assert state.joints.gaps == state.points.gaps == 0
+            assert PERIOD_S < state.points.seconds < PERIOD_S + 2.0
+        recording = read_recordings_of(run, sweeps[0].arm)[0]
+        assert np.median(recording.points.time_s - recording.joints.time_s[0]) > 320.0
+        nominal = nominal_arm(run.profile.arms[recording.arm])
+        start = track_of(recording, nominal, tool_unknown=False, seed=1).start
+        assert start.offset_s == pytest.approx(321.0, abs=3e-3)
+        states = recording_states(run)
+        assert collect_run(run, resume=True, opened=driven_cell()).outcome == "complete"
+        assert recording_states(run) == states
+
+
+def test_a_lost_beam_slows_the_arm_down_and_the_rest_is_a_recording_of_its_own(planned: Path, tmp_path: Path) -> None:
+    broken: list[float] = []
+
+    def prepare(cell: Cell) -> None:
+        arm = cell.arms["left"]
+        assert isinstance(arm, SimulatedArm)
+        tracker, start, plant = cell.tracker, arm.start_path, plant_of(cell)
+        assert isinstance(tracker, SimulatedTracker)
+
+        def crossed() -> None:
+            tracker.covered.add("left")
+            plant.schedule.at(plant.clock_s + 1.5, tracker.covered.clear)
+            broken.append(plant.clock_s)
+
+        def started(q: Any, period_s: float) -> None:
+            if not broken:
+                plant.schedule.at(plant.clock_s + 2.0, crossed)
+            start(q, period_s)
+
+        arm.start_path = started  # type: ignore[method-assign]
+
+    with copied(planned, tmp_path) as run:
+        collect_run(run, opened=driven_cell(CLOCK, prepare))
+        assert len(broken) == 1
+        parts = [one for one in recording_states(run) if one.arm == "left" and one.part_of == "sweep-1"]
+        assert [one.name for one in parts] == ["sweep-1", "sweep-1.2"]
+        assert parts[0].reached_s is not None
+        assert 2.0 < parts[0].reached_s < 3.2
+        assert parts[1].reached_s is None
+        assert any("beam broke" in event.text for event in run.events())
+        first, second = (one.joints.seconds for one in parts)
+        assert first + second == pytest.approx(PERIOD_S + 4 * 0.5 + 2.0, abs=1.5)
+        assert names(run) == {(one.arm, one.name) for one in read_sweeps(run)}
+
+
+def test_a_beam_that_stays_lost_ends_the_recording_and_the_arm_comes_back(planned: Path, tmp_path: Path) -> None:
+    def prepare(cell: Cell) -> None:
+        arm = cell.arms["left"]
+        assert isinstance(arm, SimulatedArm)
+        start, plant = arm.start_path, plant_of(cell)
+        tracker = cell.tracker
+        assert isinstance(tracker, SimulatedTracker)
+
+        def started(q: Any, period_s: float) -> None:
+            plant.schedule.at(plant.clock_s + 2.0, lambda: tracker.covered.add("left"))
+            start(q, period_s)
+
+        arm.start_path = started  # type: ignore[method-assign]
+
+    with copied(planned, tmp_path) as run:
+        collect_run(run, opened=driven_cell(CLOCK, prepare))
+        assert any("the rest of its sweep is not recorded" in event.text for event in run.events())
+        assert ("left", "sweep-1") not in names(run)
+        assert {arm for arm, _ in names(run)} == {"right"}
+        assert len(run.stops_done()) == 2
+
+
+def test_a_doubt_in_a_sweep_stops_all_and_resuming_records_what_is_missing(planned: Path, tmp_path: Path) -> None:
+    faults: list[ArmError] = []
+
+    def prepare(cell: Cell) -> None:
+        arm = cell.arms["right"]
+        assert isinstance(arm, SimulatedArm)
+        start, plant = arm.start_path, plant_of(cell)
+
+        def started(q: Any, period_s: float) -> None:
+            plant.schedule.at(plant.clock_s + 2.0, arm.protective_stop)
+            start(q, period_s)
+
+        arm.start_path = started  # type: ignore[method-assign]
+        arm.watch(faults.append)
+
+    with copied(planned, tmp_path) as run:
+        with pytest.raises(HardwareError, match="protective stop"):
+            collect_run(run, opened=driven_cell(CLOCK, prepare))
+        before = names(run)
+        assert "right" not in {arm for arm, _ in before}
+        collect_run(run, opened=driven_cell(), resume=True)
+        assert before < names(run) == {(one.arm, one.name) for one in read_sweeps(run)}
+
+
+@pytest.mark.parametrize(("rate", "words"), [(RATE_HZ, "does not measure"), (900.0, r"collection\.motion_rate")])
+def test_a_cell_that_cannot_record_says_why(
+    planned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rate: float, words: str
+) -> None:
+    limits = None if rate < 300.0 else StreamLimits(0.002, 1.0)
+    monkeypatch.setattr(SimulatedTracker, "stream_limits", lambda self: limits)
+    with copied(planned, tmp_path) as run:
+        collection = run.profile.collection.model_copy(update={"motion_rate": rate})
+        monkeypatch.setattr(run, "profile", run.profile.model_copy(update={"collection": collection}))
+        collect_run(run, opened=driven_cell())
+        assert recording_states(run) == ()
+        assert any(re.search(f"sweeps are left out: .*{words}", event.text) for event in run.events())
+
+
+def test_pulses_that_the_tracker_does_not_stamp_are_told(
+    planned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    end = SimulatedArm.end_recording
+    monkeypatch.setattr(
+        SimulatedArm, "end_recording", lambda arm: replace(end(arm), triggers_s=np.array([arm.state().time_s]))
+    )
+    with copied(planned, tmp_path) as run:
+        sweeps = [one for one in read_sweeps(run) if one.arm == "right"]
+        run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=tuple(sweeps)).model_dump_json())
+        collect_run(run, opened=driven_cell())
+        assert any("the tracker stamped none" in event.text for event in run.events())
+        assert len(read_recordings_of(run, "right")[0].joints.triggers_s) == 1
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("wrong", [0.0, 1001.0, "fast"])
+def test_rates_that_no_tracker_has_are_refused_by_the_profile(wrong: object) -> None:
+    with pytest.raises(ValidationError):
+        Collection.model_validate({"motion_rate": wrong})
+    with pytest.raises(ValidationError):
+        UrSettings.model_validate({"host": "127.0.0.2", "trigger_output": 8})
+
+
+@pytest.mark.fast
+def test_the_rest_of_a_motion_begins_slowly_and_lies_on_it() -> None:
+    rng = np.random.default_rng(3)
+    sweep = Sweep(np.zeros(6), 0.1 * rng.normal(size=(4, 6)), 0.1 * rng.normal(size=(4, 6)), 7.003)
+    for period_s in (0.008, 0.002):
+        for from_s in (0.0, 2.2, 6.9):
+            q, s_s = _rest_of(sweep, from_s, period_s)
+            np.testing.assert_allclose(q, sweep.at(s_s), atol=1e-9)
+            assert s_s[0] == pytest.approx(from_s)
+            assert s_s[-1] == pytest.approx(sweep.period_s)
+            steps = np.diff(s_s) / period_s
+            assert (steps >= -1e-9).all()
+            assert steps.max() < 1.001
+            if from_s:
+                assert steps[0] < 0.01
