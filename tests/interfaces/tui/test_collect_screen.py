@@ -624,6 +624,8 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         await ended(pilot, app)
         stops = app.day_screen.query_one(CollectedStops)
         await until(pilot, lambda: not stops.table.row_count, "the stops as they are now, none suspicious")
+        while not app.screen.has_class("stops"):  # the job's log was shown
+            await pilot.press("t")
         await pilot.press("f")
         rows = [row for row in stops_of(app) if row[0] == "12"]
         assert [row[5] for row in rows] == ["again", "again"]

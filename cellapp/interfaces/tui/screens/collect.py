@@ -357,7 +357,8 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             record = JobRecord()  # the job was about another run
         self._draw_arms(record)
         self.query_one(TrackerPanel).tracker = record.tracker
-        self.query_one(ProgressBars).parts = parts_of(record)
+        told = running or "collect" in record.progress  # of another job that has ended its own screen tells
+        self.query_one(ProgressBars).parts = parts_of(record) if told else ()
         self._draw_suspicions(record)
         line = residual_line(record.stops, self.size.width)
         self.query_one("#residual-line", Static).update(line)
