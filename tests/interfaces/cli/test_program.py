@@ -78,6 +78,7 @@ def test_a_failure_is_one_object_on_standard_output(call: Any, case: str, form: 
     jsonschema.validate(ended.json, json_schemas(written_results(VERBS))["cellapp-error"])
 
 
+@pytest.mark.slow
 def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:  # noqa: F811
     from typer.main import get_command
 
@@ -120,6 +121,7 @@ def test_when_json_is_wanted(arguments: str, expected: bool) -> None:
     assert wants_json(arguments.split()) is expected
 
 
+@pytest.mark.slow
 def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
     """Profile and run go below the folder; a profile that is there is used as it is. The run itself is tested apart."""
     started: list[tuple[Path, Path]] = []

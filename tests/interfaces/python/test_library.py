@@ -219,7 +219,6 @@ def test_import_alone_loads_nothing_heavy() -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-@pytest.mark.fast
 def test_the_library_loads_no_screen_and_no_driver_of_an_arm() -> None:
     heavy = {"torch", "textual", "plotly", "typer", "pandas", "matplotlib", "rtde_control"}
     code = f"import sys, cellapp; cellapp.Cell; sys.exit(', '.join({heavy!r} & sys.modules.keys()) or None)"

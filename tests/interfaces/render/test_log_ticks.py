@@ -16,6 +16,7 @@ from cellapp.interfaces.render.log_ticks import log_ticks
 pytestmark = pytest.mark.fast
 
 
+@pytest.mark.slow
 @example(low=2.0, decades=1.5, most=2)
 @given(
     low=st.floats(min_value=1e-9, max_value=1e6),

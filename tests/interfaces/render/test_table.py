@@ -89,6 +89,7 @@ def tables(draw: st.DrawFn) -> Table:
     return Table(draw(_WORDS), columns, tuple(rows))
 
 
+@pytest.mark.slow
 @given(tables(), st.integers(34, 120))
 def test_no_word_is_broken_nothing_is_left_out_and_no_line_is_wider_than_the_terminal(table: Table, width: int) -> None:
     text = drawn(table, width)

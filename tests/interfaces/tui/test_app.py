@@ -63,7 +63,6 @@ async def test_a_theme_that_was_chosen_on_one_screen_colours_those_seen_before()
         assert app.screen.styles.background.brightness > 0.5
 
 
-@pytest.mark.fast
 async def test_a_click_on_a_step_and_the_next_step_show_their_screens() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
@@ -95,7 +94,6 @@ async def test_stop_is_in_the_same_corner_of_every_screen_and_dialog(size: tuple
             await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
 
 
-@pytest.mark.fast
 async def test_events_and_the_end_of_a_job_are_shown_on_every_screen() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)
@@ -140,7 +138,6 @@ async def test_a_stopped_job_says_how_to_go_on_from_the_step_it_was_in() -> None
         assert await exit_code(pilot, app) == 4
 
 
-@pytest.mark.fast
 async def test_errors_are_sentences() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)
@@ -160,7 +157,6 @@ async def test_errors_are_sentences() -> None:
         assert await exit_code(pilot, app) == HardwareError.exit_code
 
 
-@pytest.mark.fast
 async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> None:
     held = HeldJob(error=ZeroDivisionError("by the test"))
     app = CellApp(PROFILES)
@@ -208,7 +204,6 @@ async def test_the_whole_day_asks_before_it_begins() -> None:
         assert app.day_screen.STEP == "cell"
 
 
-@pytest.mark.fast
 async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)
@@ -224,7 +219,6 @@ async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
         await until(pilot, lambda: " REAL ARMS " in shown_text(app).splitlines()[0], "the other profile")
 
 
-@pytest.mark.fast
 async def test_an_empty_folder_offers_the_twin(tmp_path: Path) -> None:
     app = CellApp(tmp_path / "profiles")
     async with app.run_test(size=SMALL) as pilot:
@@ -237,7 +231,6 @@ async def test_an_empty_folder_offers_the_twin(tmp_path: Path) -> None:
         assert "F5" in app.message
 
 
-@pytest.mark.fast
 async def test_quitting_with_a_job_asks_stops_and_waits_for_its_end() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)
@@ -264,7 +257,6 @@ async def test_quitting_with_a_job_asks_stops_and_waits_for_its_end() -> None:
     assert not held.thread.is_alive()
 
 
-@pytest.mark.fast
 async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
     held = HeldJob()
     app = CellApp(PROFILES, patience_s=0.05)
@@ -298,7 +290,6 @@ async def test_an_application_that_goes_away_ends_its_job() -> None:
     assert not held.thread.is_alive()
 
 
-@pytest.mark.fast
 async def test_the_palette_finds_actions_of_the_application_and_of_the_screen() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
@@ -322,7 +313,6 @@ async def test_help_of_every_screen() -> None:
             await until(pilot, lambda: app.screen is app.day_screen, "the end of the help")
 
 
-@pytest.mark.fast
 async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path: Path) -> None:
     for name in ("cell-one.yaml", "cell-two.yaml", "notes.txt", ".hidden.yaml"):
         (tmp_path / name).write_text("name: x\n")
@@ -359,7 +349,6 @@ def test_completions_list_folders_and_wanted_files(tmp_path: Path) -> None:
     assert completions(f"{tmp_path}/nowhere/x", wanted) == []
 
 
-@pytest.mark.fast
 def test_importing_is_cheap_and_opening_loads_no_numerics() -> None:
     script = (
         "import sys, cellapp.interfaces.tui\n"

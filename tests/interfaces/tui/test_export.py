@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input, OptionList
 
@@ -69,7 +68,6 @@ async def test_what_the_verb_refuses_is_said(finished_run: Path) -> None:
         assert not Path("mine.yaml").exists()
 
 
-@pytest.mark.fast
 async def test_a_run_without_calibration_has_nothing_to_export() -> None:
     collected_run(DAY, "complete", 3)
     app = CellApp(PROFILES)

@@ -43,6 +43,7 @@ async def dialog(pilot: Pilot[None], app: CellApp, **typed: str) -> None:
     await pilot.press("enter")
 
 
+@pytest.mark.slow
 async def test_from_a_table_to_an_open_run(app: CellApp) -> None:
     async with app.run_test(size=SIZE) as pilot:
         await dialog(pilot, app, readings="mine.txt", arm="ur5")
@@ -53,6 +54,7 @@ async def test_from_a_table_to_an_open_run(app: CellApp) -> None:
     assert Path("profiles/mine.yaml").is_file()
 
 
+@pytest.mark.slow
 async def test_wrong_words_are_refused_in_the_dialog(app: CellApp) -> None:
     async with app.run_test(size=SIZE) as pilot:
         await dialog(pilot, app, readings="mine.txt", angles="turns")
@@ -60,6 +62,7 @@ async def test_wrong_words_are_refused_in_the_dialog(app: CellApp) -> None:
         assert isinstance(app.screen, OwnReadings)
 
 
+@pytest.mark.slow
 async def test_an_arm_that_is_not_named_is_a_message(app: CellApp) -> None:
     async with app.run_test(size=SIZE) as pilot:
         await dialog(pilot, app, readings="mine.txt")

@@ -278,6 +278,7 @@ NUMBERS = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     x=arrays(np.float64, st.integers(0, 30), elements=NUMBERS, fill=st.nothing()),

@@ -21,6 +21,7 @@ def _as_before() -> Iterator[None]:
     gc.unfreeze()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("slow_s", "sets_aside"), [(-1.0, True), (60.0, False)])
 def test_what_survives_a_slow_full_pass_is_set_aside(
     monkeypatch: pytest.MonkeyPatch, slow_s: float, sets_aside: bool
@@ -34,6 +35,7 @@ def test_what_survives_a_slow_full_pass_is_set_aside(
     assert (gc.get_freeze_count() > 0) is sets_aside
 
 
+@pytest.mark.slow
 def test_garbage_that_was_set_aside_is_collected_after_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(slow_passes, "_SLOW_S", -1.0)
     passes = SlowPasses()

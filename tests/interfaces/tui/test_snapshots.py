@@ -130,7 +130,6 @@ def cells_cut(app: CellApp) -> Iterator[str]:
             begin = end
 
 
-@pytest.mark.fast
 async def test_a_tiny_terminal_gets_a_sentence_and_stop() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=(40, 10)) as pilot:

@@ -119,7 +119,6 @@ async def test_pause_resume_stop_and_abort_are_different_things() -> None:
     assert app.return_code == 4
 
 
-@pytest.mark.fast
 async def test_requests_are_in_the_footer_only_when_they_are_possible() -> None:
     moving = MovingJob()
     app = CellApp(PROFILES)
@@ -139,7 +138,6 @@ async def test_requests_are_in_the_footer_only_when_they_are_possible() -> None:
         assert possible() == set()
 
 
-@pytest.mark.fast
 async def test_reports_of_the_job_are_kept_for_every_screen() -> None:
     moving = MovingJob()
     app = CellApp(PROFILES)
@@ -152,7 +150,6 @@ async def test_reports_of_the_job_are_kept_for_every_screen() -> None:
         await aborted(pilot, app)
 
 
-@pytest.mark.fast
 async def test_real_arms_move_when_the_profiles_name_is_typed() -> None:
     moving = MovingJob(asks=True)
     app = CellApp(PROFILES)
@@ -172,7 +169,6 @@ async def test_real_arms_move_when_the_profiles_name_is_typed() -> None:
         await aborted(pilot, app)
 
 
-@pytest.mark.fast
 async def test_a_button_refuses_the_motion() -> None:
     moving = MovingJob(asks=True)
     app = CellApp(PROFILES)
@@ -185,7 +181,6 @@ async def test_a_button_refuses_the_motion() -> None:
         assert moving.allowed is False
 
 
-@pytest.mark.fast
 async def test_a_resume_that_is_handled_after_a_later_stop_does_not_undo_it() -> None:
     moving = MovingJob()
     app = CellApp(PROFILES)
@@ -206,7 +201,6 @@ async def test_a_resume_that_is_handled_after_a_later_stop_does_not_undo_it() ->
         await aborted(pilot, app)
 
 
-@pytest.mark.fast
 async def test_leaving_brakes_and_ends_a_job_that_holds() -> None:
     moving = MovingJob()
     app = CellApp(PROFILES)
@@ -220,7 +214,6 @@ async def test_leaving_brakes_and_ends_a_job_that_holds() -> None:
     assert moving.brakes[-1][0] == "stop"
 
 
-@pytest.mark.fast
 async def test_an_application_that_goes_away_brakes_the_arms() -> None:
     moving = MovingJob()
     app = CellApp(PROFILES)

@@ -24,6 +24,7 @@ pytestmark = pytest.mark.fast
 GIVEN = {"folder": Path("day"), "program": Path("old.script")}
 
 
+@pytest.mark.slow
 async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_field_has_the_focus() -> None:
     app, answers = CellApp(PROFILES), list[Request | None]()
     async with app.run_test(size=SMALL) as pilot:
@@ -43,6 +44,7 @@ async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_fie
     ]
 
 
+@pytest.mark.slow
 async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
     app, answers = CellApp(PROFILES), list[Request | None]()
     async with app.run_test(size=SMALL) as pilot:
@@ -65,6 +67,7 @@ async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
 WORD = "correct horse"
 
 
+@pytest.mark.slow
 async def test_a_new_secret_is_typed_twice_and_an_emptied_number_is_refused() -> None:
     answered: list[Request | None] = []
     app = CellApp(PROFILES)

@@ -84,6 +84,7 @@ def test_a_load_off_its_center_adds_a_torque():
             np.testing.assert_allclose(moved * offsets(column), more[:, j], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_moments_are_the_torque_body_by_body_and_sum_to_all():
     found = columns("joint_compliance", EFFECTS["joint_compliance"].law("linear"))
     assert [name for name in found if name.startswith("moment5")] == ["moment5_5", "moment5_6"]
