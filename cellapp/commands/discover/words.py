@@ -11,6 +11,7 @@ from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     ArmDiscoveryResult,
     CurveRecord,
+    DiscoverResult,
     EffectMeaning,
     Picture,
 )
@@ -30,6 +31,15 @@ _GAP_DEG = 10.0
 def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
     """The sentence of the verdict without the arm's name."""
     return arm.sentence.removeprefix(f"arm {name}: ")
+
+
+def verdict_lines(result: DiscoverResult) -> list[str]:
+    """The sentence of each arm's verdict, and its orientation errors where orientation was measured."""
+    return [
+        line
+        for name, arm in result.arms.items()
+        for line in (arm.sentence, *(f"arm {name}: {said}" for said in orientation_sentences(arm)))
+    ]
 
 
 def orientation_sentences(arm: ArmDiscoveryResult) -> list[str]:

@@ -59,6 +59,8 @@ _RATE_SD = 3e-4
 """Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; one that is off by more shows in any recording."""
 _TRACKER_M = 1e-5
 """Smallest standard deviation of a coordinate [m]: keeps weights finite where there is no noise."""
+_MOST_WORTH = 1e6
+"""Points cannot be a thousand times better than they say; a recording of a few seconds can look so."""
 _REWEIGHTED = 0.02
 """Relative change of a weight at which weights count as settled."""
 _ALIKE = 4.0
@@ -242,7 +244,7 @@ def _weighed_step(
         levels = noise.level
         if max(abs(level - 1.0) for level in levels) < _REWEIGHTED:
             break
-        worths = [worth / level for worth, level in zip(worths, levels, strict=True)]
+        worths = [min(worth / level, _MOST_WORTH) for worth, level in zip(worths, levels, strict=True)]
         if most is not None:
             worths = _bounded(worths, most)
     return step, noise, worths, A, precision

@@ -33,6 +33,8 @@ _LEAST_FREEDOM = 24.0
 _MEMORY_S = 0.2
 """Time over which a whitening filter remembers, and the most samples of it."""
 _MOST_ORDER = 40
+_LEAST_LEVEL = 1e-6
+"""Residuals a thousand times below what was stated of them are those of a fit with nothing to spare."""
 _LEAST_SHARE = 0.3
 """A solution for a band's variance below this share of the plain one is chance: the plain one is then taken."""
 
@@ -232,7 +234,7 @@ def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: A
     """Bands of one source; those with few degrees of freedom after the fit are joined to the next faster one."""
     own = root[:, source.columns]
     grams = worth * (own @ source.gram @ own.T)
-    energies = worth * source.energy(step)
+    energies = np.maximum(worth * source.energy(step), 0.0)  # below by rounding where a fit leaves nothing
     found: list[_Band] = []
     first = 0
     for place in range(len(grams)):
@@ -261,4 +263,4 @@ def _variances(bands: Sequence[_Band]) -> tuple[Array, Array]:
 
 def _level(number: int, bands: Sequence[_Band], s: Array) -> float:
     tells = np.array([np.trace(band.gram) if band.source == number else 0.0 for band in bands])
-    return float(tells @ s / tells.sum()) if tells.sum() > 0.0 else 1.0
+    return max(float(tells @ s / tells.sum()), _LEAST_LEVEL) if tells.sum() > 0.0 else 1.0
