@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from cellapp.cell.driving.records import CollectedStop
+from cellapp.cell.driving.records import CollectedStop, SweepTrace
 from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series, styles
+from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.progress import ReferenceReport, StopReport
 
 NO_READINGS = "No stop was reported."
 NO_REFERENCES = "No reference was measured yet."
+NO_SWEEP = "No sweep is recorded yet."
 _STOP = Axis("stop")
 
 
@@ -131,3 +134,18 @@ def _drift_message(drift_mm: Mapping[str, Sequence[tuple[int, float]]], limit_mm
     if farthest > limit_mm:
         return f"{words}: beyond the limit of {mm(limit_mm)}. Check its nest and the tracker's stand."
     return f"{words}; the limit is {mm(limit_mm)}."
+
+
+def sweep_chart(trace: SweepTrace | None) -> Chart:
+    """Speed of the SMR over the time of the last sweep, with gaps where the beam was lost."""
+    axes = Axis("time", "s"), Axis("speed of the SMR", "mm/s")
+    if trace is None:
+        return Chart("Last sweep", *axes, (), NO_SWEEP)
+    speeds = [math.nan if one is None else one for one in trace.speed_mm_s]
+    seen = [one for one in trace.speed_mm_s if one is not None]
+    message = (
+        f"Arm {trace.arm}, {trace.name}: up to {max(seen, default=0.0):.0f} mm/s in"
+        f" {max(trace.time_s, default=0.0):.0f} s, {counted(trace.lost, 'point')} without the beam;"
+        f" {trace.recorded} of {counted(trace.planned, 'sweep')} recorded."
+    )
+    return Chart("Last sweep", *axes, (series(trace.name, trace.time_s, speeds),), message)

@@ -20,6 +20,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.collected import late_readings, missing_readings, missing_share, reference_drifts
 from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.cell.run.records import MissingReading
+from cellapp.commands.collect.sweep_trace import last_sweep
 from cellapp.commands.run_results import StageResults
 from cellapp.estimation.calibration.online_model import Residuals
 from cellapp.estimation.calibration.records import ArmCalibrationResult
@@ -72,6 +73,7 @@ def collection_state(run: RunFile, results: StageResults | None = None) -> Colle
             if stops
         },
         replaced=replaced,
+        sweep=last_sweep(run),
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult, SessionRecord
 from cellapp.cell.run.records import MissingReading
-from cellapp.commands.collect.charts import drift_by_reference, drift_chart
+from cellapp.commands.collect.charts import drift_by_reference, drift_chart, sweep_chart
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart, mm
 from cellapp.commands.view.parts import Section, section_of
@@ -26,7 +26,8 @@ def view(result: CollectResult, request: Request | None = None) -> View:
 def stored_view(state: CollectionResult) -> View:
     """How a run was collected so far, and how far its references moved."""
     ranges = residual_range_words(state)
-    return View((*([ranges] if ranges else []), *collection_tables(state), *_drift_charts(state)))
+    drawn = (*_drift_charts(state), *_sweep_charts(state))
+    return View((*([ranges] if ranges else []), *collection_tables(state), *drawn))
 
 
 def collection_section(state: CollectionResult) -> Section:
@@ -50,6 +51,10 @@ def _drift_charts(state: CollectionResult) -> list[Chart]:
     """Reference drift over the run with its limit; empty if nothing was measured twice."""
     twice = any(len(rows) > 1 for rows in drift_by_reference(state.references).values())
     return [drift_chart(state.references, state.drift_limit_mm)] if twice else []
+
+
+def _sweep_charts(state: CollectionResult) -> list[Chart]:
+    return [] if state.sweep is None else [sweep_chart(state.sweep)]
 
 
 def collect_lines(result: CollectResult) -> list[str]:

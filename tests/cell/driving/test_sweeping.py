@@ -18,8 +18,11 @@ from cellapp.cell.run.recordings import read_recordings_of, recording_states
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import visible
 from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.collect.state import collection_state
+from cellapp.commands.collect.view import stored_view
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.plan.run import new_planned_run, plan_result
+from cellapp.commands.view.charts import Chart
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
 from tests.twin import small_twin
@@ -92,6 +95,15 @@ def test_collecting_records_each_sweep_once_and_calibrates(planned: Path, tmp_pa
             (recording,) = read_recordings_of(run, name)
             assert (np.diff(recording.joints.time_s) > 0.0).all()
         result = calibrate_run(run)
+        state = collection_state(run)
+        assert state is not None
+        assert state.sweep is not None
+        assert (state.sweep.recorded, state.sweep.planned) == (len(states), len(read_sweeps(run)))
+        (chart,) = [part for part in stored_view(state).parts if getattr(part, "title", "") == "Last sweep"]
+        assert isinstance(chart, Chart)
+        speed = np.array([one for one in state.sweep.speed_mm_s if one is not None])
+        assert 1.0 < speed.max() < 250.0 * 1.05, "what a sweep may have at most"
+        assert f"{len(states)} of" in chart.message
         assert collect_run(run, resume=True).outcome == "complete"
         assert recording_states(run) == states
     rates = [clock.rate_ppm for arm in result.arms.values() for clock in (arm.clocks or {}).values()]

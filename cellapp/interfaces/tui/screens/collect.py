@@ -24,6 +24,7 @@ from cellapp.commands.collect.charts import (
     live_residual_chart,
     standard_error_chart,
     stored_residual_chart,
+    sweep_chart,
 )
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
@@ -52,7 +53,7 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 
 View = Literal["log", "plots", "stops", "collected"]
 _VIEWS: tuple[View, ...] = get_args(View)
-_PLOTS = ("residuals", "errors", "drift")
+_PLOTS = ("residuals", "errors", "drift", "sweep")
 _TALL = 50
 """Lines of a terminal that has room for one line for each part of a day."""
 _PLOTTING_S = 0.2
@@ -136,6 +137,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     CollectScreen.stops #stops { display: block; }
     CollectScreen.-wide.plots #plots { width: 65%; }
     CollectScreen.-wide.plots #log { display: block; }
+    CollectScreen #plots #sweep.empty { display: none; }
     CollectScreen.unplotted #plots { display: none; }
     CollectScreen.unplotted.plots #plots { display: block; }
     """
@@ -161,7 +163,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         yield Static("", id="suspicions", markup=False)
         with Container(id="plots"):
             for name in _PLOTS:
-                yield ChartPlot(id=name)
+                yield ChartPlot(id=name, classes="empty" if name == "sweep" else None)
         yield LogPane(id="log")
         yield CollectedStops(id="stops")
         yield WrappedTables(id="collected")
@@ -171,7 +173,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.query_one("#state").tooltip = "The state of the job, and what can be done now."
         self.query_one("#suspicions").tooltip = "What the measurements made doubtful: look at it before you go on."
         for plot in self.query(ChartPlot):
-            plot.tooltip = "Errors of the newest points, standard errors, drift of the references."
+            plot.tooltip = "Errors of the newest points, standard errors, drift of the references, last sweep."
         self.query_one(f"#{_PLOTS[0]}").add_class("chosen")
         self.query_one(LogPane).view.focus()
 
@@ -238,7 +240,8 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     def action_view(self, view: View) -> None:
         """Show log, plots or what is stored; plots that are shown already, the next one."""
         if view == "plots" and self.has_class("plots"):
-            self._plot = (self._plot + 1) % len(_PLOTS)
+            shown = len(_PLOTS) - self.query_one("#sweep").has_class("empty")  # without sweeps it has no room
+            self._plot = (self._plot + 1) % shown
         for number, name in enumerate(_PLOTS):
             self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
         for one in _VIEWS:
@@ -449,6 +452,8 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     def _chart(self, name: str, record: JobRecord) -> Chart:
         """A chart of the job; of what the run stores, where the job has no stop or no reference."""
         collection = self.workspace.collection
+        if name == "sweep":
+            return sweep_chart(None if collection is None else collection.sweep)
         if name == "drift":
             if record.references or collection is None:
                 return live_drift_chart(record.references)

@@ -1,0 +1,40 @@
+"""The sweep of a run that was recorded last: how fast its SMR moved by the tracker."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cellapp.cell.driving.records import SweepTrace
+from cellapp.cell.planning.sweeps import read_sweeps
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.recordings import read_stream, recording_states
+from cellapp.cell.run.stream_columns import POINT
+
+_MOST_DRAWN = 300
+_GAP = 3.0
+"""Steps between drawn points, in usual ones, from which the beam was lost between them."""
+
+
+def last_sweep(run: RunFile) -> SweepTrace | None:
+    """The trace of the sweep that was recorded last; None where none was planned or is recorded."""
+    planned, states = read_sweeps(run), recording_states(run)
+    its = [state for state in states if state.part_of or any(state.name == sweep.name for sweep in planned)]
+    if not planned or not its:
+        return None
+    stops = {(sweep.arm, sweep.name): place for place, sweep in enumerate(planned)}
+    newest = max(its, key=lambda state: (stops.get((state.arm, state.part_of or state.name), -1), state.name))
+    columns, _ = read_stream(run, newest, "points")
+    time_s, p_M = columns["time_s"], np.column_stack([columns[name] for name in POINT])
+    rows = np.linspace(0, len(time_s) - 1, min(len(time_s), _MOST_DRAWN)).astype(np.intp)
+    step_s = np.diff(time_s[rows])
+    speed = 1e3 * np.linalg.norm(np.diff(p_M[rows], axis=0), axis=1) / np.maximum(step_s, 1e-9)
+    seen = step_s < _GAP * float(np.median(step_s))
+    return SweepTrace(
+        arm=newest.arm,
+        name=newest.name,
+        recorded=len({(state.arm, state.part_of or state.name) for state in its}),
+        planned=len(planned),
+        lost=newest.points.lost,
+        time_s=tuple((0.5 * (time_s[rows][1:] + time_s[rows][:-1]) - time_s[0]).round(3).tolist()),
+        speed_mm_s=tuple(one if there else None for one, there in zip(speed.round(2).tolist(), seen.tolist())),
+    )
