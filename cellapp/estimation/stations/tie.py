@@ -92,7 +92,7 @@ def tie_stations(first: str, points: Sequence[NestPoint]) -> dict[str, StationTi
     _, b = _equations(stations, nests, points, T, x)
     left = len(b) - A.shape[1]
     scatter = max(1.0, math.sqrt(float(b @ b) / left)) if left > 0 else 1.0
-    covariance: Array = np.linalg.inv(normal) * scatter**2
+    covariance: Array = np.asarray(np.linalg.inv(normal) * scatter**2, dtype=np.float64)
     places: dict[str, Array] = {nest: np.asarray(at, dtype=np.float64) for nest, at in zip(nests, x, strict=True)}
     return {
         name: _tie(name, T[name], covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6], points, places)
