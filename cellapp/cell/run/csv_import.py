@@ -35,6 +35,14 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.cell.run.nests import nest_faults
 from cellapp.cell.run.records import ArmOrder
+from cellapp.cell.run.stations import (
+    STATIONS_RESULT,
+    read_reference_nests,
+    require_ties,
+    stations_text,
+    tie_sentences,
+    twice_at_a_stop,
+)
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, MEASURED_POINT, Column, Values, beyond_limits
 from cellapp.estimation.readings.readings import Readings, readings_from_columns
 from cellapp.estimation.sockets import in_sockets
@@ -107,17 +115,26 @@ def readings_from_csv(
     in_order: bool = False,
     distances: Path | None = None,
     recorded: Collection[str] = (),
+    reference_nests: Path | None = None,
 ) -> Callable[[RunFile], None]:
     """Read and check a whole file of readings; returns what puts them into a new run.
 
     Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
-    run then keeps what was derived. ``distances`` is a file of known distances between points in sockets. Arms that are
-    ``recorded`` in motion need no readings. Raises as ``import_csv``.
+    run then keeps what was derived. ``distances`` is a file of known distances between points in sockets,
+    ``reference_nests`` one of nests that tie tracker stations. Arms that are ``recorded`` in motion need no readings.
+    Raises as ``import_csv``.
     """
     table = read_csv_table(Path(csv))
     readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded)
     if distances is not None:
         readings = read_distances_csv(distances, profile, readings)
+    tied = ""
+    if reference_nests is None:
+        require_ties(csv, readings)
+    else:
+        first, ties = read_reference_nests(reference_nests, readings)
+        sentences = tie_sentences(first, ties, readings)
+        tied, notes = stations_text(first, ties, sentences), [*notes, *sentences]
 
     def fill(run: RunFile) -> None:
         run.keep_columns(table.names)
@@ -129,6 +146,8 @@ def readings_from_csv(
             write_in_order(run, orders)
         if distances is not None:
             run.write_result(DISTANCES_RESULT, distances_text(readings))
+        if tied:
+            run.write_result(STATIONS_RESULT, tied)
         for note in notes:
             run.log("note", note)
 
@@ -173,6 +192,8 @@ def _check_together(profile: Profile, table: CsvTable, readings: Mapping[str, Re
         lines = _lines_of(table, arm)
         for row, text in swapped_points(profile, arm, its) if in_sockets(its) else ():
             problems.add(lines[row], POINT, text)
+        for row, text in twice_at_a_stop(its):
+            problems.add(lines[row], "station", text)
         for row, column, text in nest_faults(profile, arm, its):
             problems.add(lines[row], column, text)
     problems.check()

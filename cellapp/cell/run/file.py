@@ -63,6 +63,7 @@ from cellapp.cell.run.sqlite_file import (
     sentences,
     sync_folder,
 )
+from cellapp.cell.run.stations import in_one_frame, select_stations
 from cellapp.estimation.readings.readings import Reading, Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -283,15 +284,22 @@ class RunFile:
     def readings(self, arm: str) -> Readings:
         """The readings of one arm, one a stop, ordered by configuration; n is 0 if there are none.
 
-        Rows of several nests are one reading, with the orientation that follows from them.
+        Rows of several nests are one reading, with the orientation that follows from them; those of several tracker
+        stations come in the frame of the first one.
         """
-        return one_a_stop(self.profile, arm, self.rows(arm))
+        return one_a_stop(self.profile, arm, self._in_one_frame(self.rows(arm)))
 
     def rows(self, arm: str) -> Readings:
         """All rows of one arm as they were measured or imported, one a nest; ordered by configuration."""
         self._check_arm(arm)
         with self.look() as connection:
             return with_distances(connection, select_readings(connection, arm, self._joints(arm)))
+
+    def _in_one_frame(self, readings: Readings) -> Readings:
+        if readings.station is None:
+            return readings
+        with self.look() as connection:
+            return in_one_frame(readings, select_stations(connection))
 
     def split_counts(self) -> dict[str, dict[str | None, int]]:
         """Number of readings of each arm that has some, by split; None is no split."""

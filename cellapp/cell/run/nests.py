@@ -118,7 +118,8 @@ def _against_the_profile(profile: Profile, arm: str, rows: Readings, shape: Nest
                 f"nests {a} and {b} are {found * 1e3:.2f} mm apart, {length * 1e3:.2f} mm by {who}; are names"
                 " exchanged, or is the profile's value wrong?"
             )
-    if not wrong and np.isfinite(offsets).all(axis=1).sum() >= 3 and shape.spans:
+    stations = len(set(rows.station or ("",)))
+    if not wrong and stations == 1 and np.isfinite(offsets).all(axis=1).sum() >= 3 and shape.spans:
         yield from _mirrored(profile, arm, one_a_stop(profile, arm, rows))
 
 

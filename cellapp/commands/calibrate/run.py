@@ -9,6 +9,7 @@ from pathlib import Path
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import read_recordings_of, recording_states
 from cellapp.cell.run.samples import keep_samples
+from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
 from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.nests import with_nests
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_arms, recorded_priors
@@ -61,7 +62,7 @@ def calibrate_run(
     profile = run.profile
     if network is not None:
         profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": network})})
-    notes = draw_missing_splits(run)
+    notes = (*stored_tie_sentences(run.read_result(STATIONS_RESULT)), *draw_missing_splits(run))
     readings = {name: run.readings(name) for name in run.profile.arms}
     recordings = {name: read_recordings_of(run, name) for name in run.profile.arms}
     if prior is not None and any(recordings.values()):

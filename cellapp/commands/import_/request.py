@@ -26,6 +26,9 @@ class ImportRequest(Request):
         Asked("Rows stand in the order of measurement (with time_s: by time); derive missing approach and step."),
     ] = False
     distances: Annotated[Path | None, Asked("Known distances between points in sockets.", "FILE")] = None
+    reference_nests: Annotated[
+        Path | None, Asked("Nests on the floor that tie tracker stations: station, nest, x_m, y_m, z_m.", "FILE")
+    ] = None
     joints: Annotated[tuple[Path, ...], Asked("Joint positions of a motion: time_s, q1, q2, ...", "FILE")] = ()
     points: Annotated[tuple[Path, ...], Asked("Points of the same motion: time_s, x_m, y_m, z_m.", "FILE")] = ()
     arm: Annotated[str | None, Asked("The arm of recordings that do not say it.", "NAME")] = None
@@ -43,6 +46,8 @@ class ImportRequest(Request):
             raise ValueError("--in-order belongs to a CSV of readings")
         if self.distances is not None and self.csv is None:
             raise ValueError("--distances belongs to a CSV of readings of a ball in sockets")
+        if self.reference_nests is not None and self.csv is None:
+            raise ValueError("--reference-nests belongs to a CSV of readings with a column 'station'")
         return self
 
 

@@ -27,6 +27,7 @@ def run(request: ImportRequest, work: Work) -> ImportResult:
         recordings=(request.joints, request.points),
         arm=request.arm,
         distances=request.distances,
+        reference_nests=request.reference_nests,
     )
 
 
@@ -39,11 +40,13 @@ def import_new_run(
     recordings: tuple[Sequence[Path], Sequence[Path]] = ((), ()),
     arm: str | None = None,
     distances: Path | None = None,
+    reference_nests: Path | None = None,
 ) -> ImportResult:
     """Make a new run from readings in a CSV file, recordings of motion, or both.
 
     ``recordings`` are files of joints and of points, pair by pair, ``arm`` that of those that do not say it,
-    ``distances`` is a file of known distances between points in sockets.
+    ``distances`` is a file of known distances between points in sockets, ``reference_nests`` one of nests that tie
+    tracker stations.
 
     Raises
     ------
@@ -55,7 +58,16 @@ def import_new_run(
         recorded, fill = recordings_from_csv(profile, *recordings, arm)
         fills.append(fill)
     if csv is not None:
-        fills.append(readings_from_csv(profile, csv, in_order=in_order, distances=distances, recorded=recorded))
+        fills.append(
+            readings_from_csv(
+                profile,
+                csv,
+                in_order=in_order,
+                distances=distances,
+                recorded=recorded,
+                reference_nests=reference_nests,
+            )
+        )
     elif missing := [name for name in profile.arms if name not in recorded]:
         raise InputError(
             f"import: no recording of arm {', '.join(missing)} of the profile; add its recordings or readings, or"

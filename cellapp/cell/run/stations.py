@@ -1,0 +1,227 @@
+"""Tracker stations of a run: reference nests from a CSV file tie them; readings come out in the frame of the first."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short
+from cellapp.estimation.readings import Readings
+from cellapp.estimation.stations import NestPoint, StationTie, TooFewNests, tie_stations
+from cellapp.ground.counting import counted
+from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.transforms import Array, apply
+
+STATIONS_RESULT = "stations"
+"""Name of the document in which a run keeps the poses of its stations; it is part of the file format."""
+_COLUMNS = ("station", "nest", "x_m", "y_m", "z_m")
+_SIGMA = "sigma_m"
+_SIGMA_M = 2e-5
+"""Standard uncertainty of a nest that states none [m]."""
+_FURTHEST_M, _LARGEST_SIGMA_M = 100.0, 0.1
+_OFF = 6.0
+"""Standard uncertainties by which a nest is off from the others from which it moved, or is another one."""
+
+Poses = dict[str, Array]
+"""Station -> T (4, 4) into the frame of the first one, which has the identity."""
+
+
+def read_reference_nests(path: Path, readings: Mapping[str, Readings]) -> tuple[str, dict[str, StationTie]]:
+    """The first station of the file, and the ties of the others to it.
+
+    Raises
+    ------
+    InputError
+        Names file, line and column of what is missing, no number, repeated or off; and a station of the readings that
+        the file has not.
+    """
+    table = read_csv_table(Path(path), "reference nests", "a row per nest and station")
+    problems = Problems(table.place)
+    check_names(table, problems)
+    for name in _COLUMNS:
+        if name not in table.names:
+            problems.add(1, name, f"the column is missing; expected {', '.join(_COLUMNS)} and perhaps {_SIGMA}")
+    problems.check()
+    if not table.lines:
+        raise InputError(f"{table.place(1)}: there is a header row but no nest; expected a row per nest and station")
+    rows = _checked_rows(table, problems)
+    problems.check()
+    points = list(rows.values())
+    first = points[0].station
+    try:
+        ties = tie_stations(first, points)
+    except TooFewNests as error:
+        raise InputError(
+            f"{path}: station '{error.station}' is not tied to '{first}': measure three nests or more from both that"
+            " are not on one line"
+        ) from error
+    for line, text in _off(rows, first):
+        problems.add(line, "nest", text)
+    problems.check()
+    for arm, its in readings.items():
+        unknown = sorted({one for one in its.station or () if one is not None} - {first, *ties})
+        if unknown:
+            raise InputError(
+                f"{path}: station: no nest of station {', '.join(unknown)}, which readings of arm {arm} name"
+            )
+    return first, ties
+
+
+def require_ties(path: Path, readings: Mapping[str, Readings]) -> None:
+    """Raise ``InputError`` where readings of several stations have nothing that ties them."""
+    names = sorted({one or "without a name" for its in readings.values() for one in its.station or ()})
+    if len(names) > 1:
+        raise InputError(
+            f"{path}: station: readings of {counted(len(names), 'station')} ({', '.join(names)}) have frames of their"
+            " own; give the reference nests that tie them (--reference-nests FILE)"
+        )
+
+
+def twice_at_a_stop(its: Readings) -> Iterator[tuple[int, str]]:
+    """Rows of one arm at a stop that another station has too."""
+    if its.station is None:
+        return
+    seen: dict[int, str | None] = {}
+    for row, (stop, station) in enumerate(zip(its.configuration.tolist(), its.station, strict=True)):
+        if seen.setdefault(stop, station) != station:
+            yield (
+                row,
+                f"'{station}', but stop {stop} is of station '{seen[stop]}' too; give each station stops of its own",
+            )
+            return
+
+
+def stations_text(first: str, ties: Mapping[str, StationTie], sentences: Sequence[str]) -> str:
+    """The document that a run keeps: poses, and how well they are known."""
+    poses = {first: np.eye(4).tolist(), **{name: tie.T.tolist() for name, tie in ties.items()}}
+    return json.dumps({"poses": poses, "sentences": list(sentences)})
+
+
+def select_stations(connection: sqlite3.Connection) -> Poses:
+    """The poses of a run's stations; empty without any."""
+    row = connection.execute("SELECT text FROM result WHERE name = ?", (STATIONS_RESULT,)).fetchone()
+    return {} if row is None else {name: np.array(T) for name, T in json.loads(row[0])["poses"].items()}
+
+
+def stored_tie_sentences(document: str | None) -> tuple[str, ...]:
+    """How well the stations of a run are tied, by the document that it keeps, None without any."""
+    return () if document is None else tuple(json.loads(document)["sentences"])
+
+
+def in_one_frame(readings: Readings, poses: Poses) -> Readings:
+    """Readings in the frame of the first station."""
+    if readings.station is None or not poses:
+        return readings
+    turn = np.array([poses[name][:3, :3] if name in poses else np.eye(3) for name in map(str, readings.station)])
+    shift = np.array([poses[name][:3, 3] if name in poses else np.zeros(3) for name in map(str, readings.station)])
+    covariance, quaternion = readings.covariance_M, readings.quaternion_M
+    if quaternion is not None:
+        own = np.isfinite(quaternion[:, 0])
+        found = Rotation.from_matrix(turn[own]) * Rotation.from_quat(np.roll(quaternion[own], -1, axis=1))
+        quaternion = quaternion.copy()
+        quaternion[own] = np.roll(found.as_quat(canonical=True), 1, axis=1)
+    return replace(
+        readings,
+        p_M=np.einsum("nab,nb->na", turn, readings.p_M) + shift,
+        covariance_M=None if covariance is None else turn @ covariance @ turn.swapaxes(1, 2),
+        quaternion_M=quaternion,
+        station=None,
+    )
+
+
+def tie_sentences(first: str, ties: Mapping[str, StationTie], readings: Mapping[str, Readings]) -> list[str]:
+    """How well each station is tied to the first one, at the points that the arms were measured at."""
+    sentences = []
+    for name, tie in ties.items():
+        words = (
+            f"station {name} is tied to {first} by {counted(len(tie.nests), 'reference nest')}, which are off by"
+            f" {1e3 * float(np.sqrt(np.mean(tie.residual_m**2))):.3f} mm rms"
+        )
+        for arm, its in readings.items():
+            own = [row for row, station in enumerate(its.station or ()) if station == name]
+            if own:
+                sigma_mm = 1e3 * tie.uncertainty(apply(tie.T, its.p_M[own]))
+                words += f"; a coordinate of arm {arm} is known to {sigma_mm.max():.3f} mm from there"
+        sentences.append(words)
+    return sentences
+
+
+def _checked_rows(table: CsvTable, problems: Problems) -> dict[int, NestPoint]:
+    rows: dict[int, NestPoint] = {}
+    seen: dict[tuple[str, str], int] = {}
+    sigmas = table.cells.get(_SIGMA, ("",) * len(table.lines))
+    cells = zip(table.lines, *(table.cells[name] for name in _COLUMNS), sigmas, strict=True)
+    for line, station, nest, *numbers in cells:
+        before = problems.count
+        station, nest = station.strip(), nest.strip()
+        for column, word in (("station", station), ("nest", nest)):
+            if not word:
+                problems.add(line, column, "the value is missing")
+        if (first := seen.setdefault((station, nest), line)) != line:
+            problems.add(
+                line, "nest", f"'{nest}' of station '{station}' is in line {first} already; give the mean of both"
+            )
+        *xyz, sigma = (text.strip() for text in numbers)
+        p = [_number(problems, line, name, text, _FURTHEST_M) for name, text in zip(_COLUMNS[2:], xyz, strict=True)]
+        sigma_m = _number(problems, line, _SIGMA, sigma, _LARGEST_SIGMA_M) if sigma else _SIGMA_M
+        if sigma_m <= 0.0:
+            problems.add(line, _SIGMA, f"expected an uncertainty above 0 m, got '{short(sigma)}'")
+        if problems.count == before:
+            rows[line] = NestPoint(station, nest, np.array(p), sigma_m)
+    return rows
+
+
+def _number(problems: Problems, line: int, column: str, text: str, most: float) -> float:
+    value = float(text) if NUMBER.fullmatch(text) else math.nan
+    if not abs(value) <= most:
+        problems.add(line, column, f"expected metres up to {most:g}, got '{short(text)}'")
+    return value
+
+
+def _off(rows: Mapping[int, NestPoint], first: str) -> Iterator[tuple[int, str]]:
+    """The line of the nest without which the others fit, where all together do not."""
+    points = list(rows.values())
+    if _worst(first, points)[0] <= _OFF:
+        return
+    best: tuple[float, int, float] | None = None
+    for line, one in rows.items():
+        if one.station == first:
+            continue
+        others = [other for other in points if other is not one]
+        try:
+            worst, ties = _worst(first, others)
+        except TooFewNests:
+            continue
+        known = [apply(_pose(ties, o.station), o.p[None])[0] for o in others if o.nest == one.nest]
+        if known and one.station in ties and (best is None or worst < best[0]):
+            off = float(np.linalg.norm(apply(ties[one.station].T, one.p[None])[0] - np.mean(known, axis=0)))
+            best = worst, line, off
+    if best is not None:
+        one = rows[best[1]]
+        yield (
+            best[1],
+            f"'{one.nest}' of station '{one.station}' is off by {1e3 * best[2]:.2f} mm from where the other nests have"
+            " it; did it move, or are names exchanged?",
+        )
+
+
+def _worst(first: str, points: Sequence[NestPoint]) -> tuple[float, dict[str, StationTie]]:
+    """The largest residual in standard uncertainties, and the ties."""
+    ties = tie_stations(first, points)
+    sigma = {(one.station, one.nest): one.sigma_m for one in points}
+    largest = max(
+        (float(off) / sigma[name, nest] for name, tie in ties.items() for nest, off in zip(tie.nests, tie.residual_m)),
+        default=0.0,
+    )
+    return largest, ties
+
+
+def _pose(ties: Mapping[str, StationTie], station: str) -> Array:
+    return ties[station].T if station in ties else np.eye(4)
