@@ -17,6 +17,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
+from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import true_geometry
 from tests.series import twin
@@ -115,3 +116,16 @@ def test_commands_put_the_flange_where_base_and_links_turn_it(both):
     np.testing.assert_allclose(model.predict(back.q), wanted_M, atol=1e-6)
     off = rotation_vectors(model.flange(back.q)[0] @ wanted_R.swapaxes(1, 2))
     assert np.abs(off).max() < 1e-6
+
+
+def test_the_model_is_stored_with_its_probe(both):
+    readings, found = both
+    model = found["both"].model
+    stored = CellModel.from_json(CellModel({"left": model}).to_json()).arms["left"]
+    its = measured_quantities(readings, measurement_conditions(readings))
+    computed = [one.predict(its.readings.q, conditions=its.conditions) for one in (model, stored)]
+    np.testing.assert_array_equal(*computed)
+    assert stored.posterior.noise_rad == model.posterior.noise_rad
+    alone = stored.of_positions()
+    assert set(stored.identified) - set(alone.identified) == {"rx", "ry", "rz"}
+    np.testing.assert_array_equal(alone.predict(readings.q), model.predict(readings.q))
