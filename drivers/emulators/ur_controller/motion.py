@@ -61,6 +61,9 @@ class Motions(Protocol):
     def joint_temperatures_c(self, name: str) -> Array:
         """Joint temperatures (6,) now [degC]."""
 
+    def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
+        """Torques [Nm] or currents [A] (6,) of the drives at rest; None: they measure none."""
+
     def set_payload(self, name: str, mass: float, center: Array) -> None:
         """Set the load of the flange [kg, m]."""
 
@@ -134,6 +137,10 @@ class FreeMotions:
     def joint_temperatures_c(self, name: str) -> Array:
         """Room temperature (6,) [degC]."""
         return np.full(6, _ROOM_C)
+
+    def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
+        """None: ideal joints carry no load."""
+        return None, None
 
     def set_payload(self, name: str, mass: float, center: Array) -> None:
         """Do nothing: ideal joints carry no load."""

@@ -11,6 +11,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.torques import fit_torques, has_torques
 from cellapp.estimation.readings import Readings
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import frame_poses, smr_positions
 from cellapp.robot.kinematics.statics import gravity_loads
 from cellapp.robot.model import ArmModel
@@ -133,3 +134,18 @@ def test_few_torques_are_not_learnt_from():
     assert not has_torques(replace(readings, tau_nm=tau))
     assert not has_torques(replace(readings, tau_nm=None))
     assert has_torques(readings)
+
+
+def test_the_payloads_center_moves_its_torque_by_row():
+    arm, readings, _ = measured(n=40)
+    center = np.tile([0.0, 0.0, 0.2], (40, 1))
+    center[::2] = np.nan  # the stated one
+    geometry = nominal_arm(ARM)
+    frames, load = frame_poses(geometry, readings.q), np.full(40, 4.0)
+    by_row = gravity_loads(frames, STATED, UP_M, load, center).joint_torques()
+    stated = gravity_loads(frames, STATED, UP_M, load).joint_torques()
+    moved = gravity_loads(frames, replace(STATED, payload_center=center[1]), UP_M, load).joint_torques()
+    np.testing.assert_allclose(by_row[::2], stated[::2], atol=1e-12)
+    np.testing.assert_allclose(by_row[1::2], moved[1::2], atol=1e-12)
+    conditions = MeasurementConditions(payload_kg=load, payload_center_F=center)
+    np.testing.assert_allclose(arm.context(readings.q, conditions=conditions).torques, by_row, atol=1e-12)
