@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from cellapp.cell.planning.design_records import PlanDesignResult
-from cellapp.cell.planning.records import PlannedTime
+from cellapp.cell.planning.records import PlannedTime, SweepForecast
 from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, ReferenceDrift
 from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result
@@ -18,10 +18,12 @@ End = Literal["complete", "accurate enough"]
 
 
 class SweepCount(Record):
-    """Planned sweeps of one arm: number, and how long they last together."""
+    """Planned sweeps of one arm: number, how long they last together, and what they will tell beside the stops."""
 
     n: int
     seconds: float
+    forecast: SweepForecast | None = None
+    omitted_when_none = frozenset({"forecast"})
 
 
 class PlanResult(Result, schema="cellapp-plan"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from cellapp.cell.driving.records import SweepCount
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.ground.results import Record, Result
 
@@ -17,9 +18,10 @@ class PlannedStop(Record):
 
 
 class StopsResult(Result, schema="cellapp-stops"):
-    """``show DIR plan``: every planned stop, and what is known of their design if they were designed."""
+    """``show DIR plan``: every planned stop, what is known of their design if they were designed, and the sweeps."""
 
     run: str
     stops: tuple[PlannedStop, ...]
     design: PlanDesignResult | None = None
-    omitted_when_none = frozenset({"design"})
+    sweeps: Mapping[str, SweepCount] | None = None
+    omitted_when_none = frozenset({"design", "sweeps"})
