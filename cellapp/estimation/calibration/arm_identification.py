@@ -127,9 +127,7 @@ def _rounds(
 
 def excess_of(found: Identification, sigma: Array) -> tuple[float, float]:
     """Variances of positions [m^2] and of orientations [rad^2] beyond the stated uncertainty ``sigma``."""
-    return excess_of_kinds(
-        found.residuals, sigma, found.degrees_of_freedom, found.turned, found.freedom_of_turns
-    )
+    return excess_of_kinds(found.residuals, sigma, found.degrees_of_freedom, found.turned, found.freedom_of_turns)
 
 
 def _mirrored_tool(found: Identification) -> Array | None:

@@ -198,9 +198,7 @@ def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
     if in_sockets(readings):
         return gross_errors_in_sockets(model.geometry, model.nominal, readings)
     its = measured_quantities(readings)
-    wrong = gross_errors_of_geometry(
-        model.geometry, model.nominal, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S
-    )
+    wrong = gross_errors_of_geometry(model.geometry, model.nominal, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S)
     return np.isin(np.arange(len(readings)), its.reading[wrong])
 
 

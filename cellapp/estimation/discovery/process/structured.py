@@ -244,7 +244,9 @@ def _scatter(data: ArmData, noise: float) -> Excess:
     """Standard deviations beyond the stated uncertainty, from the noise over that of the weights."""
     if data.turned is None:
         return Excess(_beyond(noise, data.sigma, data.stated))
-    kinds = ((data.sigma[rows], None if data.stated is None else data.stated[rows]) for rows in (~data.turned, data.turned))
+    kinds = (
+        (data.sigma[rows], None if data.stated is None else data.stated[rows]) for rows in (~data.turned, data.turned)
+    )
     return Excess(*(_beyond(noise, *kind) for kind in kinds))
 
 
