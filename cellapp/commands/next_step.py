@@ -7,8 +7,12 @@ from collections.abc import Mapping
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import recordings_digest
 from cellapp.cell.run.sqlite_file import REPORT_FILE
+from cellapp.commands.certificate.iso9283_judgements import unmeasured_tests
 from cellapp.commands.stages import NextVerb, RunStages, next_command
-from cellapp.ground.results import COMPENSATE, Record
+from cellapp.estimation.iso9283.norm import IsoTest
+from cellapp.estimation.iso9283.records import Iso9283Result
+from cellapp.ground.errors import InputError
+from cellapp.ground.results import COMPENSATE, ISO9283, Record
 
 
 class ArmState(Record):
@@ -40,6 +44,8 @@ def arm_states(run: RunFile) -> dict[str, ArmState]:
 def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> tuple[NextVerb, str]:
     """The verb that comes next and its command; both empty if nothing is left to do."""
     verb = _next_verb(run, stages, arms)
+    if not verb and (tests := _missing_tests(run, stages)):
+        return "iso9283", f"cellapp iso9283 {tests[0]} PROFILE --run {run.folder}"
     begun = verb == "collect" and any(arm.measured for arm in arms.values())
     return verb, next_command(verb, run.folder) + (" --resume" if begun else "")
 
@@ -58,6 +64,19 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
     if verb == "push" and not any(arm.driver.has_device for arm in run.profile.arms.values()):
         verb = "" if COMPENSATE in stages.current and COMPENSATE not in stages.out_of_date else "compensate"
     return verb or ("" if (run.folder / REPORT_FILE).exists() else "report")
+
+
+def _missing_tests(run: RunFile, stages: RunStages) -> tuple[IsoTest, ...]:
+    """Tests of ISO 9283 that the tolerances of the profile need, of arms that can be driven."""
+    names = [name for name, arm in run.profile.arms.items() if arm.driver.has_device]
+    stored = None if ISO9283 in stages.out_of_date else stages.current.get(ISO9283)
+    if not run.profile.tolerances.any_given or not names:
+        return ()
+    try:
+        tested = {} if stored is None else Iso9283Result.from_json(stored.text, ISO9283).arms
+    except InputError:  # of a version that wrote it otherwise: the page and the terminal say so
+        tested = {}
+    return unmeasured_tests(run.profile.tolerances, names, tested)
 
 
 def _has_new_stops(run: RunFile) -> bool:

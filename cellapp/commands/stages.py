@@ -37,7 +37,7 @@ from cellapp.ground.results import (
 )
 from cellapp.robot.model.model import MODEL_SCHEMA
 
-NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "compensate", "push", "report", ""]
+NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "compensate", "push", "iso9283", "report", ""]
 """The verb that comes next in a run; ``push`` stands for compensated targets that are verified, ``compensate``
 stands in its place where nothing can be driven, ``plan`` for a new run of a cell that has changed, empty for none."""
 

@@ -73,7 +73,7 @@ class JobControl(CancelToken):
 
     @property
     def can_hold(self) -> bool:
-        """Whether the job could wait after a stop: without open arms it has nothing to hold, and ends."""
+        """Whether the job could wait after a halt: without open arms it has nothing to hold, and ends."""
         return self._holding > 0
 
     def pause(self) -> None:
@@ -81,7 +81,7 @@ class JobControl(CancelToken):
         self._set("pause", replaces=("none",))
 
     def resume(self) -> None:
-        """Let a paused or stopped job continue; one that ends because of the stop ends all the same."""
+        """Let a paused or halted job continue; one that ends because of the halt ends all the same."""
         self._set("none", replaces=("pause",) if self.cancelled else ("pause", "stop"))
 
     def stop(self) -> None:
@@ -92,7 +92,7 @@ class JobControl(CancelToken):
     def leave(self, how: str) -> None:
         """Brake all arms now and end the job as stopped: the person who attended it goes away.
 
-        ``how`` is recorded as the cause, in place of a person's stop: "the terminal was closed". The first one counts;
+        ``how`` is recorded as the cause, in place of a person's STOP: "the terminal was closed". The first one counts;
         nothing resumes after it.
         """
         if self._left:
@@ -138,7 +138,7 @@ class JobControl(CancelToken):
     def brakes(self, brake: Callable[[str], None], *, holds: bool = True) -> Iterator[None]:
         """Call ``brake(verb)`` at once on ``stop`` and ``abort``, in the caller's thread, while this context is open.
 
-        A request that already stands calls it at once. Without ``holds`` a stop ends the job even where a person
+        A request that already stands calls it at once. Without ``holds`` a halt ends the job even where a person
         attends it: the cell is not open yet.
         """
         self._brakes.append(brake)
@@ -169,7 +169,7 @@ class JobControl(CancelToken):
 
     @contextmanager
     def recording(self, record: Callable[[str, Halt], None]) -> Iterator[None]:
-        """Let ``record`` take the end of each arm's stop, arm and halt, while this context is open; from any thread."""
+        """Let ``record`` take the end of each arm's halt, while this context is open; from any thread."""
         self._record, before = record, self._record
         try:
             yield
@@ -177,7 +177,7 @@ class JobControl(CancelToken):
             self._record = before
 
     def note_halt(self, arm: str, halt: Halt) -> None:
-        """Take the end of an arm's stop: it was seen at rest, or was not."""
+        """Take the end of an arm's halt: it was seen at rest, or was not."""
         self._record(arm, halt)
 
     def _set_and_brake(self, verb: Literal["stop", "abort"], replaces: tuple[Request, ...], *, ends: bool) -> None:

@@ -25,12 +25,12 @@ HaltState = Literal["asked", "braking", "at rest", "not seen at rest"]
 
 @dataclass(frozen=True)
 class Halt:
-    """How far the stop of an arm is.
+    """How far the halt of an arm is.
 
     Attributes
     ----------
     state : str
-        ``asked``: its brake was called. ``braking``: the stop was commanded. ``at rest``: it was seen at rest since.
+        ``asked``: its brake was called. ``braking``: the halt was commanded. ``at rest``: it was seen at rest since.
         ``not seen at rest``: nobody knows whether it moves.
     reason : str
         Why, in a sentence.
@@ -51,7 +51,7 @@ class ArmLive:
     moving : bool
         Whether it moved then.
     halt : Halt or None
-        How far its stop is; None where it was not stopped.
+        How far its halt is; None where it was not halted.
     """
 
     age_s: float | None

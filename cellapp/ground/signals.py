@@ -19,7 +19,7 @@ LOG = logging.getLogger(__name__)
 Handler = Callable[[int, FrameType | None], object]
 
 TERMINAL_CLOSED = "the terminal was closed"
-"""What a run records as the cause of a stop where nobody attends the job any more."""
+"""What a run records as the cause of a halt where nobody attends the job any more."""
 _END = b"\0"
 """No signal has the number 0."""
 _LONGEST_REACTION_S = 2.0
@@ -38,7 +38,7 @@ HANGUP = available("SIGHUP")
 
 
 def ended_by(number: int) -> str:
-    """Return what a run records as the cause of a stop by a signal that ends the program and is no key of a person."""
+    """Return what a run records as the cause of a halt by a signal that ends the program and is no key of a person."""
     name = signal.Signals(number).name
     return TERMINAL_CLOSED if name == "SIGHUP" else f"the program was asked to end ({name})"
 

@@ -26,6 +26,7 @@ from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY
 from cellapp.interfaces.page.page import page_text, write_page
+from cellapp.interfaces.tui.keys import way_to, with_keys
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES, small_twin
 
@@ -60,6 +61,15 @@ def swap_splits(run: RunFile) -> None:
         for one, other in zip(identify, validate, strict=True):
             words[one], words[other] = words[other], words[one]
         run.assign_splits(name, words)
+
+
+def test_a_tolerance_of_iso_9283_that_nothing_measured_comes_next(finished_copy: Path) -> None:
+    with RunFile.open(finished_copy, write=True) as run:
+        write_page(run)
+        overview = run_overview(run)
+    assert overview.next_verb == "iso9283"
+    assert overview.next_step == f"cellapp iso9283 pose PROFILE --run {finished_copy}"
+    assert with_keys(f"next: {overview.next_step}") == f"next: {way_to('iso9283')}"
 
 
 def test_every_stage_states_what_it_rests_on(finished_run: Path) -> None:

@@ -45,7 +45,7 @@ def vectors(q: Mapping[str, NDArray[np.float64]]) -> dict[str, tuple[float, ...]
 
 
 def motion_ended(stop: int | None, states: Mapping[str, ArmState]) -> MotionEnded:
-    """Return the end of a motion, from the states of the arms at rest."""
+    """Return the report that a motion has ended, from the states of the arms at rest."""
     warm = {name: one.joint_temperature_c for name, one in states.items() if one.joint_temperature_c is not None}
     return MotionEnded(stop, vectors({name: one.q for name, one in states.items()}), vectors(warm))
 

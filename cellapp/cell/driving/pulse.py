@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 
 def asleep() -> float:
-    """Age of the data of a wait that is meant to be one [s]."""
+    """Age of the data [s] while the job waits on purpose: a wait of its own is no silence."""
     return 0.0
 
 

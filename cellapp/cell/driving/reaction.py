@@ -22,7 +22,7 @@ from drivers.trackers.protocol import TrackerError
 
 CauseKind = Literal["fault", "safety stop", "link lost", "host stalled", "stop", "abort", "gate", "tracker", "engine"]
 HaltListener = Callable[[str, Halt], None]
-"""Receives the name of an arm and how far its stop is, from any thread; returns soon."""
+"""Receives the name of an arm and how far its halt is, from any thread; returns soon."""
 
 _BRAKED = Halt("braking", "its stop was commanded")
 _AT_REST = Halt("at rest", "it was seen at rest")
@@ -81,7 +81,7 @@ class StopReaction:
         Calls functions of all devices at once. Where it returns at once, each arm is watched until it rests by the
         thread that brakes it; else, in simulated time, by ``wait_at_rest``.
     listener : callable
-        Is told when an arm was seen at rest after a stop, or was not; it may take its time.
+        Is told when an arm was seen at rest after a halt, or was not; it may take its time.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class StopReaction:
 
     @property
     def halts(self) -> Mapping[str, Halt]:
-        """How far the stop of each arm is, arm -> halt; without the arms that were not stopped."""
+        """How far the halt of each arm is; without the arms that were not halted."""
         return dict(self._halts)
 
     def trigger(self, cause: StopCause) -> None:

@@ -145,7 +145,7 @@ class CollectSession:
         return end
 
     def _with_recovery(self, act: Callable[[], T]) -> T:
-        """Do something; after a stop of the cell from which it recovers, do it again from its beginning."""
+        """Do something; after a halt of the cell from which it recovers, do it again from its beginning."""
         while True:
             try:
                 self._supervisor.checkpoint()

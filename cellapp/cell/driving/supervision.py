@@ -157,7 +157,7 @@ class Supervisor:
     record: Record
     emit: Callable[[Detail], None]
     after_resume: Callable[[], None]
-    """Called when a job resumes after a stop, a hold or a suspension."""
+    """Called when a job resumes after a halt, a hold or a suspension."""
     _slept_s: float = field(default_factory=slept_s)
     _used: Counter[str] = field(default_factory=Counter)
 
@@ -177,7 +177,7 @@ class Supervisor:
         self.reaction.check()
 
     def recover(self, stopped: CellStopped) -> None:
-        """Hold after a stop of the cell until the arms may move again, then release them. Nothing moves here.
+        """Hold after a halt of the cell until the arms may move again, then release them. Nothing moves here.
 
         Raises
         ------

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -113,9 +114,9 @@ def ur_deltas(nominal: Geometry, identified: Geometry) -> UrDeltas:
     configurations of one turn a joint.
     """
     delta = identified.rows - nominal.rows
-    vector = identified.vector()
-    vector[6:-3].reshape(-1, 5)[:, 4] = 0.0
-    without = identified.with_vector(vector)
+    rows = identified.rows.copy()
+    rows[:, 4] = 0.0
+    without = replace(identified, rows=rows)
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (_CONFIGURATIONS, identified.joints))
     off = np.linalg.norm(smr_positions(without, q) - smr_positions(identified, q), axis=1) * 1e3
     betas = {f"beta{i + 1}": beta for i, beta in enumerate(identified.rows[:, 4].tolist()) if beta != 0.0}

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 from cellapp.cell.exports.arm_export import ArmExport, hashed
 from cellapp.cell.exports.export_format import ExportFormat
-from cellapp.robot.kinematics.chain import Geometry, parameter_names, parameter_unit
+from cellapp.robot.kinematics.chain import Geometry, parameter_unit
 from cellapp.robot.model import ArmModel
 
 _CHAIN = (
@@ -36,7 +36,7 @@ class ParameterRow:
 
 def parameter_rows(model: ArmModel, geometry: Geometry) -> list[ParameterRow]:
     """Every parameter of ``geometry``, which is that of the model or equivalent to it, and of the model's effects."""
-    names = parameter_names(geometry.joints)
+    names = geometry.names
     errors: dict[str, float] = {}
     if model.covariance is not None:
         variances = model.covariance.diagonal().tolist()

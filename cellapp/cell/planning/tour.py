@@ -102,7 +102,7 @@ def _random_order(task: TourTask, rng: np.random.Generator) -> Order:
 
 
 Step = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]
-"""Present positions: that to which a step leads that is given up, and those between which another one shall be."""
+"""Present positions: the end of a step that the move removes, then start and end of a step that it adds instead."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Move:
     arm: int | None = None
 
     def steps(self) -> tuple[Step, ...]:
-        """The steps that are given up for others. One step for each to be, of one arm alone at the same positions."""
+        """The steps that the move removes, each with the one that it adds; as many of either."""
         low, high = self.low, self.high
         if self.kind == "reverse":
             return (low, low - 1, high), (high + 1, low, high + 1)
@@ -136,7 +136,7 @@ class Move:
         )
 
     def source(self, position: NDArray[np.intp]) -> NDArray[np.intp]:
-        """The present positions of what the move brings to ``position``."""
+        """Where the stops stand now that the move brings to ``position``."""
         low, high = self.low, self.high
         if self.kind == "exchange":
             return np.where(position == low, high, np.where(position == high, low, position))

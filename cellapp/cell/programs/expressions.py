@@ -6,8 +6,9 @@ URScript Manual (Universal Robots), "The URScript Programming Language": comment
 
 from __future__ import annotations
 
+import ast
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -21,9 +22,9 @@ _TOKEN = re.compile(
     re.VERBOSE,
 )
 _OPEN, _CLOSE = "([{", ")]}"
-_DEEPEST, _LONGEST = 40, 100
-"""Nesting, and operations in a row, beyond which an expression counts as unreadable: no program of a person has them,
-and what reads expressions recurses."""
+_DEEPEST = 100
+"""Parts within parts, or operations in a row, beyond which an expression counts as unreadable: no program of a person
+has them, and what reads expressions recurses."""
 
 TokenKind = Literal["newline", "string", "number", "name", "sign"]
 
@@ -122,12 +123,25 @@ class Unreadable(Exception):
 
 
 def parse_expression(tokens: Sequence[Token]) -> Expression:
-    """The expression that these words are. Raises ``Unreadable``."""
-    parser = _Parser(tokens)
-    found = parser.comparison(0)
-    if parser.place != len(tokens):
+    """The expression that these words are. Raises ``Unreadable``.
+
+    Expressions of URScript are those of Python but for ``xor`` and for which words may be names. Python's own parser
+    reads them, with a name of the same length instead of each word, so that every part keeps its place.
+    """
+    if not tokens:
         raise Unreadable
-    return found
+    begin, line = tokens[0].start, ""
+    for token in tokens:
+        named = token.kind != "sign" and token.text not in _WORD_SIGNS
+        if named and line.endswith("x") and token.start - begin == len(line):
+            raise Unreadable  # a number that a name follows, without a space
+        word = "x" * len(token.text) if named else _WORD_SIGNS.get(token.text, token.text)
+        line += " " * (token.start - begin - len(line)) + word
+    try:
+        parsed = ast.parse(line, mode="eval").body
+        return _Reader({token.start - begin: token for token in tokens}, begin).read(parsed)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:  # the latter two where it is too deep
+        raise Unreadable from error
 
 
 def parts_of(expression: Expression) -> Iterator[Expression]:
@@ -145,114 +159,55 @@ def parts_of(expression: Expression) -> Iterator[Expression]:
 
 # -- inside -----------------------------------------------------------------------------------------------------------
 
-_LEVELS = (("or", "xor"), ("and",), ("==", "!=", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "%"))
+_WORD_SIGNS = {"and": "and", "or": "or", "xor": "or ", "not": "not"}
+_SIGNS: Mapping[type[ast.AST], str] = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Mod: "%", ast.UAdd: "+", ast.USub: "-",
+    ast.Not: "not", ast.And: "and", ast.Or: "or",
+}  # fmt: skip
+"""Signs by what Python calls them; no comparison has a value that a target needs."""
+_COMPARED = (ast.Eq, ast.NotEq, ast.Lt, ast.Gt, ast.LtE, ast.GtE)
 
 
-class _Parser:
-    """Recursive descent over the words of one expression."""
+@dataclass(frozen=True)
+class _Reader:
+    """Makes expressions of what Python read; ``words`` by their places in the line, which begins at ``begin``."""
 
-    def __init__(self, tokens: Sequence[Token]) -> None:
-        self.tokens, self.place, self.depth, self.operations = tokens, 0, 0, 0
+    words: Mapping[int, Token]
+    begin: int
 
-    def _word(self) -> str:
-        return self.tokens[self.place].text if self.place < len(self.tokens) else ""
-
-    def _next(self) -> Token:
-        if self.place >= len(self.tokens):
+    def read(self, node: ast.expr, depth: int = 0) -> Expression:
+        """A part, ``depth`` parts deep."""
+        if depth > _DEEPEST:
             raise Unreadable
-        self.place += 1
-        return self.tokens[self.place - 1]
-
-    def _count(self) -> None:
-        self.operations += 1
-        if self.operations > _LONGEST:
-            raise Unreadable
-
-    def _expect(self, text: str) -> Token:
-        token = self._next()
-        if token.text != text:
-            raise Unreadable
-        return token
-
-    def comparison(self, level: int) -> Expression:
-        """Operations of one precedence, the left one first."""
-        if level == len(_LEVELS):
-            return self._signed()
-        left = self.comparison(level + 1)
-        while self._word() in _LEVELS[level]:
-            self._count()
-            sign = self._next().text
-            right = self.comparison(level + 1)
-            left = Operation(left.start, right.end, sign, (left, right))
-        return left
-
-    def _signed(self) -> Expression:
-        self.depth += 1
-        if self.depth > _DEEPEST:
-            raise Unreadable
-        if self._word() in ("-", "+", "not"):
-            token = self._next()
-            operand = self._signed()
-            found: Expression = Operation(token.start, operand.end, token.text, (operand,))
-        else:
-            found = self._followed(self._single())
-        self.depth -= 1
-        return found
-
-    def _single(self) -> Expression:
-        token = self._next()
-        if token.kind == "number":
-            return Number(token.start, token.end, float(token.text))
-        if token.kind == "string":
-            return Other(token.start, token.end)
-        if token.text == "[":
-            return self._items(token.start, pose=False)
-        if token.text == "(":
-            inner = self.comparison(0)
-            end = self._expect(")").end
-            return Operation(token.start, end, "(", (inner,))
-        if token.kind != "name":
-            raise Unreadable
-        if token.text == "p" and self._word() == "[" and self.tokens[self.place].start == token.end:
-            self._next()
-            return self._items(token.start, pose=True)
-        if self._word() == "(":
-            return self._call(token)
-        if token.text in ("True", "False"):
-            return Other(token.start, token.end)
-        return Name(token.start, token.end, token.text)
-
-    def _followed(self, expression: Expression) -> Expression:
-        """Elements and members: ``x[0]``, ``x.y``."""
-        while self._word() in ("[", "."):
-            self._count()
-            token = self._next()
-            if token.text == ".":
-                expression = Other(expression.start, self._next().end, (expression,))
-            else:
-                index = self._items(token.start, pose=False)
-                expression = Other(expression.start, index.end, (expression, index))
-        return expression
-
-    def _items(self, start: int, *, pose: bool) -> Items:
-        items = []
-        while self._word() != "]":
-            items.append(self.comparison(0))
-            if self._word() != "]":
-                self._expect(",")
-        return Items(start, self._next().end, tuple(items), pose)
-
-    def _call(self, name: Token) -> Call:
-        self._next()
-        arguments: list[Expression] = []
-        named: dict[str, Expression] = {}
-        while self._word() != ")":
-            ahead = self.tokens[self.place : self.place + 2]
-            if len(ahead) == 2 and ahead[0].kind == "name" and ahead[1].text == "=":
-                self.place += 2
-                named[ahead[0].text] = self.comparison(0)
-            else:
-                arguments.append(self.comparison(0))
-            if self._word() != ")":
-                self._expect(",")
-        return Call(name.start, self._next().end, name.text, tuple(arguments), named)
+        inner = [one for one in ast.iter_child_nodes(node) if isinstance(one, ast.expr)]
+        if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Tuple):
+            inner = [node.value, *node.slice.elts]
+        parts = [self.read(one, depth + 1) for one in inner]
+        assert node.end_col_offset is not None
+        start, end = self.begin + node.col_offset, self.begin + node.end_col_offset
+        match node:
+            case ast.Name():
+                word = self.words[node.col_offset]
+                if word.kind == "number":
+                    return Number(start, end, float(word.text))
+                is_name = word.kind == "name" and word.text not in ("True", "False")
+                return Name(start, end, word.text) if is_name else Other(start, end)
+            case ast.List():
+                return Items(start, end, tuple(parts), pose=False)
+            case ast.Subscript():
+                whole, items = parts[0], tuple(parts[1:])
+                after = self.words.get(node.value.col_offset + 1)
+                if isinstance(whole, Name) and whole.name == "p" and after is not None and after.text == "[":
+                    return Items(start, end, items, pose=True)
+                return Other(start, end, (whole, Items(whole.end, end, items, pose=False)))
+            case ast.Attribute():
+                return Other(start, end, tuple(parts))
+            case ast.BinOp(op=op) | ast.UnaryOp(op=op) | ast.BoolOp(op=op) if type(op) in _SIGNS:
+                return Operation(start, end, _SIGNS[type(op)], tuple(parts))
+            case ast.Compare(ops=ops) if all(isinstance(one, _COMPARED) for one in ops):
+                return Operation(start, end, "==", tuple(parts))
+            case ast.Call(func=ast.Name(), keywords=keywords) if all(one.arg for one in keywords):
+                named = {self.words[one.col_offset].text: self.read(one.value, depth + 1) for one in keywords}
+                if isinstance(function := parts[0], Name):
+                    return Call(start, end, function.name, tuple(parts[1:]), named)
+        raise Unreadable

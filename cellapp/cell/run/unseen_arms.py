@@ -1,4 +1,4 @@
-"""Arms that were not seen at rest after a stop: a run keeps them until data or a person say that they rest."""
+"""Arms that were not seen at rest after a halt: a run keeps them until data or a person say that they rest."""
 
 from __future__ import annotations
 

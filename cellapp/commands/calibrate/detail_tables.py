@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from cellapp.commands.calibrate.network_view import batches_words
 from cellapp.commands.calibrate.view import MM, merged_words
 from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial
 from cellapp.ground.results import METHODS, Estimate
-from cellapp.robot.kinematics.chain import parameter_names
 from cellapp.robot.model import CellModel
 
 
@@ -51,7 +51,7 @@ def nominal_and_identified_tables(calibrate: CalibrateResult, model: CellModel) 
     tables = []
     for name, arm in calibrate.arms.items():
         nominal = model.arms[name].nominal
-        values = dict(zip(parameter_names(nominal.joints), nominal.vector().tolist(), strict=True))
+        values = dict(zip(nominal.names, nominal.vector().tolist(), strict=True))
         rows = [
             (parameter, *_difference_cells(values[parameter], estimate))
             for parameter, estimate in arm.identified.items()
@@ -92,7 +92,8 @@ def merged_tables(calibrate: CalibrateResult) -> list[Table]:
 def calibration_facts(calibrate: CalibrateResult) -> Table:
     """Figures of the identification and of the network training, one column for each arm."""
     facts = [_arm_facts(arm) for arm in calibrate.arms.values()]
-    rows = tuple((what, *(arm[what] for arm in facts)) for what in facts[0])
+    every = dict.fromkeys(what for arm in facts for what in arm)
+    rows = tuple((what, *(arm.get(what) for arm in facts)) for what in every)
     columns = (Column(""), *(Column(f"arm {name}") for name in calibrate.arms))
     return Table("Identification and network training", columns, rows)
 
@@ -107,6 +108,7 @@ def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
             Number(arm.tracker_mm, 4) if arm.tracker_mm else "not stated"
         ),
         "scatter of a coordinate beyond it [mm]": None if arm.excess_mm is None else Number(arm.excess_mm, 4),
+        **({} if arm.excess_mrad is None else {"scatter of an orientation [mrad]": Number(arm.excess_mrad, 4)}),
         "position repeatability, mean and RP [mm]": (
             "no stop was repeated" if repeats is None else f"{repeats.mean:.4f}, {repeats.rp:.4f}"
         ),
@@ -116,7 +118,12 @@ def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
             if arm.network is None
             else f"{arm.network.left_out_rms_mm:.4f}, without a network {arm.network.without_rms_mm:.4f}"
         ),
+        "network from all readings": _of_all_words(arm.network),
     }
+
+
+def _of_all_words(network: NetworkResult | None) -> str:
+    return "not asked for" if network is None or network.batches is None else batches_words(network.batches)
 
 
 def _network_words(network: NetworkResult | None) -> str:
@@ -141,7 +148,9 @@ def network_tables(calibrate: CalibrateResult) -> list[Table]:
 
 
 def _network_shape(network: NetworkResult | NetworkTrial) -> str:
-    inputs = {"sincos": "sines and cosines", "angles": "scaled angles"}[network.inputs]
+    inputs = {"sincos": "sines and cosines", "angles": "scaled angles", "both": "angles, sines and cosines"}[
+        network.inputs
+    ]
     turning = ", rotating with joint 1" if network.turning else ""
     return f"{inputs}, {' + '.join(str(width) for width in network.hidden)}{turning}"
 

@@ -38,7 +38,7 @@ def _sentence(name: str, nests: NestsResult) -> str:
     words = f"Arm {name}: {counted(len(nests.found), 'nest')}, which tell the orientation at"
     words += f" {nests.with_orientation} of {counted(nests.stops, 'stop')}"
     if nests.orientation_mrad is not None:
-        words += f", to {nests.orientation_mrad:.3f} mrad about each axis"
+        words += f", to {nests.orientation_mrad:.3f} mrad about the axis that is known least"
     if nests.noise_mm is not None:
         words += f"; a coordinate scatters by {1e3 * nests.noise_mm:.1f} um about the figure of the nests"
     if nests.left_out:

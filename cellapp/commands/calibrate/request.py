@@ -6,6 +6,7 @@ from typing import Annotated
 
 from cellapp.commands.fields import Prior, RunFolder
 from cellapp.commands.record import Asked, Request, Stored, Verb
+from cellapp.ground.profile import NetworkKind
 
 
 class CalibrateRequest(Request):
@@ -14,6 +15,13 @@ class CalibrateRequest(Request):
     folder: RunFolder
     parameters: Annotated[bool, Asked("Print the parameters too; 'show DIR parameters' prints stored ones.")] = False
     prior: Prior = None
+    network: Annotated[
+        NetworkKind | None,
+        Asked(
+            "Residual network: mlp, a committee from at most 1200 readings; batches, from all readings and recordings"
+            " (extra learn), where that is better; none. The profile says it if left out."
+        ),
+    ] = None
 
 
 VERB = Verb(

@@ -24,7 +24,7 @@ from cellapp.estimation.prior.calibrate import calibrate_with_prior
 from cellapp.estimation.prior.earlier import Earlier
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Profile
+from cellapp.ground.profile import NetworkKind, Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
 from cellapp.ground.threads import one_blas_thread
@@ -34,16 +34,22 @@ from cellapp.robot.model import CellModel
 def run(request: CalibrateRequest, work: Work) -> CalibrateResult:
     """Calibrate the run."""
     with RunFile.open(request.folder, write=True) as opened:
-        return calibrate_run(opened, work.listener, work.control, prior=request.prior)
+        return calibrate_run(opened, work.listener, work.control, prior=request.prior, network=request.network)
 
 
 def calibrate_run(
-    run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None, *, prior: Path | None = None
+    run: RunFile,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    *,
+    prior: Path | None = None,
+    network: NetworkKind | None = None,
 ) -> CalibrateResult:
     """Calibrate a run: draw missing splits, identify, evaluate, append the stage, export the model in force.
 
-    ``prior`` is the folder of an earlier run of the same arms, whose calibration is taken as prior. The notes also say
-    whether an earlier discovery and verification still hold.
+    ``prior`` is the folder of an earlier run of the same arms, whose calibration is taken as prior. ``network``
+    takes the place of the kind that the profile says. The notes also say whether an earlier discovery and verification
+    still hold.
 
     Raises
     ------
@@ -52,6 +58,9 @@ def calibrate_run(
     Cancelled
         On request; nothing is stored then.
     """
+    profile = run.profile
+    if network is not None:
+        profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": network})})
     notes = draw_missing_splits(run)
     readings = {name: run.readings(name) for name in run.profile.arms}
     recordings = {name: read_recordings_of(run, name) for name in run.profile.arms}
@@ -63,12 +72,12 @@ def calibrate_run(
         notes = (*notes, f"calibrated without the earlier calibration {', '.join(used)}, which was its prior before")
     if any(recordings.values()):
         with one_blas_thread():
-            moved = calibrate_with_motion(run.profile, readings, recordings, with_eta(listener), cancel)
+            moved = calibrate_with_motion(profile, readings, recordings, with_eta(listener), cancel)
         keep_samples(run, moved.samples)
         found = moved.calibration
         result, model = calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
     else:
-        result, model = calibrate_cell(run.profile, readings, listener, cancel, earlier=earlier, notes=notes)
+        result, model = calibrate_cell(profile, readings, listener, cancel, earlier=earlier, notes=notes)
     result = with_nests(result, run, model)
     basis = basis_of(run).model_copy(update={"priors": basis_of_priors(earlier)})
     append_with_model(run, CALIBRATE, result, model, basis)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from cellapp.commands.calibrate.motion_view import motion_sentences, motion_tables
 from cellapp.commands.calibrate.nests_view import nest_sentences, nest_tables
+from cellapp.commands.calibrate.network_view import network_sentences
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
@@ -82,7 +83,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
     for name, arm in result.arms.items():
         noise_mm = {"position": arm.tracker_mm or None, "distance": distance_mm(arm.tracker_mm, arm.tracker_mm)}
         rows = [
-            (label, *_detailed_cells(summary), _ratio(summary, noise_mm[measure]))
+            (label, *_detailed_cells(summary), _ratio(summary, noise_mm.get(measure)))
             for label, measure, summary in _stage_summaries(arm)
         ]
         tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *columns), tuple(rows)))
@@ -144,7 +145,7 @@ def merged_words(shares: Mapping[str, float]) -> str:
 
 
 def tracker_sentences(result: CalibrateResult) -> list[str]:
-    """Compare the error of each arm's last stage with the stated uncertainty of the tracker; where priors come from."""
+    """The error of each arm's last stage beside the tracker's stated uncertainty; networks, motion, priors."""
     sentences = []
     for name, arm in result.arms.items():
         if arm.tracker_mm is None:
@@ -155,7 +156,8 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    return [*sentences, *motion_sentences(result), *nest_sentences(result), *prior_sentences(result)]
+    more = (*network_sentences(result), *motion_sentences(result), *nest_sentences(result))
+    return [*sentences, *more, *prior_sentences(result)]
 
 
 def distance_mm(first: float | None, second: float | None) -> float | None:
@@ -180,12 +182,14 @@ def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
 
 
 def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSummary]]:
-    """Label, measure (position or distance) and errors of each stage."""
+    """Label, measure (position, orientation or distance) and errors of each stage."""
     found = []
     for stage in STAGES:
         if stage in arm.validate_:
             errors = arm.validate_[stage]
             found.append((f"{stage}, position", "position", errors.position_mm))
+            if errors.orientation_mrad is not None:
+                found.append((f"{stage}, orientation [mrad]", "orientation", errors.orientation_mrad))
             if errors.distance_mm is not None:
                 found.append((f"{stage}, distance", "distance", errors.distance_mm))
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 from cellapp.cell.driving.iso9283.programme import wanted_cycles
@@ -13,13 +13,24 @@ from cellapp.estimation.uncertainty.records import Characteristic, Judgement
 from cellapp.ground.counting import counted
 from cellapp.ground.profile.acceptance import Tolerances
 
+TEST_OF: Mapping[Characteristic, IsoTest] = {
+    "pose_accuracy": "pose",
+    "pose_repeatability": "pose",
+    "multidirectional": "multidirectional",
+    "distance_accuracy": "distance",
+    "distance_repeatability": "distance",
+    "drift": "drift",
+    "path_accuracy": "path",
+    "path_repeatability": "path",
+}
+"""Characteristic of one arm -> the test that measures it."""
+
 
 @dataclass(frozen=True)
 class _Found:
-    """A characteristic at one place of one test."""
+    """A characteristic at one place."""
 
     characteristic: Characteristic
-    test: IsoTest
     at: str
     value: IsoValue
 
@@ -40,12 +51,21 @@ def judge_characteristics(
     for pair in pairs:
         kind = _last(pair.distance)
         if kind is not None:
-            each = [
-                _Found("cooperative", "cooperative", " and ".join(one.between), one.accuracy)
-                for one in pair.distance[kind]
-            ]
+            each = [_Found("cooperative", " and ".join(one.between), one.accuracy) for one in pair.distance[kind]]
             found += _judged(tolerances, " and ".join(pair.arms), kind, each, cycles)
     return tuple(found)
+
+
+def unmeasured_tests(
+    tolerances: Tolerances, names: Collection[str], arms: Mapping[str, ArmIso9283]
+) -> tuple[IsoTest, ...]:
+    """The tests of characteristics that have a tolerance and were not measured of one of the arms ``names``."""
+    measured = {
+        name: {one.characteristic for tests in arms[name].tests.values() for one in _of_arm(tests)} for name in arms
+    }
+    given = [characteristic for characteristic in TEST_OF if getattr(tolerances, characteristic) is not None]
+    missing = (one for one in given if any(one not in measured.get(name, ()) for name in names))
+    return tuple(dict.fromkeys(TEST_OF[one] for one in missing))
 
 
 def _judged(
@@ -57,8 +77,9 @@ def _judged(
             continue
         own = [one for one in found if one.characteristic == characteristic]
         worst = max(own, key=lambda one: abs(one.value.value_mm))
-        asked, n = wanted_cycles(worst.test, cycles), min(one.value.n for one in own)
-        norm = NORM_CYCLES[worst.test]
+        test = TEST_OF.get(characteristic, "cooperative")
+        asked, n = wanted_cycles(test, cycles), min(one.value.n for one in own)
+        norm = NORM_CYCLES[test]
         value = abs(worst.value.value_mm)
         enough = n >= min(asked, norm)
         expanded = worst.value.expanded_mm
@@ -87,17 +108,17 @@ def _last(measured: Mapping[IsoCommands, object]) -> IsoCommands | None:
 
 def _of_arm(tests: CommandedTests) -> Iterator[_Found]:
     for pose in tests.pose:
-        yield _Found("pose_accuracy", "pose", pose.pose, pose.accuracy)
-        yield _Found("pose_repeatability", "pose", pose.pose, pose.repeatability)
+        yield _Found("pose_accuracy", pose.pose, pose.accuracy)
+        yield _Found("pose_repeatability", pose.pose, pose.repeatability)
     for one in tests.multidirectional:
-        yield _Found("multidirectional", "multidirectional", one.pose, one.variation)
+        yield _Found("multidirectional", one.pose, one.variation)
     for pair in tests.distance:
         at = " to ".join(pair.between)
-        yield _Found("distance_accuracy", "distance", at, pair.accuracy)
-        yield _Found("distance_repeatability", "distance", at, pair.repeatability)
+        yield _Found("distance_accuracy", at, pair.accuracy)
+        yield _Found("distance_repeatability", at, pair.repeatability)
     if tests.drift is not None:
         at = f"{tests.drift.pose}, {tests.drift.minutes:.0f} of {NORM_DRIFT_MIN:.0f} min"
-        yield _Found("drift", "drift", at, tests.drift.accuracy)
+        yield _Found("drift", at, tests.drift.accuracy)
     for path in tests.path:
-        yield _Found("path_accuracy", "path", path.path, path.accuracy)
-        yield _Found("path_repeatability", "path", path.path, path.repeatability)
+        yield _Found("path_accuracy", path.path, path.accuracy)
+        yield _Found("path_repeatability", path.path, path.repeatability)

@@ -19,7 +19,7 @@ from scipy.spatial.distance import pdist
 
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.commands.certificate.evidence import evidence_of
-from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
+from cellapp.commands.certificate.iso9283_judgements import TEST_OF, judge_characteristics
 from cellapp.commands.run_results import StageResults
 from cellapp.estimation.iso9283.norm import NORM_CYCLES
 from cellapp.estimation.uncertainty.budget import distance_budget, expanded_mm, not_given, position_budget
@@ -31,17 +31,6 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Tolerances
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName
-
-_ISO: tuple[Characteristic, ...] = (
-    "pose_accuracy",
-    "pose_repeatability",
-    "multidirectional",
-    "distance_accuracy",
-    "distance_repeatability",
-    "drift",
-    "path_accuracy",
-    "path_repeatability",
-)
 
 Budget = Sequence[UncertaintyContribution]
 
@@ -140,7 +129,7 @@ def _iso(profile: Profile, results: StageResults) -> list[Judgement | None]:
         *held,
         *(
             _judged(profile.tolerances, _Measured(name, arm, (), why))
-            for name in _ISO
+            for name in TEST_OF
             for arm in profile.arms
             if not any(one.characteristic == name and one.where == arm for one in held)
         ),

@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.result import (
     CertificateResult,
+    CertifiedArm,
     CertifiedCharacteristic,
     CertifiedErrors,
     CertifiedTests,
+    Range,
 )
 from cellapp.commands.record import View
 from cellapp.commands.view.acceptance_words import (
@@ -19,13 +21,16 @@ from cellapp.commands.view.acceptance_words import (
     judgement_table,
     verdict_of,
 )
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.parts import Facts, Section
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
 from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
+from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
-from cellapp.ground.results import ErrorSummary
+from cellapp.ground.results import ErrorSummary, StageName
+from cellapp.ground.times import day_of, minute_of
 
 NOT_GIVEN = "not given"
 _COMPLETE = "Every entry of this certificate that a person gives was given."
@@ -36,6 +41,16 @@ _COPIES = (
     "This certificate may be copied as a whole only; extracts need the written permission of the organisation that"
     " issued it."
 )
+_FOUND_AND_LEFT = (
+    "As found: commands of the published geometry. As left: compensated commands. Errors in mm at targets that were"
+    " driven and measured; predicted ones are of models at stops that the calibration did not use."
+)
+_UNCERTAINTY = (
+    "By JCGM 100 (GUM): independent contributions of one coordinate in its worst direction; type A from the readings, B"
+    " as stated. Of distances between two positions each contribution counts twice, of distances between two arms those"
+    " of both arms. A contribution that is not given leaves the uncertainty unknown."
+)
+_STAGE_WORDS: Mapping[StageName, str] = {"verify": "verification", "iso9283": "test by ISO 9283"}
 _NOWHERE = (None, None, None)
 """Coordinates of a target whose position was not stored."""
 
@@ -80,21 +95,43 @@ def certificate_verdict(result: CertificateResult) -> Verdict:
     return Verdict(None, "Not judged", "No tolerance is given: the figures stand without a verdict.")
 
 
-def rule_sentence(result: CertificateResult) -> str:
-    """The decision rule in words; empty where nothing is judged."""
-    if not result.judgements:
-        return ""
-    words = RULE_WORDS[result.judgements[0].rule]
-    return f"Decision rule: {words[0].lower()}{words[1:]}"
+def certificate_marks(result: CertificateResult, outdated: str = "") -> list[str]:
+    """What a reader must see first; ``outdated`` says why the certificate no longer holds."""
+    return [
+        *([f"this certificate is out of date: {outdated}"] if outdated else []),
+        *result.warnings,
+        *(f"out of date when it was issued: {one}" for one in result.out_of_date),
+    ]
 
 
-def statements(result: CertificateResult) -> list[str]:
+def certificate_sections(result: CertificateResult) -> list[Section]:
+    """The certificate as it is printed, from its judgements to the hashes of what it rests on."""
+    objects = Facts(tuple((f"Arm {name}", _arm_words(arm)) for name, arm in result.arms.items()))
+    hashes = _hashes(result)
+    return [
+        *([_of_table(judgement_table(result.judgements))] if result.judgements else []),
+        _of_table(errors_table(result), _FOUND_AND_LEFT),
+        *([_of_table(targets_table(result))] if result.targets else []),
+        *([] if result.iso9283 is None else [_of_table(iso_table(result.iso9283), iso_sentence(result.iso9283))]),
+        Section("Object and conditions", [objects, Facts(tuple(_facts(result)))]),
+        _of_table(instruments_table(result)),
+        _of_table(budget_table(result), _UNCERTAINTY),
+        Section("Statements", _statements(result)),
+        *([Section("Data (SHA-256)", [Facts(tuple(hashes))])] if hashes else []),
+    ]
+
+
+def _of_table(table: Table, about: str = "") -> Section:
+    return Section(table.title, [table], about=about)
+
+
+def _statements(result: CertificateResult) -> list[str]:
     """What a certificate says besides its figures: method, rule, limits, what is not given, copies."""
-    rule = rule_sentence(result)
+    rule = RULE_WORDS[result.judgements[0].rule] if result.judgements else ""
     missing = f"Not given: {'; '.join(result.missing)}." if result.missing else _COMPLETE
     return [
         *([f"Method: {result.method}"] if result.method else []),
-        *([rule] if rule else []),
+        *([f"Decision rule: {rule[0].lower()}{rule[1:]}"] if rule else []),
         *result.limits,
         missing,
         _TRACEABLE,
@@ -104,12 +141,18 @@ def statements(result: CertificateResult) -> list[str]:
 
 def targets_table(result: CertificateResult) -> Table:
     """Every verified target: where it is in the tracker frame, its error as found and as left [mm]."""
-    rows = tuple(
-        (one.name, one.arm, *(one.wanted_M_mm or _NOWHERE), one.found_mm, one.left_mm) for one in result.targets
+    return table_of(
+        "Verified targets [mm]",
+        result.targets,
+        ("target", "name"),
+        ("arm", "arm"),
+        *(
+            (f"{axis} (tracker)", lambda one, place=place: (one.wanted_M_mm or _NOWHERE)[place], ".1f")
+            for place, axis in enumerate("xyz")
+        ),
+        ("as found", "found_mm", ".3f"),
+        ("as left", "left_mm", ".3f"),
     )
-    axes = (number_column(f"{axis} (tracker)", ".1f") for axis in "xyz")
-    errors = (number_column(title, ".3f") for title in ("as found", "as left"))
-    return Table("Verified targets [mm]", (Column("target"), Column("arm"), *axes, *errors), rows)
 
 
 def errors_table(result: CertificateResult) -> Table:
@@ -157,7 +200,8 @@ def iso_sentence(tests: CertifiedTests) -> str:
     names = dict.fromkeys(name for names in not_done(tests.coverage).values() for name in names)
     left_out = f" Of the norm not done: {', '.join(names)}." if names else ""
     return (
-        f"{speed}payload {loads}; U and cycles are those of the errors as left, where there are any.{missing}{left_out}"
+        f"Largest value of all poses, distances or paths. {speed}payload {loads}; U and cycles are those of the errors"
+        f" as left, where there are any.{missing}{left_out}"
     )
 
 
@@ -182,13 +226,13 @@ def budget_table(result: CertificateResult) -> Table:
 
 def instruments_table(result: CertificateResult) -> Table:
     """What was measured with."""
-    columns = tuple(map(Column, ("instrument", "model", "serial", "calibrated", "due", "certificate")))
-    rows = tuple(
-        (one.role, *(text or NOT_GIVEN for text in texts))
-        for one in result.instruments
-        for texts in [(one.model, one.serial, one.calibrated, one.due, one.certificate)]
+    fields = ("model", "serial", "calibrated", "due", "certificate")
+    return table_of(
+        "Instruments",
+        result.instruments,
+        ("instrument", "role"),
+        *((name, lambda one, name=name: getattr(one, name) or NOT_GIVEN) for name in fields),
     )
-    return Table("Instruments", columns, rows)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -235,3 +279,79 @@ def _without_minus_zero(one: CertifiedCharacteristic | None) -> float | None:
 
 def _or_unknown(value: float | None) -> Cell:
     return NOT_GIVEN if value is None else value
+
+
+def _facts(result: CertificateResult) -> list[tuple[str, str]]:
+    """Who, when, where, under which conditions."""
+    return [
+        ("Organisation", result.organisation or NOT_GIVEN),
+        ("Client", result.client or NOT_GIVEN),
+        ("Location", result.location or NOT_GIVEN),
+        ("Operator", result.operator or NOT_GIVEN),
+        ("Measured", _period(result.measured)),
+        *_shared("Payload", "kg", {name: arm.payload_kg for name, arm in result.arms.items()}),
+        *_shared("Air temperature", "degC", {name: arm.air_c for name, arm in result.arms.items()}),
+        *_shared("Joint temperatures", "degC", {name: arm.joints_c for name, arm in result.arms.items()}),
+        ("Air pressure", _stated(result.air_pressure_hpa, "hPa")),
+        ("Relative humidity", _stated(result.relative_humidity_percent, "%")),
+        *_shared("Distance from tracker", "m", {name: arm.distance_m for name, arm in result.arms.items()}),
+        ("Procedure", result.procedure or NOT_GIVEN),
+        ("Software", result.program),
+    ]
+
+
+def _arm_words(arm: CertifiedArm) -> str:
+    controller = " ".join(filter(None, (arm.controller_model, arm.controller_software)))
+    parts = [
+        arm.type,
+        f"serial {arm.serial or NOT_GIVEN}",
+        *([arm.asset] if arm.asset else []),
+        f"controller serial {arm.controller_serial or NOT_GIVEN}" + (f" ({controller})" if controller else ""),
+        counted(arm.readings, "reading"),
+    ]
+    return ", ".join(parts)
+
+
+def _shared(title: str, unit: str, ranges: dict[str, Range | None]) -> list[tuple[str, str]]:
+    """A range of every arm, said once where all are alike."""
+    words = {name: _stated(one, unit) for name, one in ranges.items()}
+    if len(set(words.values())) == 1:
+        return [(title, next(iter(words.values())))]
+    return [(title, "; ".join(f"{name} {text}" for name, text in words.items()))]
+
+
+def _stated(limits: Range | None, unit: str) -> str:
+    return NOT_GIVEN if limits is None else f"{_span(limits)} {unit}"
+
+
+def _span(limits: Range) -> str:
+    low, high = (f"{value:.2f}".rstrip("0").rstrip(".") for value in limits)
+    return low if low == high else f"{low} to {high}"
+
+
+def _period(measured: Sequence[str]) -> str:
+    if not measured:
+        return NOT_GIVEN
+    first, last = (minute_of(time) for time in (measured[0], measured[-1]))
+    if first == last:
+        return f"{first} UTC"
+    if day_of(first) == day_of(last):
+        return f"{first} to {last[11:]} UTC"
+    return f"{first} to {last} UTC"
+
+
+def _hashes(result: CertificateResult) -> list[tuple[str, str]]:
+    """SHA-256 of everything that the certificate rests on."""
+    data = result.data
+    if data is None:
+        return []
+    stages = [
+        (_STAGE_WORDS.get(name, f"model in force ({name})"), digest or "none made")
+        for name, digest in data.stages.items()
+    ]
+    return [
+        ("profile", data.profile),
+        *((f"readings of arm {name}", digest) for name, digest in data.readings.items()),
+        *stages,
+        *([] if data.data_file is None else [("file that completed the profile", data.data_file)]),
+    ]

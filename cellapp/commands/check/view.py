@@ -6,8 +6,8 @@ from cellapp.commands.check.charts import check_charts
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
 from cellapp.commands.view.parts import Part
-from cellapp.commands.view.table import Cell, Column, Table, number_column
-from cellapp.estimation.monitoring.check.records import TRACKER, CheckResult, FoundChange, WeakChange
+from cellapp.commands.view.table import Table, table_of, with_rows
+from cellapp.estimation.monitoring.check.records import TRACKER, CheckedStop, CheckResult, FoundChange
 from cellapp.ground.counting import counted
 
 _VERDICTS = {
@@ -35,7 +35,7 @@ def view(result: CheckResult, request: CheckRequest | None = None) -> View:
 
 def check_tables(result: CheckResult) -> list[Table]:
     """Errors of each arm, what changed, what these stops would show too weakly, and every stop."""
-    return [_arm_table(result), *_change_tables(result), *_weak_tables(result), *_stop_tables(result)]
+    return [_arm_table(result), *with_rows(_change_table(result), _weak_table(result), _stop_table(result))]
 
 
 def check_sentences(result: CheckResult) -> list[str]:
@@ -96,11 +96,6 @@ def _shown(change: FoundChange) -> tuple[float | None, float | None, str]:
     return None if change.value is None else change.value * scale, error, unit
 
 
-def _detected(change: WeakChange) -> tuple[float, str]:
-    scale, unit = _UNITS.get(change.unit, (1.0, change.unit))
-    return change.detected * scale, unit
-
-
 def _amount(change: FoundChange) -> str:
     value, error, unit = _shown(change)
     return f"{value:.4g}{'' if error is None else f' +- {error:.2g}'} {unit}".rstrip()
@@ -117,72 +112,55 @@ def _station_sentences(result: CheckResult) -> list[str]:
 
 
 def _arm_table(result: CheckResult) -> Table:
-    columns = (
-        Column("arm"),
-        number_column("stops", "d"),
-        number_column("expected", ".3f"),
-        number_column("measured", ".3f"),
-        number_column("of the model alone", ".3f"),
-    )
-    rows: list[tuple[Cell, ...]] = [
-        (name, arm.stops, arm.expected_mm, arm.rms_mm, arm.left_mm) for name, arm in result.arms.items()
-    ]
-    return Table(
+    return table_of(
         "Check: rms position errors at the stops, and of the model over the readings [mm]",
-        columns,
-        tuple(rows),
+        result.arms.items(),
+        ("arm", lambda row: row[0]),
+        ("stops", lambda row: row[1].stops, "d"),
+        ("expected", lambda row: row[1].expected_mm, ".3f"),
+        ("measured", lambda row: row[1].rms_mm, ".3f"),
+        ("of the model alone", lambda row: row[1].left_mm, ".3f"),
     )
 
 
-def _change_tables(result: CheckResult) -> list[Table]:
-    if not result.changes:
-        return []
-    columns = (
-        Column("where"),
-        Column("what"),
-        number_column("change", ".4g"),
-        number_column("standard error", ".2g"),
-        Column("unit"),
-        number_column("SMR moves [mm]", ".3f"),
-        Column("p"),
-        Column("explains about as well"),
+def _change_table(result: CheckResult) -> Table:
+    return table_of(
+        "Check: what changed",
+        result.changes,
+        ("where", "arm"),
+        ("what", "what"),
+        ("change", lambda one: _shown(one)[0], ".4g"),
+        ("standard error", lambda one: _shown(one)[1], ".2g"),
+        ("unit", lambda one: _shown(one)[2]),
+        ("SMR moves [mm]", "moved_mm", ".3f"),
+        ("p", lambda one: _chance(one.p_value)),
+        ("explains about as well", lambda one: ", ".join(one.rivals) or "nothing"),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (one.arm, one.what, *_shown(one), one.moved_mm, _chance(one.p_value), ", ".join(one.rivals) or "nothing")
-        for one in result.changes
-    ]
-    return [Table("Check: what changed", columns, tuple(rows))]
 
 
-def _weak_tables(result: CheckResult) -> list[Table]:
+def _weak_table(result: CheckResult) -> Table:
     """Visible changes that would have to be larger to be found."""
-    if not result.weak:
-        return []
-    columns = (Column("where"), Column("what"), number_column("found from", ".2g"), Column("unit"))
-    rows = tuple((one.arm, one.what, *_detected(one)) for one in result.weak)
-    return [Table("Check: visible changes that these stops may miss", columns, rows)]
+    return table_of(
+        "Check: visible changes that these stops may miss",
+        result.weak,
+        ("where", "arm"),
+        ("what", "what"),
+        ("found from", lambda one: one.detected * _UNITS.get(one.unit, (1.0, ""))[0], ".2g"),
+        ("unit", lambda one: _UNITS.get(one.unit, (1.0, one.unit))[1]),
+    )
 
 
-def _stop_tables(result: CheckResult) -> list[Table]:
-    if not result.stops:
-        return []
-    columns = (
-        number_column("stop", "d"),
-        number_column("time [s]", ".0f"),
-        *(number_column(f"{name} [mm]", ".3f") for name in result.arms),
-        number_column("evidence of a change", ".2f"),
-        number_column("evidence of none", ".2f"),
-        Column("p"),
+def _stop_table(result: CheckResult) -> Table:
+    def error_at(name: str, stop: CheckedStop) -> float | None:
+        return stop.points[name].error_mm if name in stop.points else None
+
+    return table_of(
+        "Check: errors and evidence stop by stop",
+        enumerate(result.stops, start=1),
+        ("stop", lambda row: row[0], "d"),
+        ("time [s]", lambda row: row[1].time_s, ".0f"),
+        *((f"{name} [mm]", lambda row, name=name: error_at(name, row[1]), ".3f") for name in result.arms),
+        ("evidence of a change", lambda row: row[1].log_evidence, ".2f"),
+        ("evidence of none", lambda row: row[1].log_valid, ".2f"),
+        ("p", lambda row: _chance(row[1].p_value)),
     )
-    rows = tuple(
-        (
-            number,
-            stop.time_s,
-            *(stop.points[name].error_mm if name in stop.points else None for name in result.arms),
-            stop.log_evidence,
-            stop.log_valid,
-            _chance(stop.p_value),
-        )
-        for number, stop in enumerate(result.stops, start=1)
-    )
-    return [Table("Check: errors and evidence stop by stop", columns, rows)]

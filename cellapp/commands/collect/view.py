@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult
+from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult, SessionRecord
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.collect.charts import drift_by_reference, drift_chart
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart, mm
 from cellapp.commands.view.parts import Section, section_of
-from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of, with_rows
 from cellapp.ground.counting import counted
 from cellapp.ground.times import second_of
 
@@ -90,7 +90,7 @@ def collection_tables(state: CollectionResult) -> list[Table]:
     ]
     measured = [one for one in state.stops if one.residual_mm is not None]
     worst = sorted(measured, key=_doubt, reverse=True)[:_MOST_LISTED]
-    return [table for table in (*tables, stops_table(worst, len(measured), "Stops to look at first")) if table.rows]
+    return with_rows(*tables, stops_table(worst, len(measured), "Stops to look at first"))
 
 
 def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title: str = "Stops one by one") -> Table:
@@ -159,34 +159,31 @@ def _stop_words(first: int, last: int) -> str:
 
 
 def _sessions(state: CollectionResult) -> Table:
-    columns = (
-        Column("session"),
-        Column("began (UTC)"),
-        Column("ended (UTC)"),
-        Column("outcome"),
-        Column("reason"),
+    return table_of(
+        "Sessions of collecting",
+        state.sessions,
+        ("session", lambda one: str(one.number)),
+        ("began (UTC)", lambda one: _time(one.began)),
+        ("ended (UTC)", lambda one: _time(one.ended)),
+        ("outcome", _outcome_words),
+        ("reason", lambda one: one.reason or ""),
     )
-    rows = tuple(
-        (
-            str(session.number),
-            _time(session.began),
-            _time(session.ended),
-            (session.outcome or "the program died") + (f", stops {session.again} again" if session.again else ""),
-            session.reason or "",
-        )
-        for session in state.sessions
-    )
-    return Table("Sessions of collecting", columns, rows)
+
+
+def _outcome_words(session: SessionRecord) -> str:
+    again = f", stops {session.again} again" if session.again else ""
+    return f"{session.outcome or 'the program died'}{again}"
 
 
 def _requests(state: CollectionResult) -> Table:
-    columns = (Column("session"), Column("when (UTC)"), Column("what"), Column("reason"))
-    rows = tuple(
-        (str(session.number), _time(request.written), request.kind, request.reason)
-        for session in state.sessions
-        for request in session.requests
+    return table_of(
+        "Requests of persons and interruptions",
+        [(session, request) for session in state.sessions for request in session.requests],
+        ("session", lambda row: str(row[0].number)),
+        ("when (UTC)", lambda row: _time(row[1].written)),
+        ("what", lambda row: row[1].kind),
+        ("reason", lambda row: row[1].reason),
     )
-    return Table("Requests of persons and interruptions", columns, rows)
 
 
 def _missing(state: CollectionResult) -> Table:

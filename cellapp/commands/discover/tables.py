@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from operator import itemgetter
 
-from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column, without_empty
+from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column, table_of, with_rows, without_empty
 from cellapp.commands.view.words import interval_95, law_words, place_words, probability_words, short_reason
 from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult
 from cellapp.ground.results import Estimate
@@ -49,99 +50,77 @@ def noise_floor_words(arm: ArmDiscoveryResult) -> str:
 
 def discovery_tables(result: DiscoverResult) -> list[Table]:
     """Held-out error after each step of each arm, its accepted effects, and the sizes of each of them."""
-    return [
-        table
-        for name, arm in result.arms.items()
-        for table in (numbered_steps_table(name, arm), short_accepted_table(name, arm), *size_tables(name, arm))
-        if table is not None
-    ]
+    return with_rows(
+        *(
+            table
+            for name, arm in result.arms.items()
+            for table in (numbered_steps_table(name, arm), short_accepted_table(name, arm), *size_tables(name, arm))
+        )
+    )
 
 
-def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """What recordings of motion show beside the accepted effects; None without any."""
+def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """What recordings of motion show beside the accepted effects."""
     accepted = {one.effect for one in arm.accepted}
-    rows: list[tuple[Cell, ...]] = []
-    for found in () if arm.motion is None else arm.motion.effects:
-        for parameter, estimate in () if found.effect in accepted else found.parameters.items():
-            rows.append((found.effect, parameter, *interval_95(estimate)))
-    if not rows:
-        return None
+    rows: list[tuple[Cell, ...]] = [
+        (found.effect, parameter, *interval_95(estimate))
+        for found in (() if arm.motion is None else arm.motion.effects)
+        if found.effect not in accepted
+        for parameter, estimate in found.parameters.items()
+    ]
     columns = (Column("effect"), *_SIZE_COLUMNS[1:5])
     return without_empty(Table(f"Arm {name}: what its recordings of motion show besides", columns, tuple(rows)))
 
 
 def numbered_steps_table(name: str, arm: ArmDiscoveryResult) -> Table:
     """Held-out error after each step, with the step numbers of its chart, and the noise floor."""
-    rows: list[tuple[Cell, ...]] = [(str(number), what, gap) for number, (what, gap) in enumerate(gap_steps(arm))]
     floor = noise_floor(arm)
-    if floor is not None:
-        rows.append(("", noise_floor_words(arm), floor))
-    columns = (Column("step"), Column("what was done"), number_column("held-out rms", _MM, "mm"))
-    return Table(f"Arm {name}: held-out error after each step", columns, tuple(rows))
-
-
-def short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Accepted effects by their names in the handbook, with their probability and what they explain; None without."""
-    if not arm.accepted:
-        return None
-    columns = (
-        Column("accepted"),
-        Column("where"),
-        number_column("probability", ""),
-        number_column("corrected p", ".2g"),
-        number_column("without", _MM),
-        number_column("with", _MM),
+    rows = [(str(number), what, gap) for number, (what, gap) in enumerate(gap_steps(arm))]
+    return table_of(
+        f"Arm {name}: held-out error after each step",
+        rows if floor is None else [*rows, ("", noise_floor_words(arm), floor)],
+        ("step", itemgetter(0)),
+        ("what was done", itemgetter(1)),
+        ("held-out rms", itemgetter(2), _MM, "mm"),
     )
-    rows = [
-        (
-            found.effect,
-            place_words(found.where),
-            probability_words(found.posterior),
-            found.evidence.corrected_p,
-            found.evidence.heldout_mm.before,
-            found.evidence.heldout_mm.after,
-        )
-        for found in arm.accepted
-    ]
-    return Table(f"Arm {name}: accepted effects, held-out rms [mm]", columns, tuple(rows))
 
 
-def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Accepted effects with all their evidence; None if there are none."""
-    if not arm.accepted:
-        return None
-    columns = (
-        Column("effect"),
-        Column("law"),
-        Column("where"),
-        number_column("probability", ""),
-        number_column("score", ".1f"),
-        number_column("corrected p", ".2g"),
-        number_column("without it", _MM, "mm"),
-        number_column("with it", _MM, "mm"),
-        number_column("beside its law", ".0f", "%"),
-        Column("answer set"),
-        Column("most correlated with"),
+def short_accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """Accepted effects by their names in the handbook, with their probability and what they explain."""
+    return table_of(
+        f"Arm {name}: accepted effects, held-out rms [mm]",
+        arm.accepted,
+        ("accepted", "effect"),
+        ("where", lambda found: place_words(found.where)),
+        ("probability", lambda found: probability_words(found.posterior), ""),
+        ("corrected p", "evidence.corrected_p", ".2g"),
+        ("without", "evidence.heldout_mm.before", _MM),
+        ("with", "evidence.heldout_mm.after", _MM),
     )
-    rows = [_accepted_row(found) for found in arm.accepted]
-    return Table(f"Arm {name}: accepted effects, held-out rms without and with each", columns, tuple(rows))
 
 
-def _accepted_row(found: AcceptedEffect) -> tuple[Cell, ...]:
-    evidence, correlated = found.evidence, found.correlated_with
-    return (
-        found.title,
-        law_words(found.effect, found.law, found.where.joints),
-        place_words(found.where),
-        probability_words(found.posterior),
-        evidence.statistic,
-        evidence.corrected_p,
-        evidence.heldout_mm.before,
-        evidence.heldout_mm.after,
-        None if found.law_misfit is None else 100.0 * found.law_misfit,
-        " or ".join(found.answer_set),
-        None if correlated is None else f"{correlated.parameter} ({correlated.correlation:+.2f})",
+def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """Accepted effects with all their evidence."""
+    return table_of(
+        f"Arm {name}: accepted effects, held-out rms without and with each",
+        arm.accepted,
+        ("effect", "title"),
+        ("law", lambda found: law_words(found.effect, found.law, found.where.joints)),
+        ("where", lambda found: place_words(found.where)),
+        ("probability", lambda found: probability_words(found.posterior), ""),
+        ("score", "evidence.statistic", ".1f"),
+        ("corrected p", "evidence.corrected_p", ".2g"),
+        ("without it", "evidence.heldout_mm.before", _MM, "mm"),
+        ("with it", "evidence.heldout_mm.after", _MM, "mm"),
+        ("beside its law", "law_misfit", ".0f", "%"),
+        ("answer set", lambda found: " or ".join(found.answer_set)),
+        ("most correlated with", lambda found: _correlated_words(found)),
     )
+
+
+def _correlated_words(found: AcceptedEffect) -> str | None:
+    most = found.correlated_with
+    return None if most is None else f"{most.parameter} ({most.correlation:+.2f})"
 
 
 def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
@@ -154,9 +133,7 @@ def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
         order = "the largest first" if one.movements is None else "what moves the SMR most first"
         title = f"Arm {name}: size of {one.effect}, {order}"
         tables.append(without_empty(Table(title, _SIZE_COLUMNS, tuple(_size_rows(one)))))
-    if (in_motion := _motion_table(name, arm)) is not None:
-        tables.append(in_motion)
-    return tables
+    return with_rows(*tables, _motion_table(name, arm))
 
 
 def _size_rows(found: AcceptedEffect) -> list[tuple[Cell, ...]]:
@@ -185,64 +162,61 @@ def _curve_row(where: str, band: CycleBand, moves_mm: float | None) -> tuple[Cel
     return (where, "rms over a whole turn", value, interval, unit, moves_mm)
 
 
-def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Dominant cycles per revolution of the periodic error of each joint; None if there is no periodic error."""
-    rows = [
-        (joint, band.first if band.first == band.last else Interval(band.first, band.last), band.peak, band.rms_urad)
-        for found in arm.accepted
-        for joint, band in (found.cycles or {}).items()
-    ]
-    if not rows:
-        return None
-    columns = (
-        Column("joint"),
-        number_column("cycles per revolution, middle 80 % of the power", "d"),
-        number_column("strongest", "d"),
-        number_column("rms over a whole turn", ".0f", "µrad"),
+def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """Dominant cycles per revolution of the periodic error of each joint."""
+    return table_of(
+        f"Arm {name}: periodic error by cycles per revolution",
+        [(joint, band) for found in arm.accepted for joint, band in (found.cycles or {}).items()],
+        ("joint", lambda row: row[0]),
+        ("cycles per revolution, middle 80 % of the power", lambda row: _range_of(row[1]), "d"),
+        ("strongest", lambda row: row[1].peak, "d"),
+        ("rms over a whole turn", lambda row: row[1].rms_urad, ".0f", "µrad"),
     )
-    return Table(f"Arm {name}: periodic error by cycles per revolution", columns, tuple(rows))
 
 
-def candidates_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Posterior probability of every effect that was tested, the most probable first; None if there are none."""
-    if not arm.candidates:
-        return None
+def _range_of(band: CycleBand) -> Cell:
+    return band.first if band.first == band.last else Interval(band.first, band.last)
+
+
+def candidates_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """Posterior probability of every effect that was tested, the most probable first."""
     accepted = {found.effect for found in arm.accepted}
-    ordered = sorted(arm.candidates.items(), key=lambda entry: -entry[1])
-    rows = [(slug, probability_words(p), "yes" if slug in accepted else "no") for slug, p in ordered]
-    columns = (Column("effect"), number_column("probability", ""), Column("in the model"))
-    return Table(f"Arm {name}: probability of each effect that was tested", columns, tuple(rows))
-
-
-def structure_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Tests of what is left for structure; None if there were none."""
-    if arm.structure is None or not arm.structure.tests:
-        return None
-    rows = tuple((test.against, test.p_value) for test in arm.structure.tests)
-    columns = (Column("what is left, against"), number_column("p", ".2g"))
-    return Table(f"Arm {name}: structure of what is left", columns, rows)
-
-
-def invisible_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Effects that these data cannot show, with the reason; None if there are none."""
-    rows = [(entry.effect, short_reason(entry.reason), entry.smallest_seen_rms_mm) for entry in arm.invisible]
-    if not rows:
-        return None
-    columns = (Column("effect"), Column("why it cannot be seen"), number_column("visible from", _MM, "mm rms"))
-    return Table(f"Arm {name}: effects that these data cannot show", columns, tuple(rows))
-
-
-def not_found_table(name: str, arm: ArmDiscoveryResult) -> Table | None:
-    """Effects that were not found, with the smallest size that would have been; None if there are none."""
-    rows = [
-        (entry.effect, entry.smallest_seen_rms_mm, None if entry.visible_share is None else 100.0 * entry.visible_share)
-        for entry in arm.not_found
-    ]
-    if not rows:
-        return None
-    columns = (
-        Column("effect"),
-        number_column("would have been seen from", _MM, "mm rms"),
-        number_column("visible beside the geometry", ".0f", "%"),
+    return table_of(
+        f"Arm {name}: probability of each effect that was tested",
+        sorted(arm.candidates.items(), key=lambda entry: -entry[1]),
+        ("effect", lambda row: row[0]),
+        ("probability", lambda row: probability_words(row[1]), ""),
+        ("in the model", lambda row: "yes" if row[0] in accepted else "no"),
     )
-    return Table(f"Arm {name}: searched for and not found", columns, tuple(rows))
+
+
+def structure_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """Tests of what is left for structure."""
+    return table_of(
+        f"Arm {name}: structure of what is left",
+        () if arm.structure is None else arm.structure.tests,
+        ("what is left, against", "against"),
+        ("p", "p_value", ".2g"),
+    )
+
+
+def invisible_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """Effects that these data cannot show, with the reason."""
+    return table_of(
+        f"Arm {name}: effects that these data cannot show",
+        arm.invisible,
+        ("effect", "effect"),
+        ("why it cannot be seen", lambda entry: short_reason(entry.reason)),
+        ("visible from", "smallest_seen_rms_mm", _MM, "mm rms"),
+    )
+
+
+def not_found_table(name: str, arm: ArmDiscoveryResult) -> Table:
+    """Effects that were not found, with the smallest size that would have been."""
+    return table_of(
+        f"Arm {name}: searched for and not found",
+        arm.not_found,
+        ("effect", "effect"),
+        ("would have been seen from", "smallest_seen_rms_mm", _MM, "mm rms"),
+        ("visible beside the geometry", "visible_share", ".0f", "%"),
+    )

@@ -23,6 +23,7 @@ from cellapp.commands.discover.words import (
     contradiction_sentences,
     description_sentences,
     misfit_sentences,
+    orientation_sentences,
     picture_words,
     remainder_sentences,
     rival_sentences,
@@ -33,6 +34,7 @@ from cellapp.commands.discover.words import (
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Section, printed, section_of, sentence
+from cellapp.commands.view.table import with_rows
 from cellapp.commands.view.words import place_words, ranges, short_reason
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
 from cellapp.ground.profile.schema import Discovery
@@ -71,7 +73,7 @@ def arm_section(
     key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = (), curves: Sequence[Chart] = ()
 ) -> Section:
     """Verdict, steps, accepted effects with pictures, undetectable effects and the remainder of one arm."""
-    found = (
+    found = with_rows(
         numbered_steps_table(name, arm),
         short_accepted_table(name, arm),
         *size_tables(name, arm),
@@ -82,7 +84,7 @@ def arm_section(
         *remainder_sentences(arm),
         gap_chart(name, arm),
         *certainty,
-        *filter(None, found),
+        *found,
         *_meanings(arm),
         *(Section(heading, [words]) for heading, words in description_sentences(arm)),
         *_pictures(name, arm),
@@ -93,11 +95,11 @@ def arm_section(
             " posterior, and widen beyond the measured angles."
         )
         parts.append(Section("What effects turn joints by", curves, about=about))
-    evidence = (candidates_table(name, arm), structure_table(name, arm), accepted_table(name, arm))
-    undetected = (invisible_table(name, arm), not_found_table(name, arm))
-    parts.append(Section("All evidence", [*filter(None, evidence)], folded=True))
+    evidence = with_rows(candidates_table(name, arm), structure_table(name, arm), accepted_table(name, arm))
+    undetected = with_rows(invisible_table(name, arm), not_found_table(name, arm))
+    parts.append(Section("All evidence", evidence, folded=True))
     title = "Effects that were not found, or that these data cannot show"
-    parts.append(Section(title, [*filter(None, undetected)], folded=True))
+    parts.append(Section(title, undetected, folded=True))
     return Section(f"Arm {name}: {arm.verdict}", parts, sentence(verdict_sentence(name, arm)), key=key)
 
 
@@ -119,6 +121,7 @@ def _remarks(arm: ArmDiscoveryResult) -> list[str]:
     possible = also_possible(arm)
     hidden = [f"{one.effect} ({short_reason(one.reason)})" for one in arm.invisible]
     return [
+        *orientation_sentences(arm),
         *contradiction_sentences(arm),
         *_motion_sentences(arm),
         *rival_sentences(arm),

@@ -32,6 +32,18 @@ def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
     return arm.sentence.removeprefix(f"arm {name}: ")
 
 
+def orientation_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """Held-out orientation errors before and after; none where no orientation was measured."""
+    errors = arm.heldout_orientation_mrad
+    if errors is None:
+        return []
+    scatter = "" if arm.noise_mrad is None else f"; a component scatters by {arm.noise_mrad:.3f} mrad about the model"
+    return [
+        f"Held-out orientations: mean {errors.before.mean:.3f} mrad with geometry alone, {errors.after.mean:.3f} mrad"
+        f" with what was found{scatter}."
+    ]
+
+
 def size_words(meaning: EffectMeaning) -> str:
     """The usual size with how well it is known."""
     return meaning.size if meaning.size_source == "none" else f"{meaning.size} ({meaning.size_source})"

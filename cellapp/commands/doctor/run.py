@@ -147,7 +147,7 @@ def _notify(profile: Profile) -> list[Finding]:
         return []
     program = profile.notify.command[0]
     if shutil.which(program) is None:
-        return [Finding("notify", "warning", f"{program}: no such program here; nobody is told of a stop")]
+        return [Finding("notify", "warning", f"{program}: no such program here; nobody is told of a halt")]
     return [Finding("notify", "ok", f"{program} is run on: {', '.join(profile.notify.events)}")]
 
 

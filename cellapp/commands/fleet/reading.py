@@ -10,44 +10,43 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from cellapp.cell.run.arm_identity import ArmIdentity, arm_identities
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import FILE_NAME
+from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.basis import counted_basis
 from cellapp.commands.run_results import UNREADABLE
 from cellapp.commands.stages import RunStages, StoredStage, read_history, read_stages
-from cellapp.estimation.discovery.records import Place
+from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, PairMethodResult
+from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, DiscoverResult, Place
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
+from cellapp.estimation.iso9283.records import Iso9283Result, IsoValue
+from cellapp.estimation.monitoring.check.records import CheckResult
 from cellapp.estimation.monitoring.fleet.record import ArmRecord, EffectRecord, GeometryRecord, RunRecord
 from cellapp.estimation.monitoring.fleet.records import CheckPoint, DatedValue, Figure, IsoPoint
-from cellapp.estimation.monitoring.fleet.stored import (
-    AcceptedPart,
-    Calibrated,
-    CalibratedArm,
-    CharacteristicPart,
-    Checked,
-    Errors,
-    IsoTests,
-    Model,
-    ModelArm,
-    PairMethod,
-    Part,
-    Searched,
-    SearchedArm,
-    Verified,
-)
 from cellapp.ground.errors import CellappError
 from cellapp.ground.profile import Arm
-from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, ISO9283, STAGES, VERIFY, Estimate, Method, StageName
+from cellapp.ground.results import (
+    CALIBRATE,
+    CHECK,
+    DISCOVER,
+    ISO9283,
+    STAGES,
+    VERIFY,
+    ErrorSummary,
+    Estimate,
+    Method,
+    StageName,
+)
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, parameter_names
 from cellapp.robot.model.nominal import nominal_arm
 
 _LEVER_CONFIGURATIONS = 64
 """Configurations over which the displacement by a parameter is averaged: its rms is known to a tenth."""
 
-P = TypeVar("P", bound=Part)
+P = TypeVar("P", bound=BaseModel)
 
 
 def read_record(folder: Path) -> RunRecord:
@@ -64,6 +63,35 @@ def read_record(folder: Path) -> RunRecord:
             problem=f"{folder / FILE_NAME} holds values that this cellapp cannot read ({words}); open it with the"
             " cellapp that wrote it, or restore it from a copy",
         )
+
+
+class _Parameters(BaseModel):
+    """Parameters of a chain [m, rad]."""
+
+    parameters: Mapping[str, float]
+
+
+class _Term(BaseModel):
+    """An effect of a model."""
+
+    effect: str
+    parameters: Mapping[str, Estimate]
+
+
+class ModelArm(BaseModel):
+    """One arm of a stored model, of whatever effects; ``covariance`` (p, p) is of ``identified``, geometry first."""
+
+    geometry: _Parameters
+    nominal: _Parameters
+    identified: tuple[str, ...]
+    covariance: tuple[tuple[float, ...], ...] | None = None
+    effects: tuple[_Term, ...] = ()
+
+
+class Model(BaseModel):
+    """A stored model."""
+
+    arms: Mapping[str, ModelArm]
 
 
 @dataclass
@@ -90,7 +118,7 @@ class _Reader:
                 name: _ArmParts(name, settings, identities[name], stored, folder, began).record()
                 for name, settings in self.run.profile.arms.items()
             },
-            transforms=_transforms(stored.calibrated, stored.searched),
+            transforms=_transforms(stored),
             tolerance_mm=None if tolerance is None else tolerance * 1e3,
             alone=not any(stage.basis is not None and stage.basis.priors for stage in self.stages.current.values()),
             notes=tuple(self.notes),
@@ -99,8 +127,8 @@ class _Reader:
     def _stored(self) -> _Stored:
         holds = DISCOVER not in self.stages.out_of_date
         return _Stored(
-            calibrated=self._current(CALIBRATE, Calibrated),
-            searched=self._current(DISCOVER, Searched) if holds else None,
+            calibrated=self._current(CALIBRATE, CalibrateResult),
+            searched=self._current(DISCOVER, DiscoverResult) if holds else None,
             model=self._model(),
             dated=self._dated(),
             temperatures=self.run.mean_temperatures(),
@@ -126,7 +154,7 @@ class _Reader:
 
     def _parsed(self, stage: StoredStage, text: str, kind: type[P]) -> P | None:
         try:
-            return kind.model_validate_json(text)
+            return kind.model_validate_json(text, extra="ignore")  # keys of another version
         except ValidationError:
             self.notes.append(f"'{stage.name}' cannot be used: {UNREADABLE}")
             return None
@@ -135,11 +163,11 @@ class _Reader:
         """Everything that was measured with a model of this run, each at its own time."""
         found = _Dated(str(self.run.folder))
         for stage in read_history(self.run):
-            if stage.name == VERIFY and (verified := self._parsed(stage, stage.text, Verified)):
+            if stage.name == VERIFY and (verified := self._parsed(stage, stage.text, VerifyResult)):
                 found.verified.append((stage.written, verified))
-            elif stage.name == CHECK and (checked := self._parsed(stage, stage.text, Checked)):
+            elif stage.name == CHECK and (checked := self._parsed(stage, stage.text, CheckResult)):
                 found.checked.append((stage.written, checked))
-            elif stage.name == ISO9283 and (tested := self._parsed(stage, stage.text, IsoTests)):
+            elif stage.name == ISO9283 and (tested := self._parsed(stage, stage.text, Iso9283Result)):
                 found.tested.append((stage.written, tested))
         return found
 
@@ -149,9 +177,9 @@ class _Dated:
     """Verifications, checks and tests of a run with the times at which they were stored."""
 
     run: str
-    verified: list[tuple[str, Verified]] = field(default_factory=list)
-    checked: list[tuple[str, Checked]] = field(default_factory=list)
-    tested: list[tuple[str, IsoTests]] = field(default_factory=list)
+    verified: list[tuple[str, VerifyResult]] = field(default_factory=list)
+    checked: list[tuple[str, CheckResult]] = field(default_factory=list)
+    tested: list[tuple[str, Iso9283Result]] = field(default_factory=list)
 
     def figures(self, arm: str) -> dict[Figure, tuple[DatedValue, ...]]:
         verified = tuple(
@@ -185,7 +213,7 @@ class _Dated:
                     self._largest(time, [pose.repeatability for pose in poses]),
                 )
 
-    def _largest(self, time: str, values: Sequence[CharacteristicPart]) -> DatedValue:
+    def _largest(self, time: str, values: Sequence[IsoValue]) -> DatedValue:
         worst = max(values, key=lambda one: one.value_mm)
         standard_error = None if worst.expanded_mm is None else worst.expanded_mm / 2.0
         return DatedValue(run=self.run, time=time, value=worst.value_mm, standard_error=standard_error)
@@ -216,8 +244,8 @@ class _Dated:
 class _Stored:
     """What the stages of a run say of all arms; None where a stage is missing or no longer holds."""
 
-    calibrated: Calibrated | None
-    searched: Searched | None
+    calibrated: CalibrateResult | None
+    searched: DiscoverResult | None
     model: Model | None
     dated: _Dated
     temperatures: Mapping[str, Mapping[str, float]]
@@ -235,11 +263,11 @@ class _ArmParts:
     began: str
 
     @property
-    def calibrated(self) -> CalibratedArm | None:
+    def calibrated(self) -> ArmCalibrationResult | None:
         return None if self.stored.calibrated is None else self.stored.calibrated.arms.get(self.name)
 
     @property
-    def searched(self) -> SearchedArm | None:
+    def searched(self) -> ArmDiscoveryResult | None:
         return None if self.stored.searched is None else self.stored.searched.arms.get(self.name)
 
     @property
@@ -285,23 +313,23 @@ class _ArmParts:
 
     def _effects(self) -> tuple[EffectRecord, ...] | None:
         if self.searched is not None:
-            n = next((errors.position_mm.n for errors in self.searched.errors.values()), 0)
+            n = next((errors.position_mm.n for errors in self.searched.validate_.values()), 0)
             return tuple(_accepted(one, n) for one in self.searched.accepted)
         return _carried_over(self.model) if self.model is not None and self.model.effects else None
 
-    def _best_errors(self) -> Errors | None:
+    def _best_errors(self) -> ErrorSummary | None:
         """Held-out errors of the last model that was computed and still holds."""
         if self.calibrated is None or self.model is None:
             return None
-        found = dict(self.calibrated.errors)
+        found = dict(self.calibrated.validate_)
         if self.calibrated.prior is None:
             found.pop("effects", None)  # older versions wrote it into the calibration
         if self.searched is not None:
-            found |= self.searched.errors
+            found |= self.searched.validate_
         best = next((stage for stage in reversed(STAGES) if stage in found), None)
         return None if best is None else found[best].position_mm
 
-    def _figures(self, errors: Errors | None) -> Iterator[tuple[Figure, tuple[DatedValue, ...]]]:
+    def _figures(self, errors: ErrorSummary | None) -> Iterator[tuple[Figure, tuple[DatedValue, ...]]]:
         if errors is not None:
             standard_error = errors.std / math.sqrt(errors.n) if errors.n > 1 else None
             yield "heldout", (self._dated(errors.mean, standard_error),)
@@ -334,7 +362,7 @@ def levers(arm: Arm, names: list[str]) -> dict[str, float]:
     return dict(zip(names, np.sqrt(np.mean(np.sum(J**2, axis=0), axis=1)).tolist(), strict=True))
 
 
-def _accepted(one: AcceptedPart, n: int) -> EffectRecord:
+def _accepted(one: AcceptedEffect, n: int) -> EffectRecord:
     removed = one.evidence.heldout_mm.before**2 - one.evidence.heldout_mm.after**2
     free = one.description is not None or one.where.channel is not None
     return EffectRecord.like(one, parameters={} if free else one.parameters, size_mm=math.sqrt(max(removed, 0.0)), n=n)
@@ -353,18 +381,17 @@ def _carried_over(model: ModelArm) -> tuple[EffectRecord, ...]:
     )
 
 
-def _smallest(searched: SearchedArm) -> dict[str, dict[str, float]]:
+def _smallest(searched: ArmDiscoveryResult) -> dict[str, dict[str, float]]:
     return {
         absent.effect: {name: size.value for name, size in (absent.smallest_seen or {}).items()}
         for absent in searched.not_found
     }
 
 
-def _transforms(calibrated: Calibrated | None, searched: Searched | None) -> dict[Method, dict[str, Estimate]]:
-    pairs: dict[Method, PairMethod] = {
-        **({} if calibrated is None else calibrated.pair),
-        **({} if searched is None else searched.pair),
-    }
+def _transforms(stored: _Stored) -> dict[Method, dict[str, Estimate]]:
+    pairs: dict[Method, PairMethodResult] = {}
+    for made in (stored.calibrated, stored.searched):
+        pairs |= {} if made is None else made.pair
     return {
         method: {name: Estimate.like(one) for name, one in pair.identified.items()}
         for method, pair in pairs.items()

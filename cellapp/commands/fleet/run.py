@@ -68,7 +68,7 @@ def _each_once(records: Sequence[RunRecord]) -> tuple[list[RunRecord], list[str]
 
 
 def compare_many(folders: Sequence[Path]) -> FleetResult:
-    """Runs against the first one, in the order in which they are given.
+    """Compare runs with the first one, in the order given.
 
     Raises
     ------

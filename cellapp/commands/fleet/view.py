@@ -7,7 +7,18 @@ from pathlib import Path
 
 from cellapp.commands.fleet.request import FleetRequest
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.table import MOST_ROWS, Cell, Column, Table, most_urgent, number_column, part_table
+from cellapp.commands.view.table import (
+    MOST_ROWS,
+    Cell,
+    Column,
+    Field,
+    Table,
+    most_urgent,
+    number_column,
+    part_table,
+    table_of,
+    with_rows,
+)
 from cellapp.commands.view.words import display_unit, place_words
 from cellapp.estimation.monitoring.fleet.condition import FIGURE_WORDS, drift_words, leads_away
 from cellapp.estimation.monitoring.fleet.records import (
@@ -142,31 +153,19 @@ def _between(trend: Trend) -> str:
 
 def arms_table(result: FleetResult) -> Table:
     """One row for each arm, its condition first, the worst arm first."""
-    columns = (
-        Column("condition"),
-        Column("arm"),
-        number_column("runs", "d"),
-        Column("newest"),
-        number_column("held-out", _MM, "mm"),
-        number_column("targets", _MM, "mm"),
-        number_column("tolerance", _MM, "mm"),
-        number_column("effects", "d"),
-    )
     began = {run.run: day_of(run.began) for run in result.runs}
-    rows = tuple(
-        (
-            arm.condition,
-            name,
-            len(arm.runs),
-            began.get(arm.runs[-1], ""),
-            newest_value(arm, "heldout"),
-            newest_value(arm, "verified"),
-            arm.tolerance_mm,
-            sum(effect.sizes[-1].found for effect in arm.effects),
-        )
-        for name, arm in result.arms.items()
+    return table_of(
+        "Arms, the worst first",
+        result.arms.items(),
+        ("condition", lambda row: row[1].condition),
+        ("arm", lambda row: row[0]),
+        ("runs", lambda row: len(row[1].runs), "d"),
+        ("newest", lambda row: began.get(row[1].runs[-1], "")),
+        ("held-out", lambda row: newest_value(row[1], "heldout"), _MM, "mm"),
+        ("targets", lambda row: newest_value(row[1], "verified"), _MM, "mm"),
+        ("tolerance", lambda row: row[1].tolerance_mm, _MM, "mm"),
+        ("effects", lambda row: sum(effect.sizes[-1].found for effect in row[1].effects), "d"),
     )
-    return Table("Arms, the worst first", columns, rows)
 
 
 def runs_table(result: FleetResult, most: int | None = MOST_ROWS) -> Table:
@@ -196,25 +195,25 @@ def runs_table(result: FleetResult, most: int | None = MOST_ROWS) -> Table:
 
 def arm_tables(name: str, arm: ArmHistory) -> list[Table]:
     """What of an arm changed since its first run, its effects, its proven trends, its checks."""
-    tables = [parameter_table(name, arm), effect_table(name, arm), trend_table(name, arm), check_table(name, arm)]
-    return [table for table in tables if table.rows]
+    return with_rows(
+        parameter_table(name, arm), effect_table(name, arm), trend_table(name, arm), check_table(name, arm)
+    )
 
 
 def parameter_table(name: str, arm: ArmHistory, most: int = _MOST_PARAMETERS) -> Table:
     """Newest differences from the first run, those with the smallest chance; base and tool are not judged."""
     compared = [one for one in arm.parameters if one.last is not None]
     chosen = most_urgent(compared, _urgency, most)
-    columns = (
-        Column("parameter"),
-        number_column("newest - first", "+.1f"),
-        number_column("u", ".1f"),
-        Column("unit"),
-        number_column("moves the SMR", _MM, "mm"),
-        number_column("chance", ".2g"),
-        Column("changed"),
+    return table_of(
+        f"{name}: parameters, newest against first run",
+        chosen,
+        ("parameter", "name"),
+        *_LAST,
+        ("moves the SMR", "moved_mm", _MM, "mm"),
+        ("chance", "last.p_value", ".2g"),
+        ("changed", lambda one: "yes" if one.last.proven else "" if one.part == "arm" else "base or tool"),
+        count=len(compared),
     )
-    cut = "" if len(chosen) == len(compared) else f": {len(chosen)} of {len(compared)}, --json has all"
-    return Table(f"{name}: parameters, newest against first run{cut}", columns, tuple(map(_parameter_row, chosen)))
 
 
 def _urgency(one: ParameterHistory) -> float:
@@ -223,78 +222,50 @@ def _urgency(one: ParameterHistory) -> float:
     return z if one.part == "arm" else 0.0
 
 
-def _parameter_row(one: ParameterHistory) -> tuple[Cell, ...]:
-    last = one.last
-    assert last is not None
-    factor, unit = display_unit(one.unit)
-    verdict = "yes" if last.proven else "" if one.part == "arm" else "base or tool"
-    return (
-        one.name,
-        last.difference * factor,
-        last.standard_uncertainty * factor,
-        unit,
-        one.moved_mm,
-        last.p_value,
-        verdict,
-    )
+_LAST: tuple[Field, ...] = (
+    ("newest - first", lambda one: one.last.difference * display_unit(one.unit)[0], "+.1f"),
+    ("u", lambda one: one.last.standard_uncertainty * display_unit(one.unit)[0], ".1f"),
+    ("unit", lambda one: display_unit(one.unit)[1]),
+)
+"""How far a parameter moved, of histories with a last change."""
 
 
 def effect_table(name: str, arm: ArmHistory) -> Table:
     """Effects of the first and of the newest run."""
-    columns = (
-        Column("effect"),
-        Column("state"),
-        Column("by"),
-        number_column("newest - first", "+.3g"),
-        number_column("u", ".2g"),
-        Column("unit"),
-        number_column("first", _MM, "mm"),
-        number_column("newest", _MM, "mm"),
+
+    def shown(one: EffectHistory, value: float | None) -> float | None:
+        return None if value is None else value * (display_unit(one.unit)[0] if one.unit else 1.0)
+
+    def size(one: EffectHistory, place: int) -> float | None:
+        return [size for size in one.sizes if size.searched][place].size_mm
+
+    return table_of(
+        f"{name}: effects, newest against first search",
+        arm.effects,
+        ("effect", lambda one: ", ".join(filter(None, (one.effect, place_words(one.where))))),
+        ("state", "state"),
+        ("by", "parameter"),
+        ("newest - first", lambda one: shown(one, one.difference), "+.3g"),
+        ("u", lambda one: shown(one, one.standard_uncertainty), ".2g"),
+        ("unit", lambda one: display_unit(one.unit)[1] if one.unit else ""),
+        ("first", lambda one: size(one, 0), _MM, "mm"),
+        ("newest", lambda one: size(one, -1), _MM, "mm"),
     )
-    rows: list[tuple[Cell, ...]] = []
-    for one in arm.effects:
-        factor, unit = display_unit(one.unit) if one.unit else (1.0, "")
-        searched = [size for size in one.sizes if size.searched]
-        rows.append(
-            (
-                ", ".join(filter(None, (one.effect, place_words(one.where)))),
-                one.state,
-                one.parameter,
-                None if one.difference is None else one.difference * factor,
-                None if one.standard_uncertainty is None else one.standard_uncertainty * factor,
-                unit,
-                searched[0].size_mm,
-                searched[-1].size_mm,
-            )
-        )
-    return Table(f"{name}: effects, newest against first search", columns, tuple(rows))
 
 
 def trend_table(name: str, arm: ArmHistory) -> Table:
     """Trends of the errors, and of parameters where they are proven."""
-    columns = (
-        Column("figure"),
-        number_column("a month", "+.4f", "mm"),
-        number_column("standard error", ".4f", "mm"),
-        number_column("chance", ".2g"),
-        Column("trend"),
-        number_column("tolerance", _MM, "mm"),
-        Column("reached"),
+    return table_of(
+        f"{name}: trends",
+        (trend for trend in arm.trends if trend.proven or trend.figure != "parameter"),
+        ("figure", lambda one: f"parameter {one.name}" if one.figure == "parameter" else FIGURE_WORDS[one.figure]),
+        ("a month", "slope", "+.4f", "mm"),
+        ("standard error", "slope_standard_error", ".4f", "mm"),
+        ("chance", "p_value", ".2g"),
+        ("trend", lambda one: "proven" if one.proven else "not proven"),
+        ("tolerance", "tolerance_mm", _MM, "mm"),
+        ("reached", lambda one: f"{day_of(one.crossing.date)} ({_between(one)})" if one.crossing else ""),
     )
-    rows = tuple(
-        (
-            f"parameter {trend.name}" if trend.figure == "parameter" else FIGURE_WORDS[trend.figure],
-            trend.slope,
-            trend.slope_standard_error,
-            trend.p_value,
-            "proven" if trend.proven else "not proven",
-            trend.tolerance_mm,
-            "" if trend.crossing is None else f"{day_of(trend.crossing.date)} ({_between(trend)})",
-        )
-        for trend in arm.trends
-        if trend.proven or trend.figure != "parameter"
-    )
-    return Table(f"{name}: trends", columns, rows)
 
 
 def check_table(name: str, arm: ArmHistory) -> Table:
@@ -313,21 +284,14 @@ def check_table(name: str, arm: ArmHistory) -> Table:
 
 def pair_table(pair: PairHistory) -> Table:
     """Newest inter-base transform against that of the first run."""
-    columns = (
-        Column("parameter"),
-        number_column("newest - first", "+.1f"),
-        number_column("u", ".1f"),
-        Column("unit"),
-        number_column("chance", ".2g"),
-        Column("changed"),
+    return table_of(
+        f"Inter-base transform of {pair.arms[0]} and {pair.arms[1]}",
+        (one for one in pair.parameters if one.last is not None),
+        ("parameter", "name"),
+        *_LAST,
+        ("chance", "last.p_value", ".2g"),
+        ("changed", lambda one: "yes" if one.last.proven else ""),
     )
-    rows: list[tuple[Cell, ...]] = []
-    for one in pair.parameters:
-        if one.last is not None:
-            factor, unit = display_unit(one.unit)
-            difference, u = one.last.difference * factor, one.last.standard_uncertainty * factor
-            rows.append((one.name, difference, u, unit, one.last.p_value, "yes" if one.last.proven else ""))
-    return Table(f"Inter-base transform of {pair.arms[0]} and {pair.arms[1]}", columns, tuple(rows))
 
 
 # -- words ------------------------------------------------------------------------------------------------------------

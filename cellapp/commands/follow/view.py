@@ -7,7 +7,7 @@ from cellapp.commands.record import Request, View
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.parts import Section, section_of
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Column, Table, number_column, table_of
 from cellapp.ground.results import FOLLOW, PATH
 
 
@@ -81,44 +81,30 @@ def path_sentences(result: PathResult) -> list[str]:
 
 
 def _plans(paths: list[PathRecord]) -> Table:
-    columns = (
-        Column("path"),
-        Column("arm"),
-        number_column("length", ".0f", "mm"),
-        number_column("time", ".2f", "s"),
-        number_column("at speed", ".0f", "%"),
-        number_column("tolerance", ".3f", "mm"),
-        number_column("off by the model", ".4f", "mm"),
-        number_column("sigma", ".4f", "mm"),
+    return table_of(
+        "Paths",
+        paths,
+        ("path", "name"),
+        ("arm", "arm"),
+        ("length", "length_mm", ".0f", "mm"),
+        ("time", "duration_s", ".2f", "s"),
+        ("at speed", "at_speed", ".0f", "%"),
+        ("tolerance", "tolerance_mm", ".3f", "mm"),
+        ("off by the model", "deviation_mm", ".4f", "mm"),
+        ("sigma", "uncertainty_mm", ".4f", "mm"),
     )
-    rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (
-            path.name,
-            path.arm,
-            path.length_mm,
-            path.duration_s,
-            None if path.at_speed is None else 100.0 * path.at_speed,
-            path.tolerance_mm,
-            path.deviation_mm,
-            path.uncertainty_mm,
-        )
-        for path in paths
-    )
-    return Table("Paths", columns, rows)
 
 
 def _reversals(paths: list[PathRecord]) -> Table:
-    columns = (
-        Column("path"),
-        number_column("joint", "d"),
-        number_column("at", ".1f", "mm"),
-        number_column("play crossed", ".3f", "mm"),
-        number_column("within", ".1f", "mm"),
+    return table_of(
+        "Joints that turn round",
+        [(path.name, one) for path in paths for one in path.reversals],
+        ("path", lambda row: row[0]),
+        ("joint", lambda row: row[1].joint, "d"),
+        ("at", lambda row: row[1].at_mm, ".1f", "mm"),
+        ("play crossed", lambda row: row[1].jump_mm, ".3f", "mm"),
+        ("within", lambda row: row[1].window_mm, ".1f", "mm"),
     )
-    rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (path.name, one.joint, one.at_mm, one.jump_mm, one.window_mm) for path in paths for one in path.reversals
-    )
-    return Table("Joints that turn round", columns, rows)
 
 
 def _distances(paths: list[PathRecord]) -> Table:

@@ -165,7 +165,7 @@ def _driven(
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:
         if findings.measured.visits or findings.paths or findings.settling or findings.weaving:
-            with suppress(InputError):  # the reason of the stop is the one to report
+            with suppress(InputError):  # the reason of the halt is the one to report
                 _store(run, used, _result(run.profile, task, other, findings, began, f"stopped: {error}"), findings)
         raise
     return _store(run, used, _result(run.profile, task, other, findings, began, ""), findings)

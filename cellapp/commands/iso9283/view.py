@@ -208,28 +208,17 @@ def _cubes_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCube | None]]:
 
 
 def _judgements(result: Iso9283Result) -> Table:
-    columns = (
-        Column("characteristic"),
-        Column("of"),
-        number_column("value", ".3f", "mm"),
-        number_column("U", ".3f", "mm"),
-        number_column("tolerance", ".3f", "mm"),
-        Column("verdict"),
-        Column("measured"),
+    return table_of(
+        "Characteristics against their tolerances",
+        result.judgements,
+        ("characteristic", lambda one: one.characteristic.replace("_", " ")),
+        ("of", "where"),
+        ("value", "value_mm", ".3f", "mm"),
+        ("U", "expanded_mm", ".3f", "mm"),
+        ("tolerance", "tolerance_mm", ".3f", "mm"),
+        ("verdict", "conformity"),
+        ("measured", "source"),
     )
-    rows = tuple(
-        (
-            one.characteristic.replace("_", " "),
-            one.where,
-            one.value_mm,
-            one.expanded_mm,
-            one.tolerance_mm,
-            one.conformity,
-            one.source,
-        )
-        for one in result.judgements
-    )
-    return Table("Characteristics against their tolerances", columns, rows)
 
 
 def _poses(result: Iso9283Result) -> Table:

@@ -134,7 +134,7 @@ def push_targets(
         if visited.targets:
             asked = len(dict.fromkeys(command.target.name for command in commands))
             done = len(dict.fromkeys(target.name for target in visited.targets))
-            with suppress(InputError):  # the reason of the stop is the one to report
+            with suppress(InputError):  # the reason of the halt is the one to report
                 store(visited.result(f"stopped after {done} of {counted(asked, 'target')}: {error}"))
         raise
     return store(pushed)

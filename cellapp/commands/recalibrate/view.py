@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cellapp.commands.recalibrate.result import RecalibrateResult
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Table, table_of
 from cellapp.ground.counting import counted
 
 
@@ -17,24 +17,15 @@ def view(result: RecalibrateResult, request: Request | None = None) -> View:
 
 def recalibration_table(result: RecalibrateResult) -> Table:
     """Runs of which something was made again."""
-    columns = (
-        Column("run"),
-        Column("made again"),
-        Column("because"),
-        Column("mean held-out error [mm]"),
-        number_column("time", ".1f", "s"),
+    return table_of(
+        "Runs calibrated again",
+        result.made,
+        ("run", "run"),
+        ("made again", lambda run: ", ".join(run.made)),
+        ("because", "because"),
+        ("mean held-out error [mm]", lambda run: ", ".join(f"{arm} {x:.3f}" for arm, x in run.heldout_mm.items())),
+        ("time", "seconds", ".1f", "s"),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (
-            run.run,
-            ", ".join(run.made),
-            run.because,
-            ", ".join(f"{arm} {error:.3f}" for arm, error in run.heldout_mm.items()),
-            run.seconds,
-        )
-        for run in result.made
-    ]
-    return Table("Runs calibrated again", columns, tuple(rows))
 
 
 def recalibration_sentences(result: RecalibrateResult) -> list[str]:

@@ -56,7 +56,6 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, StageName
 from cellapp.ground.times import day_of
-from cellapp.robot.kinematics.chain import parameter_names
 
 _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Names of the lengths of a chain: a1, d1 and so on."""
@@ -389,7 +388,7 @@ def _parameters_message(data: ReportData) -> str:
     parts = []
     for name, arm in data.calibrate.arms.items():
         nominal = data.calibrated.arms[name].nominal
-        values = dict(zip(parameter_names(nominal.joints), nominal.vector().tolist(), strict=True))
+        values = dict(zip(nominal.names, nominal.vector().tolist(), strict=True))
         changes = {key: arm.identified[key].value - values[key] for key in arm.identified if _CHAIN_LENGTH.match(key)}
         words = f"{len(arm.identified)} parameters of arm {name}"
         if changes:

@@ -7,7 +7,7 @@ from datetime import UTC, date, datetime
 
 from cellapp.commands.runs.result import RunsResult, RunSummary
 from cellapp.commands.runs.words import CELL_WORDS, next_words, short_name, stops_words
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of, with_rows
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import CALIBRATE, CHECK, StageName
 from cellapp.ground.times import day_of
@@ -18,8 +18,7 @@ _MOST_OPEN = 12
 
 def today_tables(result: RunsResult, now: datetime) -> list[Table]:
     """Open runs with what each waits for; each arm with the ages of its calibration and check, and what is due."""
-    tables = (_open_runs(result), _arms(result, now))
-    return [table for table in tables if table.rows]
+    return with_rows(_open_runs(result), _arms(result, now))
 
 
 def today_sentences(result: RunsResult, now: datetime) -> list[str]:
@@ -37,19 +36,14 @@ def today_sentences(result: RunsResult, now: datetime) -> list[str]:
 
 def _open_runs(result: RunsResult) -> Table:
     waiting = [run for run in result.runs if run.next_verb and not run.problem]
-    return Table(
+    return table_of(
         "Open runs, newest first",
-        tuple(map(Column, ("run", "cell", "began", "stops", "waits for"))),
-        tuple(
-            (
-                short_name(run, result.folder),
-                CELL_WORDS[run.cell],
-                day_of(run.began),
-                stops_words(run),
-                "the rest of its stops" if run.resumable else next_words(run),
-            )
-            for run in waiting[:_MOST_OPEN]
-        ),
+        waiting[:_MOST_OPEN],
+        ("run", lambda run: short_name(run, result.folder)),
+        ("cell", lambda run: CELL_WORDS[run.cell]),
+        ("began", lambda run: day_of(run.began)),
+        ("stops", stops_words),
+        ("waits for", lambda run: "the rest of its stops" if run.resumable else next_words(run)),
     )
 
 

@@ -11,7 +11,7 @@ from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import ArmFigures, RunsResult, RunSummary
 from cellapp.commands.runs.today import today_sentences, today_tables
 from cellapp.commands.runs.words import CELL_WORDS, effects_words, next_words, session_words, short_name, stops_words
-from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.commands.view.table import Column, Table, number_column, with_rows
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
@@ -61,7 +61,7 @@ def runs_tables(result: RunsResult) -> list[Table]:
             if figures.verdict
         ),
     )
-    return [table for table in (state, errors, effects) if table.rows]
+    return with_rows(state, errors, effects)
 
 
 def runs_sentences(result: RunsResult) -> list[str]:

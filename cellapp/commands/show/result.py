@@ -32,7 +32,7 @@ class StageState(Record):
 
 
 class UnseenArmState(Record):
-    """An arm that was not seen at rest after a stop: since when (UTC) it counts as moving, and why."""
+    """An arm that was not seen at rest after a halt: since when (UTC) it counts as moving, and why."""
 
     since: str
     reason: str

@@ -7,32 +7,34 @@ import json
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.in_order import order_sentences
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
-from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.ground.profile import Profile
 from cellapp.ground.times import second_of
 
 
 def overview_tables(state: OverviewResult) -> list[Table]:
     """Stops of each arm, and every current stage with whether it holds."""
-    arms = Table(
-        f"Run {state.run}, profile {state.profile}",
-        (
-            Column("arm"),
-            Column("type"),
-            number_column("planned", "d"),
-            number_column("measured", "d"),
-            Column("splits"),
+    return [
+        table_of(
+            f"Run {state.run}, profile {state.profile}",
+            state.arms.items(),
+            ("arm", lambda row: row[0]),
+            ("type", lambda row: row[1].type),
+            ("planned", lambda row: row[1].planned, "d"),
+            ("measured", lambda row: row[1].measured, "d"),
+            ("splits", lambda row: ", ".join(f"{n} {word}" for word, n in row[1].splits.items())),
         ),
-        tuple(
-            (name, arm.type, arm.planned, arm.measured, ", ".join(f"{n} {word}" for word, n in arm.splits.items()))
-            for name, arm in state.arms.items()
+        *with_rows(
+            table_of(
+                "Stored results",
+                state.stages,
+                ("stage", "name"),
+                ("when (UTC)", lambda stage: second_of(stage.written)),
+                ("by", "program"),
+                ("state", _holds),
+            )
         ),
-    )
-    if not state.stages:
-        return [arms]
-    columns = (Column("stage"), Column("when (UTC)"), Column("by"), Column("state"))
-    rows = tuple((stage.name, second_of(stage.written), stage.program, _holds(stage)) for stage in state.stages)
-    return [arms, Table("Stored results", columns, rows)]
+    ]
 
 
 def overview_sentences(state: OverviewResult) -> list[str]:

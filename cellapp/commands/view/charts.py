@@ -77,6 +77,11 @@ class Series:
         if self.hints and len(self.hints) != len(self.x):
             raise ValueError(f"series {self.name}: {len(self.hints)} hints for {len(self.x)} points")
 
+    @property
+    def edges(self) -> list[Array]:
+        """Lower and upper edge of the band, each (n,); y where there is none."""
+        return [self.y] if self.band is None else [self.y - self.band, self.y + self.band]
+
 
 @dataclass(frozen=True)
 class Limit:

@@ -118,6 +118,11 @@ def table_of(title: str, rows: Iterable[Any], *fields: Field, count: int | None 
     return Table(title if count is None else part_title(title, len(cells), count), columns, cells)
 
 
+def with_rows(*tables: Table) -> list[Table]:
+    """Those tables that have a row."""
+    return [table for table in tables if table.rows]
+
+
 def _shown(value: Any, unit: str) -> Any:
     return 100.0 * value if unit == "%" and isinstance(value, float) else value
 

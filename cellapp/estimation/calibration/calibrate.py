@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -16,7 +16,8 @@ from cellapp.estimation.calibration.arm_identification import identify_with_exce
 from cellapp.estimation.calibration.evaluation import evaluate, evaluate_quantities, repeatability
 from cellapp.estimation.calibration.gross_errors import ROUNDS, gross_errors_of_geometry, left_out_words, without
 from cellapp.estimation.calibration.identification import Identification, start_from_nominal
-from cellapp.estimation.calibration.network_training import Shape, Training, train_network, training_steps
+from cellapp.estimation.calibration.learning import learn, learning_steps, require_learner
+from cellapp.estimation.calibration.network_training import Training, train_network, training_steps
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.estimation.calibration.quantities import (
     Quantities,
@@ -43,9 +44,6 @@ from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 from cellapp.robot.plugins import program_of
 
-_BASE_STEPS = training_steps()
-_TRAINING_STEPS = _BASE_STEPS + training_steps(1)
-"""Steps of an arm's training: in the base frame, and of the best shape in the tracker frame."""
 _HARDLY_BETTER = 0.9
 """Share of the nominal error from which an identified geometry is hardly better."""
 _OF_NOISE = 3.0
@@ -129,7 +127,9 @@ def calibrate_readings(
     """
     cancel = cancel or CancelToken()
     notes: list[str] = []
-    training = _TRAINING_STEPS if profile.network.kind == "mlp" else 0
+    trains = profile.network.kind != "none"
+    require_learner(profile.network)
+    training = learning_steps(profile.network) + training_steps(1) if trains else 0  # the second in the tracker frame
     total = (1 + training) * len(readings) + 1
     arms: dict[str, ArmCalibration] = {}
     for name, arm_readings in readings.items():
@@ -137,13 +137,14 @@ def calibrate_readings(
         cancel.check()
         arms[name], arm_notes = (known[name], []) if name in known else calibrate_arm(profile, name, arm_readings)
         notes += arm_notes
-    if profile.network.kind == "mlp":
+    if trains:
         listener(Progress("calibrate", len(arms), total, "residual networks"))
         with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
             shared = SharedProgress(listener, "calibrate", len(arms), total)
             tasks = {
                 name: pool.submit(train_arm, profile, arm, readings[name], cancel, shared.part(f"arm {name}"))
                 for name, arm in arms.items()
+                if arm.training is None
             }
             for name, task in tasks.items():
                 arms[name] = task.result()
@@ -273,7 +274,8 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         identified=identification.estimated.names,
         covariance=identification.estimated_covariance,
     )
-    its, geometries = measured_quantities(held_out), {"nominal": nominal, "geometry": identification.geometry}
+    its = measured_quantities(held_out)
+    geometries: dict[Stage, Geometry] = {"nominal": nominal, "geometry": identification.geometry}
     stages: dict[Stage, StageErrors] = {
         stage: evaluate_quantities(its, smr_positions(geometry, its.readings.q, its.R_M_S))
         for stage, geometry in geometries.items()
@@ -369,39 +371,57 @@ def train_arm(
     if in_sockets(readings):  # a network would learn the unknown points with the rest
         return arm
     rows = readings.in_split("train")
-    learn = readings.take(rows if len(rows) else readings.in_split("identify"))
+    taught = readings.take(rows if len(rows) else readings.in_split("identify"))
     held_out = readings.take(readings.in_split("validate"))
-    if len(learn) < 2 * profile.network.folds:
+    if len(taught) < 2 * profile.network.folds:
         return arm
-    rotation = arm.model.geometry.T_M_B()[:3, :3]
-    left_M = learn.p_M - arm.model.predict(learn.q, learn.approach, learn.payload_kg)
-
-    def train(residual: Array, shapes: Sequence[Shape] | None, first: int, frame: str) -> Training:
-        return train_network(
-            learn.q,
-            residual,
-            seed=profile.seed,
-            folds=profile.network.folds,
-            iterations=profile.network.iterations,
-            shapes=shapes,
-            cancel=cancel,
-            report=lambda done, words: report(first + done, f"{frame}: {words}"),
-        )
-
-    training = train(left_M @ rotation, None, 0, "base frame")
-    if training.network is None:
-        return replace(arm, training=training)
-    # the same layer, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
-    in_tracker = train(
-        left_M, (replace(training.shape, rotates_with_joint_1=False),), _BASE_STEPS, "tracker frame"
-    ).network
-    model = replace(arm.model, network=training.network)
-    computed = model.predict(held_out.q, held_out.approach, held_out.payload_kg)
+    left_M = taught.p_M - arm.model.predict(taught.q, taught.approach, taught.payload_kg)
+    arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, cancel, report)
+    if arm.model.network is None:
+        return arm
+    computed = arm.model.predict(held_out.q, held_out.approach, held_out.payload_kg)
     errors = evaluate(held_out.p_M, computed).model_copy(
         update={"orientation_mrad": arm.validate["geometry"].orientation_mrad}  # the network learns positions only
     )
-    stages: dict[Stage, StageErrors] = {**arm.validate, "network": errors}
-    return replace(arm, model=model, validate=stages, training=training, tracker_frame_network=in_tracker)
+    return replace(arm, validate={**arm.validate, "network": errors})
+
+
+def with_networks(
+    profile: Profile,
+    arm: ArmCalibration,
+    q: Array,
+    left_M: Array,
+    time_s: Array,
+    cancel: CancelToken | None = None,
+    report: Report = ignore_report,
+) -> ArmCalibration:
+    """An arm with the network that learns what its geometry leaves: ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad], and
+    with the same one trained in the tracker frame; without either where none helps."""
+    training = learn(
+        profile.network,
+        q,
+        left_M @ arm.model.geometry.T_M_B()[:3, :3],
+        time_s,
+        seed=profile.seed,
+        cancel=cancel,
+        report=lambda done, words: report(done, f"base frame: {words}"),
+    )
+    if training.network is None:
+        return replace(arm, training=training)
+    first = learning_steps(profile.network)
+    # the same layer, in a frame that does not rotate with joint 1: the tracker frame has no relation to that axis
+    in_tracker = train_network(
+        q,
+        left_M,
+        seed=profile.seed,
+        folds=profile.network.folds,
+        iterations=profile.network.iterations,
+        shapes=(replace(training.shape, rotates_with_joint_1=False),),
+        cancel=cancel,
+        report=lambda done, words: report(first + done, f"tracker frame: {words}"),
+    ).network
+    model = replace(arm.model, network=training.network)
+    return replace(arm, model=model, training=training, tracker_frame_network=in_tracker)
 
 
 def rms_length_mm(sigma: Array) -> float:

@@ -26,9 +26,9 @@ from cellapp.ground.progress import CancelToken, Report, ignore_report
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.network import Inputs, ResidualNetwork, network_inputs, rotate_about_z
 
-_MARGIN = 0.1
+MARGIN = 0.1
 """Share of each trained joint range over which the correction fades to zero outside it."""
-_WORTH = 0.98
+WORTH = 0.98
 """A network is used only if the rms error on left-out folds falls below this share of that without a network."""
 _DAMPING = 1e-2
 """Damping at the start, as a share of the diagonal of the Hessian."""
@@ -99,6 +99,8 @@ class Training:
         Rms length of the residual on left-out folds, with the best candidate and without a network [m].
     tried : tuple
         (shape, left-out rms [m]) of every candidate at the time of the comparison.
+    batches : Batches or None
+        How a training from all readings compares, where one was asked for.
     """
 
     network: ResidualNetwork | None
@@ -106,6 +108,37 @@ class Training:
     left_out_rms: float
     without_rms: float
     tried: tuple[tuple[Shape, float], ...]
+    batches: Batches | None = None
+
+
+@dataclass(frozen=True)
+class Batches:
+    """A network trained in batches from all readings, against the committee, on the same left-out blocks of time.
+
+    Attributes
+    ----------
+    used : bool
+        Whether it is the network from then on.
+    readings, blocks : int
+        Readings that it learnt from, and blocks of time that they were cut into.
+    hidden : tuple of int
+    device : str
+        What trained it.
+    left_out_rms, committee_rms : float
+        Rms length of the residual on left-out blocks of all readings [m], of both; without a network where the
+        committee is not better than none.
+    sigmas : float
+        By how many standard errors over the blocks the mean square is smaller than the committee's.
+    """
+
+    used: bool
+    readings: int
+    blocks: int
+    hidden: tuple[int, ...]
+    device: str
+    left_out_rms: float
+    committee_rms: float
+    sigmas: float
 
 
 def train_network(
@@ -116,6 +149,7 @@ def train_network(
     folds: int = 5,
     iterations: int = 150,
     shapes: Sequence[Shape] | None = None,
+    fold: NDArray[np.int64] | None = None,
     cancel: CancelToken | None = None,
     report: Report = ignore_report,
 ) -> Training:
@@ -134,6 +168,8 @@ def train_network(
         Most iterations of a member.
     shapes : sequence of Shape, optional
         Candidates; the default depends on the number of readings.
+    fold : array of int, shape (n,), optional
+        Fold of each reading; else drawn by ``seed``.
     cancel : CancelToken, optional
     report : callable
         Takes the steps done, of ``training_steps(len(shapes))``, and words.
@@ -143,9 +179,9 @@ def train_network(
     low, high = q.min(axis=0), q.max(axis=0)
     if len(q) > _MOST_READINGS:
         sample = np.random.default_rng([seed, 0x5A3]).permutation(len(q))[:_MOST_READINGS]
-        q, residual = q[sample], residual[sample]
+        q, residual, fold = q[sample], residual[sample], None if fold is None else fold[sample]
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
-    fold = np.random.default_rng([seed, 0xF01D]).permutation(len(q)) % folds
+    fold = np.random.default_rng([seed, 0xF01D]).permutation(len(q)) % folds if fold is None else fold
     outputs = {False: residual / scale, True: rotate_about_z(residual / scale, -q[:, 0])}
     inputs = {kind: network_inputs(kind, low, high, q) for kind in {shape.inputs for shape in shapes}}
     candidates = [
@@ -154,11 +190,11 @@ def train_network(
     ]
     shape, committee, screened = _train_best(candidates, iterations, report)
     without = float(np.sqrt(np.mean(np.sum((residual / scale) ** 2, axis=1))))
-    margin = _MARGIN * np.maximum(high - low, 1e-3)
+    margin = MARGIN * np.maximum(high - low, 1e-3)
     members = tuple(committee.net.layers(p) for p in committee.members)
     network = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
     return Training(
-        network=network if committee.left_out < _WORTH * without else None,
+        network=network if committee.left_out < WORTH * without else None,
         shape=shape,
         left_out_rms=committee.left_out * scale,
         without_rms=without * scale,

@@ -18,6 +18,7 @@ from cellapp.ground.results import (
     Stage,
     StageErrors,
 )
+from cellapp.robot.model.network import Inputs
 
 
 class Scatter(Record):
@@ -30,22 +31,44 @@ class Scatter(Record):
 class NetworkTrial(Record):
     """A network shape that was compared on left-out folds of the training split."""
 
-    inputs: Literal["sincos", "angles"]
+    inputs: Inputs
     hidden: tuple[int, ...]
     turning: bool = False
     left_out_rms_mm: float
 
 
-class NetworkResult(Record):
-    """How the residual network was trained; ``without_rms_mm`` is the left-out error without any network."""
+class BatchesResult(Record):
+    """A network from all readings in batches against the committee, on the same left-out blocks of time.
+
+    ``committee_rms_mm`` is that without a network where the committee is not better than none; ``sigmas`` says by how
+    many standard errors over the blocks the mean square is smaller. ``device`` trained it.
+    """
 
     used: bool
-    inputs: Literal["sincos", "angles"]
+    readings: int
+    blocks: int
+    hidden: tuple[int, ...]
+    device: str
+    left_out_rms_mm: float
+    committee_rms_mm: float
+    sigmas: float
+
+
+class NetworkResult(Record):
+    """How the residual network was trained; ``without_rms_mm`` is the left-out error without any network.
+
+    ``batches`` is there where one from all readings was asked for; where it is ``used``, it is the network.
+    """
+
+    used: bool
+    inputs: Inputs
     hidden: tuple[int, ...]
     turning: bool = False
     left_out_rms_mm: float
     without_rms_mm: float
     tried: tuple[NetworkTrial, ...] = ()
+    batches: BatchesResult | None = None
+    omitted_when_none = frozenset({"batches"})
 
 
 _MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)
@@ -207,8 +230,8 @@ class NestsResult(Record):
     """Several SMRs on a flange.
 
     ``found`` are the nests by name. Of so many ``stops``, some are ``with_orientation``, which is known to
-    ``orientation_mrad`` about each axis; those ``left_out`` had neither the first nest nor three others. ``noise_mm``
-    is the scatter of a coordinate about the rigid figure of the nests.
+    ``orientation_mrad`` about the axis that is known least; those ``left_out`` had neither the first nest nor three
+    others. ``noise_mm`` is the scatter of a coordinate about the rigid figure of the nests.
     """
 
     found: Mapping[str, NestEstimate]
@@ -224,7 +247,8 @@ class ArmCalibrationResult(Record):
 
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
     those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
-    uncertainty, ``tracker_mm`` the rms length of the stated noise. Where an earlier calibration was taken as ``prior``,
+    uncertainty, ``excess_mrad`` that of an orientation where it was measured, ``tracker_mm`` the rms length of the
+    stated noise. Where an earlier calibration was taken as ``prior``,
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
@@ -243,6 +267,7 @@ class ArmCalibrationResult(Record):
     observability: Mapping[str, float | None]
     scatter: Scatter
     excess_mm: float | None = None
+    excess_mrad: float | None = None
     degrees_of_freedom: int
     splits: Mapping[str, int]
     tracker_mm: float | None = None
@@ -255,7 +280,7 @@ class ArmCalibrationResult(Record):
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
     nests: NestsResult | None = None
-    omitted_when_none = frozenset({"prior", "clocks", "motion", "nests"})
+    omitted_when_none = frozenset({"excess_mrad", "prior", "clocks", "motion", "nests"})
 
     @property
     def best_stage(self) -> Stage:

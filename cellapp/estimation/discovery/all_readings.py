@@ -174,17 +174,7 @@ def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -
 def _chunks(data: ArmData) -> Iterator[ArmData]:
     """The readings in parts."""
     for first in range(0, len(data), _CHUNK):
-        rows = np.arange(first, min(first + _CHUNK, len(data)), dtype=np.intp)
-        yield replace(
-            data,
-            readings=data.readings.take(rows),
-            conditions=data.conditions.take(rows),
-            stated=None if data.stated is None else data.stated[rows],
-            sigma=data.sigma[rows],
-            true_q=None if data.true_q is None else data.true_q[rows],
-            reading=None if data.reading is None else data.reading[rows],
-            cache={},
-        )
+        yield data.take(np.arange(first, min(first + _CHUNK, len(data)), dtype=np.intp))
 
 
 def _fitted(data: ArmData, fit: JointFit) -> ArmModel:

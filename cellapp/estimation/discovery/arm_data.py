@@ -174,6 +174,19 @@ class ArmData:
             here = replace(here, points=points, readings=replace(self.readings, p_M=points.measured))
         return here.beginning_at(model)
 
+    def take(self, rows: NDArray[np.intp]) -> ArmData:
+        """Some of the rows; not of a ball in sockets, whose points all readings determine."""
+        return replace(
+            self,
+            readings=self.readings.take(rows),
+            conditions=self.conditions.take(rows),
+            stated=None if self.stated is None else self.stated[rows],
+            sigma=self.sigma[rows],
+            true_q=None if self.true_q is None else self.true_q[rows],
+            reading=None if self.reading is None else self.reading[rows],
+            cache={},
+        )
+
     def beginning_at(self, model: ArmModel) -> ArmData:
         """The same readings and columns; the next fit begins from the effects' values in ``model``."""
         values = {

@@ -37,7 +37,8 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
 
     ``scan`` is that of all effects that the final model does not have.
     """
-    noise_mm = 1e3 * _noise_m(found.fit.white if found.fit.terms else found.geometry_only.white)
+    fit = found.fit if found.fit.terms else found.geometry_only
+    noise_mm = 1e3 * _noise_m(fit.white[:, :, fit.positions])
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []
     for slug in found.absent:

@@ -20,8 +20,8 @@ from cellapp.estimation.calibration.gross_errors import (
     left_out_words,
     without,
 )
+from cellapp.estimation.calibration.learning import learning_steps
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
-from cellapp.estimation.calibration.network_training import training_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import measured_quantities, states_nothing
 from cellapp.estimation.calibration.socket_identification import gross_errors_in_sockets
@@ -30,7 +30,7 @@ from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.detectability import detectability
 from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.joint_fit import with_posterior
+from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
 from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
 from cellapp.estimation.discovery.pictures.term_pictures import pictures
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
@@ -118,12 +118,12 @@ def discover_cell(
 
 def _total_steps(profile: Profile, arms: int) -> int:
     """Steps that discovery reports: search of every arm, training where it may be needed, and the pair."""
-    training = training_steps() if _may_train(profile) else 0
+    training = learning_steps(profile.network) if _may_train(profile) else 0
     return (SEARCH_STEPS + training) * arms + 1
 
 
 def _may_train(profile: Profile) -> bool:
-    return profile.network.kind == "mlp" and profile.discovery.network != "never"
+    return profile.network.kind != "none" and profile.discovery.network != "never"
 
 
 def _discover_arms(
@@ -152,7 +152,7 @@ def _discover_arms(
         for name, discovery in found.items():
             report = trained.part(f"arm {name}")
             if not needs_network(profile, discovery):
-                report(training_steps(), "no network is needed")
+                report(learning_steps(profile.network), "no network is needed")
                 continue
             report(0, "residual network beside the effects")
             good = ~np.isin(readings[name].configuration, discovery.result.left_out_configurations)
@@ -209,7 +209,7 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     """
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
-    floor_mm = held_out.noise_floor_mm()
+    floor_mm, noise_rad = held_out.noise_floor_mm(), noise_of(found.data).get("noise_rad")
     scan = remaining_scan(searched)
     probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
@@ -223,8 +223,10 @@ def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut,
     evaluated = ArmDiscoveryResult(
         noise_floor_mm=floor_mm if math.isfinite(floor_mm) else None,
         noise_mm=_noise(found.data),
+        noise_mrad=None if noise_rad is None else noise_rad * 1e3,
         heldout_mm=BeforeAfter(before=before.rms, after=after.rms),
         heldout_position_mm=HeldOutBeforeAfter(before=before, after=after),
+        heldout_orientation_mrad=held_out.turned_before_after(found.geometry_only.model, fitted_model),
         seconds=time.perf_counter() - started,
         steps=_gap_steps(found, held_out, before.rms, after.rms, result.fitted),
         threshold=found.threshold,

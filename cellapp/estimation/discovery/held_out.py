@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from cellapp.estimation.calibration.calibrate import rms_length_mm
-from cellapp.estimation.calibration.evaluation import evaluate_readings, position_errors
-from cellapp.estimation.discovery.records import HeldOutPosition, PredictedUncertainty
+from cellapp.estimation.calibration.evaluation import evaluate_quantities, position_errors
+from cellapp.estimation.calibration.quantities import Quantities, measured_quantities
+from cellapp.estimation.discovery.records import HeldOutBeforeAfter, HeldOutPosition, PredictedUncertainty
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.estimation.sockets import measured_positions
 from cellapp.ground.results import StageErrors
 from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
 
@@ -40,17 +43,32 @@ class HeldOut:
     def position_mm(self, model: ArmModel) -> HeldOutPosition:
         """Statistics of the position error of a model."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
-        errors = position_errors(measured_positions(self.readings, computed), computed) * 1e3
-        return HeldOutPosition(
-            mean=float(errors.mean()),
-            rms=float(np.sqrt(np.mean(errors**2))),
-            median=float(np.median(errors)),
-            max=float(errors.max()),
-        )
+        return _statistics(position_errors(measured_positions(self.readings, computed), computed) * 1e3)
+
+    def orientation_mrad(self, model: ArmModel) -> HeldOutPosition | None:
+        """Statistics of the orientation error of a model [mrad]; None where no orientation was measured."""
+        its = self._quantities
+        if its.turned is None:
+            return None
+        rows = np.flatnonzero(its.turned)
+        turns = model.predict(its.readings.q[rows], conditions=its.conditions.take(rows))
+        return _statistics(np.linalg.norm(turns, axis=1) * 1e3)
+
+    def turned_before_after(self, before: ArmModel, after: ArmModel) -> HeldOutBeforeAfter | None:
+        """``orientation_mrad`` of two models; None where no orientation was measured."""
+        errors = [self.orientation_mrad(model) for model in (before, after)]
+        if errors[0] is None or errors[1] is None:
+            return None
+        return HeldOutBeforeAfter(before=errors[0], after=errors[1])
+
+    @cached_property
+    def _quantities(self) -> Quantities:
+        return measured_quantities(self.readings, self.conditions)
 
     def evaluate(self, model: ArmModel) -> StageErrors:
-        """Position and distance errors of a model."""
-        return evaluate_readings(self.readings, model.predict(self.readings.q, conditions=self.conditions))
+        """Position, orientation and distance errors of a model."""
+        its = self._quantities
+        return evaluate_quantities(its, model.predict(its.readings.q, conditions=its.conditions))
 
     def noise_floor_mm(self) -> float:
         """Rms length of the stated noise; NaN where the readings state none."""
@@ -63,3 +81,13 @@ class HeldOut:
         if not predicted.any():
             return None
         return PredictedUncertainty(median=float(np.median(predicted)) * 1e3, largest=float(predicted.max()) * 1e3)
+
+
+def _statistics(errors: Array) -> HeldOutPosition:
+    """Mean, rms, median and maximum of errors (n,)."""
+    return HeldOutPosition(
+        mean=float(errors.mean()),
+        rms=float(np.sqrt(np.mean(errors**2))),
+        median=float(np.median(errors)),
+        max=float(errors.max()),
+    )

@@ -116,6 +116,12 @@ class JointFit:
     residual: Array
     _behind: dict[int, ProjectedResidual] = field(default_factory=dict, repr=False)
 
+    @property
+    def positions(self) -> slice | NDArray[np.bool_]:
+        """Readings of positions: all, unless orientations were measured too."""
+        turned = self.identification.turned
+        return slice(None) if turned is None else ~turned
+
     @cached_property
     def projector(self) -> NuisanceProjector:
         """Projector onto the complement of all fitted parameters."""

@@ -27,6 +27,7 @@ def term_movements(fit: JointFit, number: int) -> tuple[PlaceMovement, ...]:
 
 
 def rms_length(fit: JointFit, whitened: Array) -> float:
-    """Rms length [m] of whitened displacements (3 n,) at the readings of a fit."""
-    moved = np.linalg.solve(fit.white.transpose(2, 0, 1), whitened.reshape(3, -1).T[:, :, None])[..., 0]
+    """Rms length [m] of whitened displacements (3 n,) at the readings of a fit, of those that are positions."""
+    here = fit.positions
+    moved = np.linalg.solve(fit.white.transpose(2, 0, 1)[here], whitened.reshape(3, -1).T[here, :, None])[..., 0]
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))

@@ -38,11 +38,14 @@ class Discovery:
         """The same with another final model, its errors at the held-out readings, and other changes of the result."""
         result = self.result
         before, after = result.heldout_position_mm, held_out.position_mm(model)
-        errors = {
+        turned, turned_after = result.heldout_orientation_mrad, held_out.orientation_mrad(model)
+        errors: dict[str, Any] = {
             "heldout_mm": BeforeAfter(before=result.heldout_mm.before, after=after.rms),
             "heldout_position_mm": None if before is None else HeldOutBeforeAfter(before=before.before, after=after),
             "validate_": {"effects": held_out.evaluate(model)} if result.accepted else {},
         }
+        if turned is not None and turned_after is not None:
+            errors["heldout_orientation_mrad"] = HeldOutBeforeAfter(before=turned.before, after=turned_after)
         return Discovery(result.model_copy(update={**errors, **changes}), self.terms, model, self.scatter_m)
 
 

@@ -210,7 +210,7 @@ class PredictedUncertainty(Record):
 
 
 class HeldOutPosition(Record):
-    """Held-out position error [mm]."""
+    """Held-out position error [mm], or orientation error [mrad]."""
 
     mean: float
     rms: float
@@ -219,7 +219,7 @@ class HeldOutPosition(Record):
 
 
 class HeldOutBeforeAfter(Record):
-    """Held-out position error with the geometry alone and with what was found [mm]."""
+    """Held-out error with the geometry alone and with what was found [mm, mrad]."""
 
     before: HeldOutPosition
     after: HeldOutPosition
@@ -293,12 +293,16 @@ class ArmDiscoveryResult(Record):
     ``scatter`` is the root of chi-square per degree of freedom of what is left, ``omnibus_p`` its p-value.
     ``candidates`` has the posterior probability of every effect that was tested, by its slug.
     ``left_out_configurations`` are those of readings with gross errors, on which nothing here rests.
+    ``heldout_orientation_mrad`` and ``noise_mrad``, the standard deviation of a component about the model, are there
+    where orientations were measured.
     """
 
     noise_floor_mm: float | None
     noise_mm: Noise | None = None
+    noise_mrad: float | None = None
     heldout_mm: BeforeAfter
     heldout_position_mm: HeldOutBeforeAfter | None = None
+    heldout_orientation_mrad: HeldOutBeforeAfter | None = None
     seconds: float | None = None
     steps: tuple[GapStep, ...]
     threshold: float
@@ -318,7 +322,7 @@ class ArmDiscoveryResult(Record):
     motion: MotionDiscoveryResult | None = None
     verdict: Verdict
     sentence: str
-    omitted_when_none = frozenset({"motion"})
+    omitted_when_none = frozenset({"heldout_orientation_mrad", "noise_mrad", "motion"})
 
 
 class Discrimination(Record):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.estimation.calibration.network_training import train_network
+from cellapp.estimation.calibration.learning import learn
 from cellapp.estimation.discovery.held_out import HeldOut
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.discovery.records import BeforeAfter, GapStep
@@ -23,7 +23,7 @@ _READINGS_A_FOLD = 2
 
 def needs_network(profile: Profile, discovery: Discovery) -> bool:
     """Whether the profile asks for a network beside the effects of this outcome."""
-    if profile.network.kind != "mlp":
+    if profile.network.kind == "none":
         return False
     asked = profile.discovery.network
     return asked == "always" or (asked == "unknown" and discovery.result.verdict == "unknown effect")
@@ -71,12 +71,12 @@ def _train(
     if len(readings) < _READINGS_A_FOLD * profile.network.folds:
         return None
     residual_M = readings.p_M - model.predict(readings.q, conditions=conditions)
-    return train_network(
+    return learn(
+        profile.network,
         readings.q,
         residual_M @ model.geometry.T_M_B()[:3, :3],
+        readings.time_s,
         seed=profile.seed,
-        folds=profile.network.folds,
-        iterations=profile.network.iterations,
         cancel=cancel,
         report=report,
     ).network

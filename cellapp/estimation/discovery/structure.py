@@ -56,19 +56,23 @@ def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
     """
     if len(data) < _LEAST_READINGS:
         return remaining_structure({}, CHANCE)
-    tests = _Tests.of(data, fit)
-    kinds: dict[StructureKind, Callable[[], list[float]]] = {
-        "joints": tests.against_joints,
-        "order": tests.against_order,
-        "time": tests.against_time,
-        "approach": tests.against_approach,
-    }
-    if data.points is None:  # a ball in sockets has a few places only, and no tracker
-        kinds |= {"position": tests.against_position, "tracker": tests.against_tracker}
-    p_values: dict[StructureKind, float] = {}
-    for kind, test in kinds.items():
-        if found := test():
-            p_values[kind] = min(min(found) * len(found), 1.0)
+    found: dict[StructureKind, list[float]] = {}
+    every = np.ones(len(data), dtype=np.bool_)
+    for rows in (every,) if data.turned is None else (~data.turned, data.turned):
+        if np.count_nonzero(rows) < _LEAST_READINGS:
+            continue
+        tests = _Tests.of(data, fit, rows)
+        kinds: dict[StructureKind, Callable[[], list[float]]] = {
+            "joints": tests.against_joints,
+            "order": tests.against_order,
+            "time": tests.against_time,
+            "approach": tests.against_approach,
+        }
+        if data.points is None and rows is not data.turned:  # sockets are few, and without a tracker
+            kinds |= {"position": tests.against_position, "tracker": tests.against_tracker}
+        for kind, test in kinds.items():
+            found.setdefault(kind, []).extend(test())
+    p_values = {kind: min(min(own) * len(own), 1.0) for kind, own in found.items() if own}
     return remaining_structure(p_values, CHANCE)
 
 
@@ -100,14 +104,17 @@ class _Tests:
     signs: NDArray[np.float32]
 
     @classmethod
-    def of(cls, data: ArmData, fit: JointFit) -> _Tests:
-        n = len(data)
+    def of(cls, data: ArmData, fit: JointFit, rows: NDArray[np.bool_]) -> _Tests:
+        """Of some rows (n,), all of them positions or orientations."""
         generator = np.random.default_rng([data.profile.seed, _SIGN_SEED])
-        residuals = fit.residual.reshape(3, n).T
+        residuals, by_joint = fit.residual.reshape(3, len(data)).T, fit.by_joint
+        if not rows.all():
+            data, residuals, by_joint = data.take(np.flatnonzero(rows)), residuals[rows], by_joint[:, :, rows]
+        n = len(data)
         lengths = np.linalg.norm(residuals, axis=1)
         longest = _LONGEST * float(np.median(lengths))
         residuals = residuals * np.minimum(1.0, longest / np.maximum(lengths, longest))[:, None]
-        about_axes = np.einsum("cjn,nc->jn", fit.by_joint, residuals)
+        about_axes = np.einsum("cjn,nc->jn", by_joint, residuals)
         signs = generator.choice(np.array([-1.0, 1.0], dtype=np.float32), (n, _SIGNS))
         return cls(data, residuals, about_axes, generator, signs)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration, calibrate_readings, rms_length_mm
 from cellapp.estimation.calibration.evaluation import evaluate, repeatability
 from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.learning import require_learner
 from cellapp.estimation.calibration.records import (
     ClockResult,
     ClockSegmentResult,
@@ -19,14 +20,16 @@ from cellapp.estimation.calibration.records import (
     TriggerResult,
 )
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
+from cellapp.estimation.motion.learning import train_arm_in_motion
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.records import ClockFit, MotionFit, RecordingFit
 from cellapp.estimation.motion.streams import Recording
+from cellapp.estimation.motion.summary import error_summary
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Told, ignore, ignore_words
-from cellapp.ground.results import ErrorSummary, Estimate, Stage, StageErrors
+from cellapp.ground.results import Estimate, Stage, StageErrors
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, invert
 from cellapp.robot.model import ArmModel
@@ -65,8 +68,12 @@ def calibrate_with_motion(
     known: dict[str, ArmCalibration] = {}
     samples: dict[str, Readings] = {}
     notes: list[str] = []
+    require_learner(profile.network)
     for name, its, told in each_recorded(recordings, listener, cancel):
-        fit, known[name] = calibrate_arm_with_motion(profile, name, readings[name], its, told)
+        fit, arm = calibrate_arm_with_motion(profile, name, readings[name], its, told)
+        if profile.network.kind == "batches":
+            arm = train_arm_in_motion(profile, arm, readings[name], fit, cancel, told)
+        known[name] = arm
         samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
     found = calibrate_readings(profile, readings, listener, cancel, known=known)
     if found.pair is None and len(known) == len(profile.arms) == 2:
@@ -200,15 +207,8 @@ def _errors_in_motion(name: str, fit: MotionFit) -> dict[Stage, StageErrors]:
             f"arm '{name}': no point of its recordings is held out to judge the fit; give blocks the split 'validate',"
             " or leave the column out"
         )
-    return {"nominal": StageErrors(position_mm=_summary(nominal)), "geometry": StageErrors(position_mm=_summary(found))}
-
-
-def _summary(mm: Array) -> ErrorSummary:
-    """Statistics of errors [mm] of which neighbours are alike: without an interval of their mean."""
-    p50, p95 = np.quantile(mm, [0.5, 0.95]).tolist()
-    std = float(mm.std(ddof=1)) if len(mm) > 1 else 0.0
-    rms, mean, most = float(np.sqrt(np.mean(mm**2))), float(mm.mean()), float(mm.max())
-    return ErrorSummary(mean=mean, rms=rms, std=std, max=most, p50=p50, p95=p95, n=len(mm))
+    errors: dict[Stage, Array] = {"nominal": nominal, "geometry": found}
+    return {stage: StageErrors(position_mm=error_summary(mm)) for stage, mm in errors.items()}
 
 
 def _stated_mm(readings: Readings, recordings: Sequence[Recording]) -> float | None:

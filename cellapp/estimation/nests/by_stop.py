@@ -90,11 +90,12 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
     rotation, origin, covariance = _weighted(shape.points_S, p_M, information, rotation, origin)
     S = len(one)
     points, quaternion = one.p_M.copy(), np.full((S, 4), np.nan)
-    sigma_rad = np.full(S, np.nan)
+    sigma_rad, turning = np.full(S, np.nan), np.full((S, 3, 3), np.nan)
     points[turned] = origin
     quaternion[turned] = np.roll(Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=1)
-    sigma_rad[turned] = np.sqrt(np.einsum("nii->n", covariance[:, 3:, 3:]) / 3.0)
-    of_points: dict[str, Any] = {}
+    turning[turned] = covariance[:, 3:, 3:]
+    sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(turning[turned])[:, -1])  # of the axis that is known least
+    of_points: dict[str, Any] = {"turning_covariance_M": turning}
     if one.covariance_M is not None:
         of_points["covariance_M"] = one.covariance_M.copy()
         of_points["covariance_M"][turned] = covariance[:, :3, :3]

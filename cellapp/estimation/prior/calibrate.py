@@ -15,6 +15,7 @@ from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.parameters import ParameterSet, determined_set
+from cellapp.estimation.calibration.quantities import measured_orientations
 from cellapp.estimation.calibration.records import ArmPriorResult
 from cellapp.estimation.discovery.joint_fit import mean_variance
 from cellapp.estimation.prior.belief import geometry_sizes, is_smooth
@@ -72,6 +73,11 @@ def calibrate_with_prior(
         f"arm '{name}': no earlier calibration; calibrated from these readings alone"
         for name in arms
         if name not in earlier
+    ]
+    notes += [
+        f"arm '{name}': beside an earlier calibration only positions are used, its orientations are not"
+        for name in earlier
+        if len(measured_orientations(readings[name])[0])
     ]
     pair = calibration.pair
     good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
@@ -199,4 +205,7 @@ def _identification(profile: Profile, alone: Identification, found: Posterior) -
         standard_errors=np.sqrt(np.diag(in_table)),
         covariance=in_table,
         residuals=found.left_M,
+        turned=None,
+        freedom_of_turns=0.0,
+        excess_rad=0.0,
     )

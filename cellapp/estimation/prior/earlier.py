@@ -68,8 +68,11 @@ def calibration_posterior(
     before: Belief | None = None,
     since: str = "",
 ) -> tuple[Posterior, Measured]:
-    """The posterior of one arm of a calibrated cell from all its readings, and these without gross errors."""
-    model, conditions = models[name], conditions_of_arms(models, readings)[name]
+    """The posterior of one arm of a calibrated cell from all its readings, and these without gross errors.
+
+    It rests on positions alone, also where orientations were measured.
+    """
+    model, conditions = models[name].of_positions(), conditions_of_arms(models, readings)[name]
     computed = model.predict(readings[name].q, conditions=conditions)
     its = placed(readings[name], computed)
     good = ~gross_errors(its.p_M - computed)

@@ -1,12 +1,26 @@
 """What a cell is: the typed sections of a profile. ``cell.profile`` reads and writes them as YAML."""
 
-from cellapp.ground.profile.schema import Arm, CellKind, CellPoint, Discovery, Pose, Priors, Profile, Sensors, Splits
+from cellapp.ground.profile.schema import (
+    Arm,
+    CellKind,
+    CellPoint,
+    Discovery,
+    Network,
+    NetworkKind,
+    Pose,
+    Priors,
+    Profile,
+    Sensors,
+    Splits,
+)
 
 __all__ = [
     "Arm",
     "CellKind",
     "CellPoint",
     "Discovery",
+    "Network",
+    "NetworkKind",
     "Pose",
     "Priors",
     "Profile",

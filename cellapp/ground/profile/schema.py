@@ -8,7 +8,7 @@ and tracker, and the sensors, hold the settings of one of the kinds that are reg
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import (
     Field,
@@ -215,10 +215,17 @@ class Calibration(Section):
     max_iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 50
 
 
-class Network(Section):
-    """The residual network: ``mlp`` trains one on the residuals of the geometry, ``none`` trains none."""
+NetworkKind: TypeAlias = Literal["mlp", "batches", "none"]
 
-    kind: Literal["mlp", "none"] = "mlp"
+
+class Network(Section):
+    """The residual network on the residuals of the geometry.
+
+    ``mlp`` is a committee that learns from at most 1200 readings; ``batches`` learns from all readings and recordings
+    by torch, and takes the committee's place where it predicts left-out blocks of time better; ``none`` is none.
+    """
+
+    kind: NetworkKind = "mlp"
     folds: Annotated[int, Field(strict=True, ge=2, le=20)] = 5
     iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 150
 

@@ -82,7 +82,7 @@ class LocalProcesses:
 
 
 def _begun(process: ProcessPoolExecutor, task: Task, common: str, program: str) -> Future[str]:
-    """A task that was given to a process; one that ended while it had no task fails like any other."""
+    """The future of a task in a process; it has failed where the process is dead already."""
     try:
         with _ctrl_c_blocked():  # the first task starts the process
             return process.submit(perform, task.kind, common, task.parameters, program)

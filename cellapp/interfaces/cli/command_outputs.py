@@ -73,7 +73,7 @@ class Commands(typer.Typer):
 
 
 def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A command with ``--force``, which knows what it reads and writes; the same function if it writes nothing."""
+    """The command with an option ``--force`` to replace the files that it writes; unchanged if it writes none."""
     signature = inspect.signature(function, eval_str=True)
     written = {name: how for name, one in signature.parameters.items() if (how := _how(one.annotation)) is not None}
     if not written:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.commands.view.charts import Array, Chart, Limit, Series
-from cellapp.interfaces.render.chart_axis import Scale, equal_scales, scale_of
+from cellapp.interfaces.render.chart_axis import Scale, chart_scale, equal_scales
 from cellapp.interfaces.render.chart_style import FEW, Look, css_colour, is_marked, look_of
 
 _WIDTH, _HEIGHT = 400.0, 250.0
@@ -21,6 +21,8 @@ _FONT = 9.5
 _CHARACTER = 0.58
 """Mean width of a digit over the font size."""
 _BAR, _BAR_STEP = 8.0, 26.0
+_MOST_TICKS = 6
+"""Of an axis."""
 _MANY = 1000
 """Points from which on dots are smaller."""
 
@@ -71,26 +73,16 @@ def dots(pixels: Array) -> str:
 
 
 def _scales(chart: Chart) -> tuple[Scale, Scale]:
-    y_values = [one.y for one in chart.series] + [_edges(one) for one in chart.series if one.band is not None]
-    y_axis = scale_of(chart.y, [*y_values, _limits(chart, "y")], _HEIGHT - _BOTTOM, _TOP, chart.y_range, from_zero=True)
-    left = 27.0 + _FONT * _CHARACTER * max((len(label) for _, label in y_axis.ticks()), default=1)
-    x_values = [*(one.x for one in chart.series), _limits(chart, "x")]
-    x_axis = scale_of(chart.x, x_values, left, _WIDTH - _RIGHT)
+    y_axis = chart_scale(chart, "y", _HEIGHT - _BOTTOM, _TOP)
+    left = 27.0 + _FONT * _CHARACTER * max((len(label) for _, label in y_axis.labels(_MOST_TICKS)), default=1)
+    x_axis = chart_scale(chart, "x", left, _WIDTH - _RIGHT)
     return equal_scales(x_axis, y_axis) if chart.equal else (x_axis, y_axis)
-
-
-def _edges(one: Series) -> Array:
-    return np.concatenate([one.y - one.band, one.y + one.band]) if one.band is not None else one.y
-
-
-def _limits(chart: Chart, axis: str) -> Array:
-    return np.array([limit.value for limit in chart.limits if limit.axis == axis])
 
 
 def _frame(chart: Chart, x_axis: Scale, y_axis: Scale) -> Iterator[str]:
     """Grid, tick labels and axis labels."""
     left, right, bottom, top = x_axis.begin, x_axis.end, y_axis.begin, y_axis.end
-    x_ticks, y_ticks = x_axis.ticks(), y_axis.ticks()
+    x_ticks, y_ticks = x_axis.labels(_MOST_TICKS), y_axis.labels(_MOST_TICKS)
     lines = [f"M{pixel:.1f} {bottom:.1f}V{top:.1f}" for pixel, _ in x_ticks]
     lines += [f"M{left:.1f} {pixel:.1f}H{right:.1f}" for pixel, _ in y_ticks]
     yield in_colour("grid", f'<path d="{"".join(lines)}" stroke-width=".7"/>')
@@ -103,7 +95,7 @@ def _frame(chart: Chart, x_axis: Scale, y_axis: Scale) -> Iterator[str]:
 
 
 def _limit(limit: Limit, x_axis: Scale, y_axis: Scale) -> str:
-    at = float((x_axis if limit.axis == "x" else y_axis).at(np.array(limit.value)))
+    at = float((x_axis if limit.axis == "x" else y_axis).place(np.array(limit.value)))
     line = f"M{at:.1f} {y_axis.begin:.1f}V{y_axis.end:.1f}" if limit.axis == "x" else ""
     line = line or f"M{x_axis.begin:.1f} {at:.1f}H{x_axis.end:.1f}"
     return f'<path d="{line}" stroke-dasharray="4 3" stroke-width="1"/>'
@@ -113,7 +105,7 @@ def _limit(limit: Limit, x_axis: Scale, y_axis: Scale) -> str:
 
 
 def _drawn(one: Series, look: Look, x_axis: Scale, y_axis: Scale) -> str:
-    pixels = np.column_stack([x_axis.at(one.x), _within(y_axis.at(one.y), y_axis)])
+    pixels = np.column_stack([x_axis.place(one.x), _within(y_axis.place(one.y), y_axis)])
     if one.kind == "points":
         return in_colour(look.colour, _points(pixels, look))
     band = "" if one.band is None else _band(one, x_axis, y_axis)
@@ -134,8 +126,8 @@ def _within(pixels: Array, y_axis: Scale) -> Array:
 def _band(one: Series, x_axis: Scale, y_axis: Scale) -> str:
     assert one.band is not None
     seen = np.isfinite(one.x + one.y + one.band)
-    x = x_axis.at(one.x[seen])
-    ends = np.clip(y_axis.at(np.stack([one.y - one.band, one.y + one.band])[:, seen]), y_axis.end, y_axis.begin)
+    x = x_axis.place(one.x[seen])
+    ends = np.clip(y_axis.place(np.stack(one.edges)[:, seen]), y_axis.end, y_axis.begin)
     around = np.vstack([np.column_stack([x, ends[0]]), np.column_stack([x, ends[1]])[::-1]])
     return f'<path d="{polyline(around)}" stroke="none" fill="currentColor" opacity=".22"/>'
 

@@ -13,7 +13,7 @@ from cellapp.commands.report.headlines import out_of_date_lines, unusable_arms
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.report.summary import header_facts, nothing_found, summary
 from cellapp.ground.outputs import RENEWED
-from cellapp.interfaces.page.certificate_page import certificate_section
+from cellapp.interfaces.page.certificate_page import certificate_of_run
 from cellapp.interfaces.page.drawn import drawn_sections
 from cellapp.interfaces.page.plotly_script import plotly_base64, plotly_notice
 from cellapp.interfaces.page.templates import template
@@ -50,7 +50,7 @@ def page_text(run: RunFile, written: datetime) -> str:
         next_step=data.next_step,
         summary=summary(data, data.judgements, written.date()),
         nothing_found=nothing_found(data),
-        certificate=certificate_section(data),
+        certificate=certificate_of_run(data),
         sections=drawn_sections(report_sections(run, data)),
         plotly=plotly_base64(),
         plotly_notice=plotly_notice(),

@@ -97,7 +97,7 @@
   }
   // -- a table that is wider than its frame says that it scrolls --
   const hint = () => {
-    for (const frame of all(".table, .cert-table")) frame.classList.toggle("scrolls", frame.scrollWidth > frame.clientWidth + 1);
+    for (const frame of all(".table")) frame.classList.toggle("scrolls", frame.scrollWidth > frame.clientWidth + 1);
   };
   for (const part of all("details")) part.addEventListener("toggle", hint);
   addEventListener("resize", hint);

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
+from cellapp.commands.view.acceptance_words import VERDICT_TITLES
+
 if TYPE_CHECKING:
     from jinja2 import Template
 
@@ -28,4 +30,5 @@ def template(name: str) -> Template:
     environment.filters["svg"] = Markup  # made by cellapp, without any text that a user wrote
     environment.filters["prose"] = lambda text: Markup(_COMMAND.sub(r"<code>\1</code>", str(escape(text))))
     environment.filters["is_hash"] = lambda text: bool(_SHA_256.fullmatch(text))
+    environment.tests["verdict"] = VERDICT_TITLES.__contains__
     return environment.get_template(name)

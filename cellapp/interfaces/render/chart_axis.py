@@ -1,100 +1,125 @@
-"""Axes of the page's charts: from values to pixels, and where the ticks are."""
+"""Axes of charts, the same on the page and in the terminal: ranges, places along an axis, ticks and their texts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from cellapp.commands.view.charts import LEAST, Array, Axis
+from cellapp.commands.view.charts import LEAST, Array, Axis, Chart
 from cellapp.interfaces.render.log_ticks import log_ticks
 
-_INTERVALS = 5.0
-"""Intervals between the ticks of a linear axis to aim at."""
 _ROOM = 0.05
-"""Room at either end of a linear axis, as a share of its range."""
-_LOG_ROOM = 1.25
-"""Room at either end of a logarithmic axis, as a factor."""
-_DEGREES = (5.0, 10.0, 15.0, 30.0, 45.0, 60.0, 90.0, 180.0)
-_FEWEST_DEGREES = 20.0
-"""Angles over a smaller range have decimal ticks."""
-_MOST_TICKS = 6
-"""Of a logarithmic axis."""
+"""Room at either end of an axis, as a share of its range."""
+_LARGEST = 1.0 / LEAST
+"""Larger values are not drawn: sums and ratios of axes would overflow."""
+_FAR = 10.0
+"""Places beyond so many lengths of an axis are moved to there: a line that leaves the plot needs no more."""
+_SAME = 1e-6
+"""Values that differ by a smaller share are one value: the difference is rounding, and no tick could show it."""
+_LONGEST = 7
+"""Characters of a tick before its text changes to powers of ten."""
+_PARTS_OF_A_TURN = (15.0, 30.0, 45.0, 60.0, 90.0, 180.0, 360.0)
+"""Steps between ticks of an angle [deg]."""
+_NEAR_ZERO = 0.5
+"""Positive values begin at zero if the smallest is below this share of the largest: lengths compare better so."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """An axis from ``low`` to ``high`` (their decadic logarithms where logarithmic) at ``begin`` to ``end`` [px]."""
+    """A range of an axis at ``begin`` to ``end`` [dots or px]; a logarithmic one is positive.
 
+    ``counted``: there are only integers, and so are the ticks.
+    """
+
+    axis: Axis
     low: float
     high: float
     begin: float
     end: float
-    logarithmic: bool = False
-    degrees: bool = False
-    whole: bool = False
-    """Whether all values are integers, and so the ticks."""
+    counted: bool = False
 
-    def at(self, values: Array) -> Array:
-        """Pixels of values (n,); NaN stays NaN."""
-        shown = np.log10(np.maximum(values, LEAST)) if self.logarithmic else values
-        return np.asarray(self.begin + (shown - self.low) / (self.high - self.low) * (self.end - self.begin))
+    def place(self, values: Array) -> Array:
+        """Positions of values (n,); NaN where a logarithmic axis has no place for a value."""
+        low, high, values = self.low, self.high, drawable(values)
+        if self.axis.logarithmic:
+            values = np.log10(np.where(values > 0.0, values, np.nan))
+            low, high = math.log10(low), math.log10(high)
+        return self.begin + np.clip((values - low) / (high - low), -_FAR, _FAR) * (self.end - self.begin)
 
-    def ticks(self) -> list[tuple[float, str]]:
-        """Pixel and label of each tick."""
-        low, high = (10.0**self.low, 10.0**self.high) if self.logarithmic else (self.low, self.high)
-        values = log_ticks(low, high, _MOST_TICKS) if self.logarithmic else []
-        values = values or self._linear_ticks(low, high)
-        return [(float(self.at(np.array(value))), f"{value:.6g}") for value in values]
+    def ticks(self, most: int) -> list[float]:
+        """At most about ``most`` round values in the range."""
+        if self.axis.logarithmic and (ticks := log_ticks(self.low, self.high, most)):
+            return ticks
+        for wanted in (most, 2 * most):  # two ticks at least, so that they give a scale
+            step = _round_step((self.high - self.low) / wanted, degrees=self.axis.unit == "deg")
+            step = max(step, 1.0) if self.counted else step
+            first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+            if last > first:
+                break
+        return [number * step for number in range(first, last + 1)]
 
-    def _linear_ticks(self, low: float, high: float) -> list[float]:
-        step = self._step((high - low) / _INTERVALS)
-        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-        return [k * step for k in range(first, last + 1)]
-
-    def _step(self, wanted: float) -> float:
-        if self.degrees and wanted * _INTERVALS > _FEWEST_DEGREES:
-            return min(_DEGREES, key=lambda size: abs(math.log(size / wanted)))
-        decade = 10.0 ** math.floor(math.log10(wanted))
-        step = decade * min((1.0, 2.0, 5.0, 10.0), key=lambda size: abs(math.log(size * decade / wanted)))
-        return max(round(step), 1.0) if self.whole else step
+    def labels(self, most: int) -> list[tuple[float, str]]:
+        """Position and text of each tick: as many decimals as the steps between them need."""
+        ticks = self.ticks(most)
+        texts = [f"{tick:g}" for tick in ticks]
+        if not self.axis.logarithmic and len(ticks) > 1:
+            decimals = max(0, -math.floor(math.log10(ticks[1] - ticks[0]) + 1e-9))
+            exact = [f"{tick + 0.0:.{decimals}f}" for tick in ticks]
+            texts = exact if max(map(len, exact)) <= _LONGEST else texts
+        return list(zip(self.place(np.array(ticks)).tolist(), texts, strict=True))
 
 
-def scale_of(
-    axis: Axis,
-    values: Sequence[Array],
-    begin: float,
-    end: float,
-    limits: tuple[float, float] | None = None,
-    *,
-    from_zero: bool = False,
-) -> Scale:
-    """The scale of an axis around all finite values, or from one of ``limits`` to the other.
+def chart_scale(chart: Chart, which: Literal["x", "y"], begin: float, end: float) -> Scale:
+    """The scale of an axis of a chart, which shows all series, bands and limits, or the range that the chart names."""
+    limits = np.array([limit.value for limit in chart.limits if limit.axis == which])
+    if which == "x":
+        return scale_of(chart.x, np.concatenate([*(one.x for one in chart.series), limits]), begin, end)
+    shown = [edge for one in chart.series for edge in one.edges] if chart.y_range is None else [np.array(chart.y_range)]
+    filled = any(one.kind == "bars" for one in chart.series)
+    return scale_of(chart.y, np.concatenate([*shown, limits]), begin, end, zero=filled)
 
-    ``from_zero``: a lowest value of zero stands at the axis' end.
-    """
-    shown = np.concatenate([np.ravel(one) for one in values]) if values else np.empty(0)
-    shown = np.where(np.abs(shown) < LEAST, 0.0, shown)
-    shown = shown[np.isfinite(shown) & ((shown > 0.0) if axis.logarithmic else True)]
-    if not len(shown):
-        shown = np.array([1.0])
-    whole, degrees = bool(np.all(shown % 1.0 == 0.0)), axis.unit in ("deg", "°")
+
+def scale_of(axis: Axis, values: Array, begin: float, end: float, *, zero: bool = False) -> Scale:
+    """A scale that shows all finite ``values``; with ``zero`` it contains zero."""
+    values = drawable(values)
+    shown = values[np.isfinite(values) & ((values > 0.0) | (not axis.logarithmic))]
+    if len(shown) == 0:
+        return Scale(axis, 0.1, 1.0, begin, end)
+    low, high = float(shown.min()), float(shown.max())
     if axis.logarithmic:
-        low, high = np.log10(shown.min() / _LOG_ROOM), np.log10(shown.max() * _LOG_ROOM)
-        return Scale(float(low), float(high), begin, end, logarithmic=True)
-    low, high = (float(shown.min()), float(shown.max())) if limits is None else limits
-    room = 0.0 if limits is not None else _ROOM * (high - low) or max(0.5, _ROOM * abs(low))
-    return Scale(low if from_zero and low == 0.0 else low - room, high + room, begin, end, degrees=degrees, whole=whole)
+        room = max((high / low) ** _ROOM, 1.1)
+        return Scale(axis, max(low / room, LEAST), min(high * room, _LARGEST), begin, end)
+    if zero or 0.0 <= low < _NEAR_ZERO * high:
+        low, high = min(low, 0.0), max(high, 0.0)
+    largest = max(abs(low), abs(high))
+    room = _ROOM * (high - low) if high - low > _SAME * largest else 0.5 * largest or 0.5
+    counted = not axis.unit and bool(np.all(shown == np.rint(shown)))
+    return Scale(axis, low if low == 0.0 else low - room, high + room, begin, end, counted)
+
+
+def drawable(values: Array) -> Array:
+    """Values with NaN for those that no axis can hold, and zero for those next to it."""
+    size = np.abs(values)
+    return np.where(size <= _LARGEST, np.where(size < LEAST, 0.0, values), np.nan)
 
 
 def equal_scales(x: Scale, y: Scale) -> tuple[Scale, Scale]:
-    """Both scales with the coarser of their units, each around the middle of its range."""
-    pixels = min(abs(one.end - one.begin) / (one.high - one.low) for one in (x, y))
+    """The same length of a unit along both axes: the narrower range becomes wider."""
+    unit = max((one.high - one.low) / abs(one.end - one.begin) for one in (x, y))
+    return _widened(x, unit), _widened(y, unit)
 
-    def widened(one: Scale) -> Scale:
-        middle, half = 0.5 * (one.low + one.high), 0.5 * abs(one.end - one.begin) / pixels
-        return Scale(middle - half, middle + half, one.begin, one.end)
 
-    return widened(x), widened(y)
+def _widened(scale: Scale, unit: float) -> Scale:
+    middle, half = 0.5 * (scale.low + scale.high), 0.5 * unit * abs(scale.end - scale.begin)
+    return replace(scale, low=middle - half, high=middle + half)
+
+
+def _round_step(least: float, *, degrees: bool) -> float:
+    """The smallest of 1, 2, 5, 10, ... times a power of ten that is not below ``least``; of angles a part of a turn."""
+    if degrees and 10.0 < least <= _PARTS_OF_A_TURN[-1]:
+        return next(part for part in _PARTS_OF_A_TURN if part >= least)
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * (1.0 - 1e-9))

@@ -26,4 +26,5 @@ def log_ticks(low: float, high: float, most: int) -> list[float]:
     if len(options[0]) > most:
         return options[0][:: math.ceil(len(options[0]) / most)]
     fitting = [ticks for ticks in options if 2 <= len(ticks) <= most]
+    fitting = fitting or [ticks[:: math.ceil(len(ticks) / most)] for ticks in options if len(ticks) > most][:1]
     return next((ticks for ticks in fitting if len(ticks) >= _ENOUGH), fitting[-1] if fitting else [])

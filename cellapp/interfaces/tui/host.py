@@ -104,7 +104,7 @@ class Host(App[None]):
         raise NotImplementedError
 
     def draw_all(self) -> None:
-        """Draw the present screen whole."""
+        """Redraw the whole screen."""
         raise NotImplementedError
 
     def wait_for_job(self) -> None:

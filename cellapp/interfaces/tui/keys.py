@@ -43,7 +43,7 @@ KEYS: Mapping[str, Key] = {
     "import": Key("i", "i", "take from elsewhere: readings, an earlier run, the file of a certificate"),
     "save": Key("w", "w", "save what is shown: a list, tables, the log"),
     "copy": Key("y", "y", "copy what is shown or marked"),
-    "add": Key("plus,insert", "+", "add: a profile, stops, a target, a key that signs"),
+    "add": Key("plus,insert", "+", "add: a profile, stops, a target, a key that signs, a network from all readings"),
     "remove": Key("minus,delete", "-", "remove the row"),
     "mark": Key("space", "Space", "mark the row"),
     "undo": Key("ctrl+z", "Ctrl+Z", "take back the last edit"),
@@ -100,9 +100,10 @@ WAYS: Mapping[str, tuple[Step, str]] = {
 """Verb -> the screen and the meaning of the key that does it; the palette does the others."""
 _EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook"}
 """Verb -> the meaning of the key that does it on every screen; the palette has no such verb."""
+_VARIANTS = "|".join(re.escape(word) for verb in VERBS for word in verb.variants)
 _COMMAND = re.compile(
     r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
-    r"|\bcellapp ([a-z][\w-]*)(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
+    rf"|\bcellapp ([a-z][\w-]*)(?: (?:{_VARIANTS})\b)?(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
 )
 
 

@@ -14,7 +14,7 @@ from cellapp.interfaces.tui.messages import LeaveAsked
 
 LEFT = "a person left the application"
 ENDED = "the terminal application ended"
-"""What a run records as the cause of the stop."""
+"""What a run records as the cause of the halt."""
 _ENDING = available("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 _CLOSED = available("SIGHUP")
 _PAUSING = available("SIGTSTP")

@@ -32,7 +32,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Banner:
-    """How far the stop is, in words that begin with the state; the causes; whether an arm counts as moving."""
+    """How far the halt is, in words that begin with the state; the causes; whether an arm counts as moving."""
 
     words: str
     causes: tuple[str, ...]
@@ -54,7 +54,7 @@ def age_words(age_s: float | None) -> str:
 
 
 def halt_of(arm: ArmLive) -> HaltState | None:
-    """How far the stop of an arm is; a stop of which no data tell is not seen, whatever was commanded."""
+    """How far the halt of an arm is; a halt of which no data tell is not seen, whatever was commanded."""
     if arm.halt is None:
         return None
     unknown = arm.halt.state in ("asked", "braking") and look_of(arm.age_s) == "lost"
@@ -73,7 +73,7 @@ def strip_of(live: CellLive) -> list[Part]:
 
 
 def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> Banner | None:
-    """The state of a stop, or that data are missing; None where neither is so.
+    """The state of a halt, or that data are missing; None where neither is so.
 
     ``unseen`` are the arms that the run that is open counts as moving, arm -> why.
     """

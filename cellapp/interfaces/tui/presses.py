@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cellapp.interfaces.tui.jobs import JobRunner
 
 _RESUME_AFTER_S = 0.3
-"""A key that resumes and is handled sooner after a stop may have been pressed before it."""
+"""A key that resumes and is handled sooner after a STOP may have been pressed before it."""
 
 
 class StopPresses:

@@ -19,7 +19,7 @@ _FULL = 2
 
 
 class SlowPasses:
-    """Sets aside what slow full passes went over. The collector calls it in whichever thread it runs."""
+    """Takes objects out of garbage collection (``gc.freeze``) after a slow full pass; called in any thread."""
 
     def __init__(self) -> None:
         self._began_s = 0.0

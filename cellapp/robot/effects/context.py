@@ -165,7 +165,7 @@ class EffectContext:
         return None if self.conditions.R_M_S is None else self.angles.turned[:, None].astype(np.float64)
 
     def moved(self, shift_M: Array | None, turn_M: Array | None = None, lever_M: Array | None = None) -> Array:
-        """What a small motion (n, 3) in the tracker frame does to each reading: to a position [m], an orientation [rad].
+        """What a small motion (n, 3) in the tracker frame does to each reading, a position [m] or an orientation [rad].
 
         A body shifts by ``shift_M`` [m] and turns by ``turn_M`` [rad] about a point from which ``lever_M`` (n, 3) [m]
         points to the SMR. An orientation is changed by the turn alone.

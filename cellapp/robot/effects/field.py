@@ -42,7 +42,7 @@ _MOST_WAVES_A_SIDE = 16
 
 
 def box_of(position: Array) -> dict[str, float]:
-    """Constants ``BOX`` of positions (n, 3) [m]."""
+    """The box around positions (n, 3) [m], as the constants ``BOX``."""
     ends = np.stack([position.min(axis=0), position.max(axis=0)], axis=1).ravel()
     return dict(zip((one.name for one in BOX), ends.tolist(), strict=True))
 

@@ -7,9 +7,9 @@ The model is that of Bai et al., ROBOT 45(3) 2023, 276-286: D-H parameters with 
     A_i   = rot_z(q_i + theta_i) trans(a_i, 0, d_i) rot_x(alpha_i) rot_y(beta_i)
 
 M is the tracker frame, B the base, S the SMR centre or the frame of a 6-D probe, whose rotation in the last frame is
-that about the vector r by its length; an SMR has none. ``R_ref`` is the identity unless the first joint axis is more than
-60 degrees off the tracker's z axis (an arm on a wall). There the parameters x0, y0, z0 become singular, and ``R_ref``
-permutes the tracker's axes so that its z is the one nearest to the first joint axis.
+that about the vector r by its length; an SMR has none. ``R_ref`` is the identity unless the first joint axis is more
+than 60 degrees off the tracker's z axis (an arm on a wall). There the parameters x0, y0, z0 become singular, and
+``R_ref`` permutes the tracker's axes so that its z is the one nearest to the first joint axis.
 
 Jacobian: a rotation parameter about axis u through point c moves the SMR at P by u x (P - c) per radian; a translation
 parameter along u moves it by u per metre. What is computed at a configuration is the position of S or, where an
@@ -30,6 +30,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.robot.kinematics.constant_frames import IN_TRACKER_AXES, base_frame, row_matrices
 from cellapp.robot.kinematics.transforms import (
     Array,
     left_jacobian,
@@ -49,7 +50,7 @@ PROBE_NAMES = ("rx", "ry", "rz")
 _REFERENCES = (
     np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
-    np.eye(3),
+    IN_TRACKER_AXES,
 )
 """``R_ref`` by reference axis: rotations that map z to x, to y and to z."""
 _PARALLEL = math.sin(math.radians(5.0))
@@ -82,13 +83,13 @@ class Geometry:
 
     @cached_property
     def base_vectors(self) -> Array:
-        """Vectors of the base in the tracker frame, (8, 3): see ``_base_frame``."""
-        return _base_frame(self)
+        """Vectors of the base in the tracker frame, (8, 3): see ``base_frame``."""
+        return base_frame(self.base, self.reference())
 
     @cached_property
     def row_matrices(self) -> Array:
-        """Matrices (N, 4, 4) of the rows: see ``_row_matrices``."""
-        return _row_matrices(self)
+        """Matrices (N, 4, 4) of the rows: see ``row_matrices``."""
+        return row_matrices(self.rows)
 
     @property
     def joints(self) -> int:
@@ -408,7 +409,7 @@ def _components(vectors: Sequence[int]) -> NDArray[np.int64]:
 
 def _source(column: int, joints: int) -> tuple[int, int]:
     """Indices into ``_frames`` of a parameter's axis and of a point on it, which a translation does not need."""
-    fixed = 4 * (joints + 1)  # the four fixed vectors of _base_frame
+    fixed = 4 * (joints + 1)  # the four fixed vectors of base_frame
     if column < 6:
         of_base = ((fixed, 0), (fixed + 1, 0), (2, 0), (fixed, fixed + 3), (fixed + 2, fixed + 3), (2, 3))
         return of_base[column]
@@ -418,31 +419,6 @@ def _source(column: int, joints: int) -> tuple[int, int]:
     previous, own = 4 * joint, 4 * joint + 4  # the D-H frames before and after A_i
     axis = (previous + 2, previous + 2, own, own, own + 1)[which]  # theta, d, a, alpha, beta
     return axis, (previous if which == 0 else own) + 3
-
-
-def _base_frame(geometry: Geometry) -> Array:
-    """Vectors of the base in the tracker frame, shape (8, 3).
-
-    x, y, z axes and origin of the base; then what does not rotate with theta0: x and y axes of the reference frame, the
-    y axis after rot_x(alpha0), and the point (x0, y0, 0).
-    """
-    x0, y0, z0, alpha0, beta0, theta0 = geometry.base.tolist()
-    ca, sa, cb, sb = math.cos(alpha0), math.sin(alpha0), math.cos(beta0), math.sin(beta0)
-    ct, st = math.cos(theta0), math.sin(theta0)
-    x, y, z = (cb, sa * sb, -ca * sb), (0.0, ca, sa), (sb, -sa * cb, ca * cb)
-    vectors = np.array(
-        [
-            [ct * u + st * v for u, v in zip(x, y, strict=True)],
-            [ct * v - st * u for u, v in zip(x, y, strict=True)],
-            z,
-            (x0 + z0 * z[0], y0 + z0 * z[1], z0 * z[2]),
-            (1.0, 0.0, 0.0),
-            (0.0, 1.0, 0.0),
-            y,
-            (x0, y0, 0.0),
-        ]
-    )
-    return vectors if geometry.reference_axis == 2 else vectors @ _REFERENCES[geometry.reference_axis].T
 
 
 def _smr(geometry: Geometry, frames: Array) -> Array:
@@ -470,7 +446,7 @@ def _probe_axes(geometry: Geometry, frames: Array) -> Array:
     """Axes (3, 3, n) about which the three components of a probe's rotation vector turn it: component, axis."""
     last = 4 * geometry.joints
     turn = np.eye(3) if geometry.probe is None else left_jacobian(geometry.probe)
-    return np.einsum("can,ck->akn", frames[last : last + 3], turn)
+    return np.asarray(np.einsum("can,ck->akn", frames[last : last + 3], turn))
 
 
 def _frame_shapes(geometry: Geometry, n: int) -> tuple[tuple[int, ...], ...]:
@@ -500,16 +476,3 @@ def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, turned: Arr
         turned[2:] = before[2:]
         np.matmul(rows[i], turned_flat, out=flat[4 * i + 4 : 4 * i + 8])
     return vectors
-
-
-def _row_matrices(geometry: Geometry) -> Array:
-    """Matrices (N, 4, 4) that map (x, y, z axis, origin) after rot_z(q_i) to those after A_i."""
-    _, d, a, _, _ = geometry.rows.T
-    angles = geometry.rows.T[[0, 3, 4]]  # theta, alpha, beta
-    (ct, ca, cb), (st, sa, sb) = np.cos(angles), np.sin(angles)
-    M = np.zeros((geometry.joints, 4, 4))
-    M[:, 0, 0], M[:, 0, 1], M[:, 0, 2] = cb * ct - sb * sa * st, cb * st + sb * sa * ct, -sb * ca
-    M[:, 1, 0], M[:, 1, 1], M[:, 1, 2] = -ca * st, ca * ct, sa
-    M[:, 2, 0], M[:, 2, 1], M[:, 2, 2] = sb * ct + cb * sa * st, sb * st - cb * sa * ct, cb * ca
-    M[:, 3, 0], M[:, 3, 1], M[:, 3, 2], M[:, 3, 3] = a * ct, a * st, d, 1.0
-    return M

@@ -211,6 +211,20 @@ class ArmModel:
         """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame."""
         return flange_poses(self.geometry, self.true_joints(q))
 
+    def of_positions(self) -> ArmModel:
+        """The arm as positions alone show it, without the rotation of a probe."""
+        if self.geometry.probe is None:
+            return self
+        kept = [place for place, name in enumerate(self.identified) if name not in PROBE_NAMES]
+        return replace(
+            self,
+            geometry=replace(self.geometry, probe=None),
+            nominal=replace(self.nominal, probe=None),
+            identified=tuple(self.identified[place] for place in kept),
+            covariance=None if self.covariance is None else self.covariance[np.ix_(kept, kept)],
+            posterior=None if self.posterior is None else self.posterior.of_columns(len(self.geometry.vector()) - 3),
+        )
+
     def in_base(self) -> ArmModel:
         """Return the arm with its base at the origin, so that it predicts positions in the base frame B."""
         rotation = self.geometry.T_M_B()[:3, :3]

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from cellapp.robot.kinematics.transforms import Array
 
-Inputs = Literal["angles", "sincos"]
+Inputs = Literal["angles", "sincos", "both"]
 Layers = tuple[tuple[Array, Array], ...]
 
 
@@ -26,7 +26,7 @@ class ResidualNetwork:
     Attributes
     ----------
     inputs : str
-        ``angles`` scaled to the trained ranges, or ``sincos``.
+        ``angles`` scaled to the trained ranges, ``sincos``, or ``both``.
     low, high : array, shape (N,)
         Trained joint ranges [rad].
     margin : array, shape (N,)
@@ -96,7 +96,7 @@ def network_to_json(network: ResidualNetwork) -> dict[str, Any]:
 
 def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
     """Read what ``network_to_json`` wrote; any other content raises ``KeyError``, ``ValueError`` or ``TypeError``."""
-    if content["inputs"] not in ("angles", "sincos") or content["activation"] != "tanh":
+    if content["inputs"] not in get_args(Inputs) or content["activation"] != "tanh":
         raise ValueError(f"unknown inputs '{content['inputs']}' or activation '{content['activation']}' of the network")
     return ResidualNetwork(
         inputs=content["inputs"],
@@ -123,7 +123,10 @@ def rotate_about_z(vectors: Array, angles: Array) -> Array:
 
 
 def network_inputs(kind: Inputs, low: Array, high: Array, q: Array) -> Array:
-    """Inputs of the first layer from ``q`` (n, N) [rad]: scaled to [-1, 1], (n, N), or cosines and sines, (n, 2 N)."""
-    if kind == "sincos":
-        return np.hstack([np.cos(q), np.sin(q)])
-    return np.asarray((q - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9))
+    """Inputs of the first layer from ``q`` (n, N) [rad]: scaled to [-1, 1], (n, N); then cosines, sines, (n, 2 N)."""
+    parts = []
+    if kind != "sincos":
+        parts.append((q - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-9))
+    if kind != "angles":
+        parts += [np.cos(q), np.sin(q)]
+    return np.hstack(parts)

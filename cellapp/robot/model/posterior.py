@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,12 @@ class PosteriorDraws:
         ends = np.cumsum([len(columns), *sizes])
         parts = np.split(drawn, ends[:-1], axis=1)
         return cls(columns, parts[0], tuple(parts[1:]), noise_m, noise_rad)
+
+    def of_columns(self, end: int) -> PosteriorDraws:
+        """The draws of the geometric parameters before ``end``, and of all terms; without noise of orientations."""
+        kept = [place for place, column in enumerate(self.columns) if column < end]
+        columns = tuple(self.columns[place] for place in kept)
+        return replace(self, columns=columns, geometry=self.geometry[:, kept], noise_rad=None)
 
     def displacements(self, geometry: Geometry, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
         """Deviations (S, n, 3) [m] of the SMR from its prediction, to first order; of an orientation [rad]."""

@@ -115,7 +115,7 @@ def test_marks_come_first_and_the_rule_is_said() -> None:
 def test_a_simulated_cell_is_called_so_in_the_first_line() -> None:
     simulated = certificate("left").model_copy(update={"warnings": (f"{SIMULATED}: no real arm was measured",)})
     first = "Simulated cell: no calibration of real arms."
-    assert certificate_page(simulated).split('<p class="cert-soft">')[1].startswith(first)
+    assert certificate_page(simulated).split('<p class="soft">')[1].startswith(first)
     assert first not in certificate_page(certificate("left"))
 
 

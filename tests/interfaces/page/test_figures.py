@@ -85,31 +85,31 @@ def test_whatever_the_numbers_a_chart_can_be_drawn(
 )
 def test_every_axis_has_some_ticks_inside_of_it_and_not_too_many(low: float, span: float, logarithmic: bool) -> None:
     ends = np.array([abs(low) + 1e-3, abs(low) + 1e-3 + span] if logarithmic else [low, low + span])
-    scale = scale_of(Axis("x", "", logarithmic), [ends], 50.0, 350.0)
-    pixels = [pixel for pixel, _ in scale.ticks()]
+    scale = scale_of(Axis("x", "", logarithmic), ends, 50.0, 350.0)
+    pixels = [pixel for pixel, _ in scale.labels(6)]
     assert 2 <= len(pixels) <= 21
     assert pixels == sorted(pixels)
     assert pixels[0] >= 49.9
     assert pixels[-1] <= 350.1
-    assert scale.at(ends)[0] < scale.at(ends)[1]
+    assert scale.place(ends)[0] < scale.place(ends)[1]
 
 
 def test_ticks_are_those_that_a_person_would_choose() -> None:
-    degrees = scale_of(Axis("joint 1", "deg"), [np.array([-180.0, 180.0])], 0.0, 100.0, (-180.0, 180.0))
-    assert [label for _, label in degrees.ticks()] == ["-180", "-120", "-60", "0", "60", "120", "180"]
-    counts = scale_of(Axis("stops"), [np.array([0.0, 3.0])], 0.0, 100.0, from_zero=True)
-    assert [label for _, label in counts.ticks()] == ["0", "1", "2", "3"]
-    errors = scale_of(Axis("error", "mm", logarithmic=True), [np.array([0.02, 8.0])], 0.0, 100.0)
-    assert [label for _, label in errors.ticks()] == ["0.1", "1", "10"]
+    degrees = scale_of(Axis("joint 1", "deg"), np.array([-180.0, 180.0]), 0.0, 100.0)
+    assert [label for _, label in degrees.labels(6)] == ["-180", "-90", "0", "90", "180"]
+    counts = scale_of(Axis("stops"), np.array([0.0, 3.0]), 0.0, 100.0)
+    assert [label for _, label in counts.labels(6)] == ["0", "1", "2", "3"]
+    errors = scale_of(Axis("error", "mm", logarithmic=True), np.array([0.02, 8.0]), 0.0, 100.0)
+    assert [label for _, label in errors.labels(6)] == ["0.1", "1", "10"]
 
 
 def test_a_map_has_the_same_scale_along_both_axes() -> None:
     x, y = (
-        scale_of(Axis("x"), [np.array([0.0, 8.0])], 0.0, 400.0),
-        scale_of(Axis("y"), [np.array([0.0, 1.0])], 200.0, 0.0),
+        scale_of(Axis("x"), np.array([0.0, 8.0]), 0.0, 400.0),
+        scale_of(Axis("y"), np.array([0.0, 1.0]), 200.0, 0.0),
     )
     x, y = equal_scales(x, y)
-    steps = [scale.at(np.array([1.0, 2.0])) for scale in (x, y)]
+    steps = [scale.place(np.array([1.0, 2.0])) for scale in (x, y)]
     assert abs(np.diff(steps[0])[0]) == pytest.approx(abs(np.diff(steps[1])[0]))
 
 

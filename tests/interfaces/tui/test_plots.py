@@ -18,6 +18,7 @@ from cellapp.commands.collect.charts import NO_READINGS, live_residual_chart
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.view.charts import Axis, Chart, Limit, Series, bar_chart, series
 from cellapp.ground.progress import StopReport
+from cellapp.interfaces.render.chart_axis import equal_scales, scale_of
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import MARKS, draw
 from cellapp.interfaces.tui.plots.raster import (
@@ -29,7 +30,6 @@ from cellapp.interfaces.tui.plots.raster import (
     set_points,
     thinned,
 )
-from cellapp.interfaces.tui.plots.scale import equal_scales, scale_of, tick_texts
 from cellapp.interfaces.tui.plots.widget import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.themes import HIGH_CONTRAST
 from tests.interfaces.page.cases import picture, unknown_effect
@@ -337,22 +337,24 @@ def test_many_points_are_thinned_to_the_same_line() -> None:
 
 def test_scales_and_ticks() -> None:
     axis = Axis("error", "mm")
-    assert scale_of(axis, np.array([0.1, 0.9]), 100).low == 0.0
-    assert scale_of(axis, np.array([8.0, 9.0]), 100).low == pytest.approx(7.95)
-    assert scale_of(axis, np.array([8.0, 9.0]), 100, zero=True).low == 0.0
-    ticks = scale_of(axis, np.array([0.0, 0.043]), 100).ticks(5)
-    assert tick_texts(ticks, logarithmic=False) == ["0.00", "0.01", "0.02", "0.03", "0.04"]
-    assert scale_of(Axis("stop"), np.array([0.0, 2.0]), 100).ticks(8) == [0.0, 1.0, 2.0]
-    assert scale_of(Axis("joint 1", "deg"), np.array([-180.0, 180.0]), 100).ticks(5) == [
+    assert scale_of(axis, np.array([0.1, 0.9]), 0.0, 99.0).low == 0.0
+    assert scale_of(axis, np.array([8.0, 9.0]), 0.0, 99.0).low == pytest.approx(7.95)
+    assert scale_of(axis, np.array([8.0, 9.0]), 0.0, 99.0, zero=True).low == 0.0
+    labels = scale_of(axis, np.array([0.0, 0.043]), 0.0, 99.0).labels(5)
+    assert [text for _, text in labels] == ["0.00", "0.01", "0.02", "0.03", "0.04"]
+    assert scale_of(Axis("stop"), np.array([0.0, 2.0]), 0.0, 99.0).ticks(8) == [0.0, 1.0, 2.0]
+    assert scale_of(Axis("joint 1", "deg"), np.array([-180.0, 180.0]), 0.0, 99.0).ticks(5) == [
         -180.0,
         -90.0,
         0.0,
         90.0,
         180.0,
     ]
-    decades = scale_of(Axis("error", "mm", True), np.array([1e-3, 10.0]), 100)
+    decades = scale_of(Axis("error", "mm", True), np.array([1e-3, 10.0]), 0.0, 99.0)
     assert decades.ticks(5) == [0.001, 0.01, 0.1, 1.0, 10.0]
-    assert tick_texts(decades.ticks(5), logarithmic=True) == ["0.001", "0.01", "0.1", "1", "10"]
+    assert [text for _, text in decades.labels(5)] == ["0.001", "0.01", "0.1", "1", "10"]
     assert np.isnan(decades.place(np.array([0.0, -1.0, np.nan]))).all()
-    x, y = equal_scales(scale_of(axis, np.array([-1.0, 1.0]), 200), scale_of(axis, np.array([-1.0, 1.0]), 50))
+    x, y = equal_scales(
+        scale_of(axis, np.array([-1.0, 1.0]), 0.0, 199.0), scale_of(axis, np.array([-1.0, 1.0]), 0.0, 49.0)
+    )
     assert (x.high - x.low) / 199 == pytest.approx((y.high - y.low) / 49)

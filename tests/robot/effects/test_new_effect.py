@@ -84,7 +84,6 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
     assert accepted.meaning is not None
     assert accepted.meaning.cause.startswith("The hose package at each of joints 1 and 2 is too short")
     table = accepted_table("left", discovery.result)
-    assert table is not None
     titles = [column.title for column in table.columns]
     (row,) = (dict(zip(titles, row, strict=True)) for row in table.rows)
     assert row["effect"] == effect.title

@@ -87,7 +87,7 @@ class SettlingTests:
             self.mover.move({name: end})
             self.mover.rest(name, _AFTER_S, self.control)
         except BaseException:
-            with suppress(TrackerError):  # the reason of the stop is the one to report
+            with suppress(TrackerError):  # the reason of the halt is the one to report
                 tracker.end_track()
             raise
         track = tracker.end_track()

@@ -68,7 +68,7 @@ class RemoteControl(JobControl):
 
     @property
     def can_hold(self) -> bool:
-        """Whether the job could wait after a stop."""
+        """Whether the job could wait after a halt."""
         return self.has_brakes
 
     @property

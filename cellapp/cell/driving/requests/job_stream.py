@@ -34,7 +34,7 @@ class Heartbeat:
     request : str
         What a person asked of it and stands.
     holds : bool
-        Whether it waits after a stop for ``resume`` or ``abort``; otherwise it ends.
+        Whether it waits after a halt for ``resume`` or ``abort``; otherwise it ends.
     has_brakes : bool
         Whether arms are open that a stop brakes.
     ends : bool

@@ -61,11 +61,15 @@ class CandidateDesign:
 
 
 def _expected_sigma(data: ArmData, context: EffectContext) -> Array:
-    """Uncertainty of further readings: the run's mean variances along the beam and across it, in their directions."""
-    sigma = data.sigma
+    """Uncertainty of further readings: the run's mean variances along the beam and across it, in their directions.
+
+    Further stops count as positions alone, also where the run has orientations.
+    """
+    points = slice(None) if data.turned is None else ~data.turned
+    sigma = data.sigma[points]
     if sigma.ndim == 1:
         return np.full(len(context), float(np.sqrt(np.mean(sigma**2))))
-    frame = _beam_frame(data.context)
+    frame = _beam_frame(data.context)[points]
     variances = np.mean(np.einsum("nac,nab,nbc->nc", frame, sigma, frame), axis=0)
     frame = _beam_frame(context)
     return np.asarray(np.einsum("nac,c,nbc->nab", frame, variances, frame))

@@ -175,19 +175,19 @@ class _TermPictures:
 
     def of_shift(self, axis: int | None) -> list[Picture]:
         """The shift of the SMR by the columns that act on the axis of joint ``axis`` (from 0), by all if None."""
-        term, columns = self.fit.terms[self.number], self.fit.term_columns(self.number)
+        term, columns, here = self.fit.terms[self.number], self.fit.term_columns(self.number), self.fit.positions
         own = [k for k, one in enumerate(columns) if one.shift_M is not None and axis in (None, one.index)]
-        shifts = np.array([columns[k].shift_M for k in own]).reshape(-1, len(self.data), 3)
+        shifts = np.array([columns[k].shift_M for k in own]).reshape(-1, len(self.data), 3)[:, here]
         shift_M = np.einsum("k,kna->na", self.fit.term_values(self.number)[own], shifts)
         direction_M, y_label, along = _shift_direction(shift_M)
-        rest = np.einsum("na,na->n", direction_M, self.fit.identification.residuals)
+        rest = np.einsum("na,na->n", direction_M, self.fit.identification.residuals[here])
         computed = np.einsum("na,na->n", direction_M, shift_M)
         along_columns = np.einsum("kna,na->kn", shifts, direction_M)
         band = _standard_deviation(along_columns, self._covariance[np.ix_(own, own)])
         shown = np.asarray(direction_M.any(axis=1))
         title = f"{self._title}{along}" if axis is None else f"{self._title}, joint {axis + 1}{along}"
         return [
-            make_picture(title, term.slug, x_label, y_label, PictureData(x, rest, computed, band, shown))
+            make_picture(title, term.slug, x_label, y_label, PictureData(x[here], rest, computed, band, shown))
             for x_label, x in axes_of(self.data, term, None, axis)
         ]
 

@@ -20,7 +20,7 @@ from scipy.special import ndtr, stdtr
 
 from cellapp.estimation.monitoring.fleet.record import ArmRecord, GeometryRecord
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.kinematics.chain import BASE_NAMES, TOOL_NAMES
+from cellapp.robot.kinematics.chain import BASE_NAMES, PROBE_NAMES, TOOL_NAMES
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class Comparison:
 
 def is_installation(name: str) -> bool:
     """Whether a geometric parameter is of the base or of the tool, which a person may move."""
-    return name in BASE_NAMES or name in TOOL_NAMES
+    return name in BASE_NAMES + TOOL_NAMES + PROBE_NAMES
 
 
 def determined_values(geometry: GeometryRecord, first: GeometryRecord) -> dict[str, Determined]:

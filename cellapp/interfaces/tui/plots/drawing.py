@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.commands.view.charts import Array, Chart, Series
+from cellapp.interfaces.render.chart_axis import Scale, chart_scale, equal_scales
 from cellapp.interfaces.tui.plots.raster import (
     DOT_COLUMNS,
     DOT_ROWS,
@@ -22,7 +23,6 @@ from cellapp.interfaces.tui.plots.raster import (
     set_line,
     set_points,
 )
-from cellapp.interfaces.tui.plots.scale import Scale, equal_scales, scale_of, tick_texts
 
 TEXT, HEADING, SOFT = -1, -2, -3
 """Inks that are no series: words and axes, title, limits."""
@@ -130,7 +130,7 @@ def point_at(chart: Chart, width: int, height: int, column: int, row: int) -> tu
             xs, ys = (np.concatenate([getattr(one, axis) for one in chart.series]) for axis in "xy")
             # a cell is about twice as high as wide
             across = x.place(xs) / DOT_COLUMNS - column
-            down = 2.0 * ((y.dots - 1 - y.place(ys)) / DOT_ROWS - row)
+            down = 2.0 * ((y.end - y.place(ys)) / DOT_ROWS - row)
             distance = np.nan_to_num(np.hypot(across, down), nan=np.inf)
             nearest = int(np.argmin(distance))
             return (float(xs[nearest]), float(ys[nearest])) if np.isfinite(distance[nearest]) else None
@@ -173,34 +173,24 @@ def _area(chart: Chart, width: int, height: int) -> tuple[int, int, int] | None:
 
 
 def _scales(chart: Chart, columns: int, rows: int) -> tuple[Scale, Scale]:
-    """Scales of both axes that show all series and limits, for a plot of some cells."""
-    at_x = [limit.value for limit in chart.limits if limit.axis == "x"]
-    at_y = [limit.value for limit in chart.limits if limit.axis == "y"]
-    ys = [edge for one in chart.series for edge in _edges(one)] if chart.y_range is None else [np.array(chart.y_range)]
-    fill = any(one.kind == "bars" for one in chart.series)
-    x = scale_of(chart.x, np.concatenate([*(one.x for one in chart.series), at_x]), DOT_COLUMNS * columns)
-    y = scale_of(chart.y, np.concatenate([*ys, at_y]), DOT_ROWS * rows, zero=fill)
+    """Scales of both axes in dots, for a plot of some cells."""
+    x = chart_scale(chart, "x", 0.0, DOT_COLUMNS * columns - 1.0)
+    y = chart_scale(chart, "y", 0.0, DOT_ROWS * rows - 1.0)
     return equal_scales(x, y) if chart.equal else (x, y)
-
-
-def _edges(one: Series) -> list[Array]:
-    return [one.y] if one.band is None else [one.y - one.band, one.y + one.band]
 
 
 def _row_labels(y: Scale, rows: int) -> dict[int, str]:
     """Row -> text of its tick."""
-    ticks = y.ticks(min(max(rows // _TICK_ROWS, 2), _MOST_TICKS))
-    at = (DOT_ROWS * rows - 1 - np.rint(y.place(np.array(ticks)))) // DOT_ROWS
-    return dict(zip(at.astype(int).tolist(), tick_texts(ticks, logarithmic=y.axis.logarithmic), strict=True))
+    labels = y.labels(min(max(rows // _TICK_ROWS, 2), _MOST_TICKS))
+    return {(DOT_ROWS * rows - 1 - round(at)) // DOT_ROWS: text for at, text in labels}
 
 
 def _write_column_labels(cells: Cells, x: Scale, margin: int) -> None:
     """Ticks of the x axis on the last two rows; a label that would touch the one before is left out."""
     columns = cells.characters.shape[1] - margin
-    ticks = x.ticks(min(max(columns // _TICK_COLUMNS, 2), _MOST_TICKS))
     free = 0
-    for at, text in zip(x.place(np.array(ticks)), tick_texts(ticks, logarithmic=x.axis.logarithmic), strict=True):
-        column = margin + round(float(at)) // DOT_COLUMNS
+    for at, text in x.labels(min(max(columns // _TICK_COLUMNS, 2), _MOST_TICKS)):
+        column = margin + round(at) // DOT_COLUMNS
         begin = min(max(column - len(text) // 2, 0), margin + columns - len(text))
         if begin >= free:
             cells.write(-2, column, "┬")
@@ -215,9 +205,9 @@ def _draw_data(chart: Chart, cells: Cells, x: Scale, y: Scale) -> None:
     for limit in chart.limits:
         scale = x if limit.axis == "x" else y
         at = round(float(scale.place(np.array([limit.value]))[0]))
-        if 0 <= at < scale.dots:
+        if 0 <= at <= scale.end:
             rows, columns = _places(*cells.characters.shape)
-            line = rows == (y.dots - 1 - at) // DOT_ROWS if limit.axis == "y" else columns == at // DOT_COLUMNS
+            line = rows == (round(y.end) - at) // DOT_ROWS if limit.axis == "y" else columns == at // DOT_COLUMNS
             cells.put(np.broadcast_to(line, cells.characters.shape), LIMIT[limit.axis], SOFT)
     for one in chart.series:
         _draw_band(one, cells, x, y)
@@ -235,7 +225,7 @@ def _draw_band(one: Series, cells: Cells, x: Scale, y: Scale) -> None:
     if one.band is None:
         return
     at = x.place(one.x) / DOT_COLUMNS
-    low, high = ((y.dots - 1 - y.place(edge)) / DOT_ROWS for edge in _edges(one))
+    low, high = ((y.end - y.place(edge)) / DOT_ROWS for edge in one.edges)
     seen = np.argsort(at)
     seen = seen[np.isfinite(at + low + high)[seen]]
     if len(seen) == 0:
@@ -247,14 +237,14 @@ def _draw_band(one: Series, cells: Cells, x: Scale, y: Scale) -> None:
 
 
 def _draw_series(one: Series, cells: Cells, x: Scale, y: Scale, *, several: bool) -> None:
-    column, row = x.place(one.x), y.dots - 1 - y.place(one.y)
+    column, row = x.place(one.x), y.end - y.place(one.y)
     dots = no_dots(*cells.characters.shape)
     if one.kind == "line":
         set_line(dots, column, row)
     elif one.kind == "steps":
         set_line(dots, *as_steps(column, row))
     elif one.kind == "bars":
-        set_bars(dots, column, row, y.dots - 1 - float(y.place(np.zeros(1))[0]))
+        set_bars(dots, column, row, y.end - float(y.place(np.zeros(1))[0]))
     else:
         set_points(dots, column, row)
     occupied = occupied_cells(dots)

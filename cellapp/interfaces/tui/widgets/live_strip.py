@@ -1,4 +1,4 @@
-"""The strip below the header of every screen: how old the data of arms, tracker and job are, and how far a stop is."""
+"""The strip below the header of every screen: how old the data of arms, tracker and job are, and how far a halt is."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ class LogPane(Vertical):
     # -- search and filter ---------------------------------------------------------------------------------------------
 
     def ask(self, what: Literal["search", "filter"]) -> None:
-        """Let a text be typed."""
+        """Open the field for the text to search or to filter for."""
         self._asked = what
         self.add_class("asking")
         field = self.query_one(LogField)
