@@ -10,6 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import shutil
 from collections import Counter
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,29 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             counts.update({key: n for key, n in getattr(report, "user_properties", ()) if key.startswith(_COUNTED)})
     for key, number in sorted(counts.items()):
         terminalreporter.write_line(f"{key}: {number}")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files without a fast test where those are all that is wanted: loading a third of all files for nothing
+    takes a large part of that selection. None: as usual."""
+    if config.option.markexpr != "fast" or not fnmatch(collection_path.name, "test_*.py"):
+        return None
+    return None if "mark.fast" in collection_path.read_text("utf-8") else True
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Where only fast tests are wanted, leave out what is slow in their files, and what needs the finished run."""
+    if config.option.markexpr != "fast":
+        return
+    slow = {item for item in items if item.get_closest_marker("slow") or _needs_finished_run(item)}
+    config.hook.pytest_deselected(items=list(slow))
+    items[:] = [item for item in items if item not in slow]
+
+
+def _needs_finished_run(item: pytest.Item) -> bool:
+    """Whether a test rests on a run that takes ten seconds to make."""
+    return "finished_run" in getattr(item, "fixturenames", ())
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -11,21 +11,19 @@ from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.plan import draw_stops
-from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.model.nominal import nominal_arm
-from tests.twin import PROFILES
+from tests.twin import whole_twin
 
 Array = NDArray[np.float64]
 _POOL = 600
 
 
-@lru_cache(maxsize=1)
 def twin() -> Profile:
     """The twin with its hidden effects."""
-    return load_profile(PROFILES / "twin.yaml")
+    return whole_twin()
 
 
 @lru_cache(maxsize=1)

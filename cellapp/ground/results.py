@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationError, model_serializer
@@ -89,13 +90,21 @@ class Record(BaseModel):
 
 
 class Result(Record):
-    """The result of one verb. Subclasses set ``schema_`` and ``version`` to literals."""
+    """The result of one verb. Its head says what its JSON is: ``class GreetResult(Result, schema="cellapp-greet")``."""
 
     has_own_schema: ClassVar[bool] = True
     """Whether its JSON is its own; False where ``to_json`` writes something else that it holds."""
 
-    schema_: str
-    version: int
+    schema_: str = ""
+    version: int = 1
+
+    def __init_subclass__(cls, schema: str = "", version: int = 1, **settings: Any) -> None:
+        """Fix both keys of the subclass: another schema or version is refused."""
+        super().__init_subclass__(**settings)
+        if schema:
+            keys = {"schema_": Literal[schema], "version": Literal[version]}
+            cls.__annotations__ = keys | inspect.get_annotations(cls)
+            cls.schema_, cls.version = schema, version
 
     def to_json(self, *, indent: int | None = None) -> str:
         """The JSON text; floats are written in their shortest exact form."""
@@ -120,11 +129,9 @@ class Result(Record):
             ) from None
 
 
-class ErrorResult(Result):
+class ErrorResult(Result, schema="cellapp-error"):
     """Why a command failed, where ``--json -`` asks for JSON: its exit code and the sentence that a person gets."""
 
-    schema_: Literal["cellapp-error"] = "cellapp-error"
-    version: Literal[1] = 1
     exit_code: int
     message: str
 

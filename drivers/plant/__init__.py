@@ -5,7 +5,7 @@ equations. A calibration that fits this cell therefore does not merely reproduce
 """
 
 from drivers.plant.clearance import Clearance
-from drivers.plant.config import ArmConfig, CapsuleConfig, GeometryErrors, PlantConfig, TrackerConfig
+from drivers.plant.config import ArmConfig, CapsuleConfig, GeometryErrors, PlantConfig, TorqueSensing, TrackerConfig
 from drivers.plant.mechanism import gravity_torques
 from drivers.plant.plant import Plant
 from drivers.plant.suggest import OUTSIDE, REALISTIC, suggest
@@ -22,6 +22,7 @@ __all__ = [
     "Plant",
     "PlantConfig",
     "Target",
+    "TorqueSensing",
     "TrackerConfig",
     "gravity_torques",
     "suggest",

@@ -170,13 +170,26 @@ class GeometryErrors:
     probe: float = 0.0
 
 
+@dataclass(frozen=True)
+class TorqueSensing:
+    """How the drives of all arms measure their torques at rest.
+
+    ``noise_nm`` is its standard deviation, ``friction_nm`` the dry friction against which the last motion came to rest.
+    With ``constants_nm_per_a``, one a joint or one for all, drives report currents [A] instead.
+    """
+
+    noise_nm: float
+    friction_nm: float
+    constants_nm_per_a: tuple[float, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class PlantConfig:
     """The whole simulated cell.
 
     ``repeatability`` [rad]: standard deviation of each joint's stop position. ``noise``: whether the tracker has noise.
     ``floor`` [m]: height in C of the floor plane of the collision monitor. ``holding_k`` [K]: steady-state rise of a
-    joint at rest above the air; 5 to 15 K on real arms.
+    joint at rest above the air; 5 to 15 K on real arms. ``torques``: how drives measure them; None: they do not.
     """
 
     seed: int
@@ -188,6 +201,7 @@ class PlantConfig:
     noise: bool = True
     floor: float = 0.0
     holding_k: float = 0.0
+    torques: TorqueSensing | None = None
 
     def __post_init__(self) -> None:
         names = [arm.name for arm in self.arms]

@@ -57,6 +57,7 @@ class Plant:
         self._air_now = (np.nan, np.nan)
         """A time [s] and the air temperature at it [degC]."""
         self._noise = np.random.default_rng([config.seed, 1])
+        self._torque_noise = np.random.default_rng([config.seed, 0x70])
         # one random stream per arm and purpose: draws of one do not change another
         self._arms = {
             arm.name: draw_true_arm(arm, config, self._T_M_C, np.random.SeedSequence([config.seed, 2, number]))
@@ -256,6 +257,21 @@ class Plant:
         arm = self._arm(name)
         if arm.motion is not None:
             arm.motion = arm.motion.scaled(self._clock_s, scale)
+
+    def drive_torques(self, name: str) -> tuple[Array | None, Array | None]:
+        """Torques [Nm] or currents [A] (N,) that an arm's drives report at rest, holding it up; the other one is None.
+
+        Both are None while it moves, and where drives measure none.
+        """
+        arm, sensing = self._arm(name), self.config.torques
+        if sensing is None or arm.motion is not None:
+            return None, None
+        held = -Posture(arm.mechanism, arm.q[None], arm.gravity).torques[0]
+        torque = held + sensing.friction_nm * arm.approach
+        torque += sensing.noise_nm * self._torque_noise.standard_normal(len(torque))
+        if not sensing.constants_nm_per_a:
+            return torque, None
+        return None, torque / np.broadcast_to(sensing.constants_nm_per_a, torque.shape)
 
     def rest_s(self, name: str) -> float:
         """When the arm comes or came to rest [s]."""

@@ -143,7 +143,7 @@ class BridgeTracker:
     def prepare(self, settings: Preparation) -> None:
         """Initialise the tracker where needed and apply ``settings``, now and after every connect."""
         self._halting.clear()
-        self._command("prepare", wire.preparation_fields(settings) | {"id": new_id()})
+        self._command("prepare", wire.preparation_fields(settings) | {"id": wire.new_id()})
         self._settings = settings
 
     def unmet(self) -> list[str]:
@@ -287,7 +287,7 @@ class BridgeTracker:
         if self._settings is None:
             raise NotReady(f"tracker bridge {self._url}: {problem}") from problem
         try:
-            self._exchange("prepare", wire.preparation_fields(self._settings) | {"id": new_id()}, until_s)
+            self._exchange("prepare", wire.preparation_fields(self._settings) | {"id": wire.new_id()}, until_s)
         except (LinkFault, _Busy) as error:
             self._out_of_sync = self._out_of_sync or isinstance(error, LinkFault)
             self._pause.wait(_RETRY_S)
@@ -471,13 +471,8 @@ class BridgeTracker:
             shut_down(port)
 
 
-def new_id() -> str:
-    """An identifier that was never used before."""
-    return secrets.token_hex(8)
-
-
 def _measure_fields(expected_M: NDArray[np.float64], averaging_s: float) -> dict[str, str]:
     """Return the fields of a measurement under a new id. Raises ``ValueError`` for an invalid point or time."""
     expected = checked_point(expected_M, averaging_s, _LONGEST_COMMAND_S)
     x, y, z = (wire.number(value) for value in expected)
-    return {"id": new_id(), "x": x, "y": y, "z": z, "averaging": wire.number(averaging_s)}
+    return {"id": wire.new_id(), "x": x, "y": y, "z": z, "averaging": wire.number(averaging_s)}

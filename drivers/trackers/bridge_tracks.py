@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.trackers import bridge_wire as wire
-from drivers.trackers.bridge import BridgeTracker, UnknownCommand, new_id
+from drivers.trackers.bridge import BridgeTracker, UnknownCommand
 from drivers.trackers.bridge_points import read_limits, read_packet
 from drivers.trackers.bridge_wire import Fields
 from drivers.trackers.protocol import (
@@ -84,7 +84,7 @@ class StreamingBridgeTracker(BridgeTracker):
         limits.check(interval_s)
         x, y, z = (wire.number(value) for value in checked_point(expected_M, interval_s))
         self._halting.clear()
-        id_ = new_id()
+        id_ = wire.new_id()
         self._command("track", {"id": id_, "x": x, "y": y, "z": z, "interval": wire.number(interval_s)})
         self._track = _Running(id_, interval_s, lost, received)
 

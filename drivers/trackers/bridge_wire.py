@@ -10,6 +10,7 @@ import hashlib
 import hmac
 import math
 import re
+import secrets
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -174,6 +175,11 @@ def read_id(fields: Fields, key: str = "id") -> str:
     if not _IDENTIFIER.fullmatch(value):
         raise BadField(f"{key} is '{text(value)}'; expected 8 to 64 letters and digits that were never used before")
     return value
+
+
+def new_id() -> str:
+    """Return an identifier that was never used before."""
+    return secrets.token_hex(8)
 
 
 def proof(token: str, side: str, client: str, server_nonce: str, client_nonce: str) -> str:

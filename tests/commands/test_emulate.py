@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
 import re
 import shutil
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -24,22 +20,19 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.method import make_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stored_stops import write_planned_stops
-from cellapp.cell.profile import profile_from_json, profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.emulate.result import EmulatedTracker
-from cellapp.commands.emulate.run import emulate, emulated_arms
 from cellapp.commands.push.run import push_run
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
 from cellapp.robot.model import CellModel
 from drivers.arms.ur_settings import UrSettings
 from drivers.trackers.bridge_settings import BridgeSettings
 from tests.cell.targets.pairs import pair_targets
+from tests.commands.emulated_cell import emulated
 from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin
 
@@ -49,53 +42,6 @@ STOPS = 20
 SETTLE_S = 0.05
 """Wall time, of which the emulated arms need less: a second of theirs is 0.02 s at this pace."""
 HOSTS, CLI_HOSTS = own_arms(53), own_arms(55)
-
-
-def _serve(profile_text: str, pipe: Connection) -> None:
-    """The emulators, in a process of their own because the real client holds the interpreter while it connects."""
-    profile = profile_from_json(profile_text)
-    arms = [arm.model_copy(update={"host": HOSTS[arm.arm]}) for arm in emulated_arms(profile)]
-    cancel = CancelToken()
-
-    def until_told() -> None:
-        pipe.poll(None)  # or until the other end is gone
-        cancel.cancel()
-
-    threading.Thread(target=until_told, daemon=True).start()
-    ports: list[int] = []
-    emulate(
-        profile,
-        cancel,
-        lambda _: pipe.send(ports[0]),
-        arms,
-        pace=PACE,
-        tracker=EmulatedTracker(host="127.0.0.1", port=0),
-        announce_tracker=lambda where: ports.append(where.port),
-    )
-
-
-@contextmanager
-def emulated(profile: Profile) -> Iterator[int]:
-    """The emulators of a profile; gives the port of the tracker's bridge."""
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(profile_to_json(profile), theirs), daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        assert ours.poll(PATIENT_S), "the emulators did not come up"
-        try:
-            port = ours.recv()
-        except EOFError:
-            pytest.fail("the emulators could not listen; is another test at their addresses?")
-        yield port
-    finally:
-        ours.close()
-        process.join(PATIENT_S)
-        if process.is_alive():
-            process.kill()
-            process.join()
-    assert process.exitcode == 0
 
 
 def collected(
@@ -126,7 +72,7 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
     served = twin.model_copy(
         update={"tracker": twin.tracker.model_copy(update={"driver": BridgeSettings(url="socket://127.0.0.1:50960")})}
     )
-    with emulated(served) as port:
+    with emulated(served, HOSTS, PACE) as port:
         arms = {
             name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name], settle_time=SETTLE_S, watchdog_hz=2.0)})
             for name, arm in twin.arms.items()

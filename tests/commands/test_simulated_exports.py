@@ -27,6 +27,7 @@ def run(finished_copy: Path) -> Path:
     return finished_copy
 
 
+@pytest.mark.slow
 def test_the_first_line_of_every_export_says_that_the_cell_is_simulated(run: Path, tmp_path: Path) -> None:
     with RunFile.open(run) as opened:
         for name, form in all_formats().items():

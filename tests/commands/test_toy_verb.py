@@ -69,6 +69,7 @@ def test_a_line_in_the_list_of_the_handbook(monkeypatch: pytest.MonkeyPatch) -> 
     )
 
 
+@pytest.mark.slow
 async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

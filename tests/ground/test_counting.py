@@ -40,6 +40,7 @@ def _bare(path: Path) -> Iterator[str]:
                     yield f"{path.name}:{node.lineno}: {{{source}}} {word}"
 
 
+@pytest.mark.slow
 def test_what_a_person_reads_counts_with_one_function() -> None:
     root = Path(cellapp.__file__).parent
     found = [

@@ -10,13 +10,14 @@ from cellapp.commands.schema.results import written_results
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui.keys import KEYS
 from cellapp.robot.effects import EFFECTS
+from tests.interfaces.tui.states import states_table
 
 _DECLARED = re.compile(r"<!-- declared: (\w+) -->\n.*?<!-- end -->\n", re.DOTALL)
 
 
 def with_declarations(text: str) -> str:
     """The text with the parts that repeat declarations (between markers) renewed: verbs, effects, results as JSON."""
-    lists = {"results": results_part, "verbs": verbs_part, "keys": keys_part}
+    lists = {"results": results_part, "verbs": verbs_part, "keys": keys_part, "states": states_part}
     return _DECLARED.sub(
         lambda match: lists[match[1]]() if match[1] in lists else declared_part(EFFECTS[match[1]]), text
     )
@@ -38,6 +39,15 @@ def keys_part() -> str:
     rows = [f"| {key.shown} | {key.meaning} |" for key in KEYS.values()]
     head = ["| key | what it does, where a screen has it |", "| --- | --- |"]
     return "\n".join(["<!-- declared: keys -->", *head, *rows, "<!-- end -->", ""])
+
+
+def states_part() -> str:
+    """Every state of a run with what the screens say in it: a Markdown table with its markers."""
+    headings, *states = states_table()
+    rows = [f"| {' | '.join(' '.join(cell.split()) for cell in row)} |" for row in (headings, *states)]
+    return "\n".join(
+        ["<!-- declared: states -->", rows[0], "| --- " * len(headings) + "|", *rows[1:], "<!-- end -->", ""]
+    )
 
 
 def results_part() -> str:

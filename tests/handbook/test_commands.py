@@ -51,7 +51,6 @@ def is_run_at_all(chapter: str) -> bool:
     return any(is_run(chapter, example, long=True) for example in examples(chapter))
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("chapter", CHAPTERS)
 def test_every_command_and_example_is_understood(
     chapter: str, tmp_path: Path, record_property: Callable[[str, object], None]

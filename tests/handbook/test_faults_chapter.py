@@ -38,6 +38,7 @@ def quoted() -> list[str]:
     return [message for row in rows for message in re.findall(r"`([^`]+)`", row)]
 
 
+@pytest.mark.slow
 def test_every_quoted_message_is_one_that_the_program_has() -> None:
     texts = spoken()
     messages = quoted()

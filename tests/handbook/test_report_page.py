@@ -54,6 +54,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_pictures_are_taken_of_windows_and_parts(folder: Path) -> None:
     from PIL import Image
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -35,7 +35,7 @@ _NEAR_M = 1e-3
 """A point within this distance belongs to the nest: nests are decimetres apart, noise is below 0.1 mm."""
 
 
-class BridgeResult(Result):
+class BridgeResult(Result, schema="cellapp-trials-bridge"):
     """``trials bridge``: what became of the measurements.
 
     Attributes
@@ -52,8 +52,6 @@ class BridgeResult(Result):
         Median time of a measurement without a fault [s].
     """
 
-    schema_: Literal["cellapp-trials-bridge"] = "cellapp-trials-bridge"
-    version: Literal[1] = 1
     asked: int
     delivered: int
     lost: int

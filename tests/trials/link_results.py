@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -96,7 +95,7 @@ class FaultTimes(Record):
     kept: bool
 
 
-class LinksResult(Result):
+class LinksResult(Result, schema="cellapp-trials-links"):
     """``trials links``: times, and what did not happen as specified (``complaints``, empty if nothing).
 
     ``commanded_within_s`` and ``rest_beyond_braking_s`` are the bars. ``host_stalls`` counts motions in which this
@@ -104,8 +103,6 @@ class LinksResult(Result):
     cell.
     """
 
-    schema_: Literal["cellapp-trials-links"] = "cellapp-trials-links"
-    version: Literal[1] = 1
     moves: int
     faults: int
     complaints: tuple[str, ...]

@@ -48,11 +48,9 @@ class PersonRow(Record):
         return self.worst <= self.worst_bar and (self.median_bar is None or self.median <= self.median_bar)
 
 
-class PersonResult(Result):
+class PersonResult(Result, schema="cellapp-trials-person"):
     """``trials links --person``: the rows, beside ``busy`` processes that compute; which parts failed, and how."""
 
-    schema_: Literal["cellapp-trials-person"] = "cellapp-trials-person"
-    version: Literal[1] = 1
     busy: int
     rows: tuple[PersonRow, ...]
     not_measured: tuple[str, ...] = ()

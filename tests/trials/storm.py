@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -54,7 +54,7 @@ class StormDeviation(Record):
     max_sigmas: float
 
 
-class StormResult(Result):
+class StormResult(Result, schema="cellapp-trials-storm"):
     """``trials storm``: what became of the planned stops, and what did not happen as specified (``complaints``).
 
     Attributes
@@ -82,8 +82,6 @@ class StormResult(Result):
         Duration of the storm.
     """
 
-    schema_: Literal["cellapp-trials-storm"] = "cellapp-trials-storm"
-    version: Literal[1] = 1
     stops: int
     readings: int
     missing: tuple[MissingReading, ...]

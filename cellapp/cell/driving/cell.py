@@ -21,13 +21,22 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile import Profile
+from cellapp.ground.profile import TorqueSensing as StatedSensing
 from cellapp.ground.profile.smr import Smr
 from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model.nominal import joint_rates, pose_matrix
 from drivers.arms.protocol import Arm, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
-from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+from drivers.plant import (
+    ArmConfig,
+    CapsuleConfig,
+    GeometryErrors,
+    Plant,
+    PlantConfig,
+    TorqueSensing,
+    TrackerConfig,
+)
 from drivers.plant.sweep import SweepRecord, record_sweep, recorder_of
 from drivers.sensors.protocol import AirSensor, SensorError
 from drivers.settings import SettingError
@@ -281,10 +290,18 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             temperature_c=settings.temperature,
             noise=settings.noise,
             floor=profile.plan.floor,
+            torques=_torque_sensing(settings.torques),
         )
         return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)
     except ValueError as error:
         raise InputError(f"profile {profile.name}: plant: {error}") from error
+
+
+def _torque_sensing(stated: StatedSensing | None) -> TorqueSensing | None:
+    if stated is None:
+        return None
+    constant = stated.constant_nm_per_a
+    return TorqueSensing(stated.noise_nm, stated.friction_nm, () if constant is None else (constant,))
 
 
 def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, object]]) -> ArmConfig:

@@ -12,7 +12,7 @@ from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.moving_cell import moving_cell
 from cellapp.cell.driving.reaction import StopCause, StopReaction
 from cellapp.cell.targets.path_file import PathSpec
-from cellapp.cell.targets.path_records import DrivenPath, PathLag
+from cellapp.cell.targets.path_records import DrivenPath, PathLag, PathTime
 from cellapp.cell.targets.plan_path import RUN_UP_RAD, PathPlan, path_rates, plan_path
 from cellapp.estimation.calibration.evaluation import summarise
 from cellapp.estimation.uncertainty.judging import Judge
@@ -25,6 +25,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.lag import Lag, lag, rehearsed
+from cellapp.robot.paths.progress import Followed, followed
 from cellapp.robot.paths.timing import Trajectory
 from drivers.arms.protocol import FollowedPath, PathFollower
 from drivers.trackers.protocol import Track, TrackerError, stream_of
@@ -116,19 +117,23 @@ class _Driver:
         notes: list[str] = []
         try:
             trajectory = self._rehearsed(plan.trajectory, plan.path, notes) if rehearse else plan.trajectory
-            track, followed = self._run(trajectory, plan.path, measure=verify)
+            track, arm, began_s = self._run(trajectory, plan.path, measure=verify)
         except (MotionRefused, TrackerError) as error:
             return DrivenPath(note=str(error))
-        found = lag(self.model.arms[self.spec.arm], plan.trajectory, followed.time_s, followed.q)
+        found = lag(self.model.arms[self.spec.arm], plan.trajectory, arm.time_s, arm.q)
         driven = DrivenPath(lag=_lag_record(found), rehearsed=trajectory is not plan.trajectory, note="; ".join(notes))
-        points = None if track is None else track.p_M
+        points = None
+        if track is not None:
+            points = track.p_M
+            in_time = _time_record(followed(plan.path, plan.trajectory, track.time_s - began_s, points))
+            driven = driven.model_copy(update={"in_time": in_time})
         return self._verified(plan, driven, points) if verify else driven
 
     def _rehearsed(self, trajectory: Trajectory, path: CartesianPath, notes: list[str]) -> Trajectory:
         """The positions to send after the path was driven once; a note says where they would exceed a limit."""
-        _, followed = self._run(trajectory, path, measure=False)
+        _, arm, _ = self._run(trajectory, path, measure=False)
         rates = path_rates(self.profile, self.spec)
-        corrected = rehearsed(trajectory, followed.time_s, followed.q, rates)
+        corrected = rehearsed(trajectory, arm.time_s, arm.q, rates)
         if corrected is None:
             notes.append("its rehearsal is not used: the corrected joints would exceed their limits")
             return trajectory
@@ -145,7 +150,7 @@ class _Driver:
             if plan.nominal is None:
                 notes.append("the published geometry cannot be driven along this path")
             else:
-                track, _ = self._run(plan.nominal, plan.nominal_path, measure=True)
+                track, _, _ = self._run(plan.nominal, plan.nominal_path, measure=True)
                 there = self._at_rest(plan.nominal) if track is None else track.p_M
                 nominal = _summary(plan.nominal_path, there)
         except (MotionRefused, TrackerError) as error:
@@ -171,8 +176,10 @@ class _Driver:
             }
         )
 
-    def _run(self, trajectory: Trajectory, path: CartesianPath, *, measure: bool) -> tuple[Track | None, FollowedPath]:
-        """Go to the beginning and along the path; return the points measured meanwhile, if any can be."""
+    def _run(
+        self, trajectory: Trajectory, path: CartesianPath, *, measure: bool
+    ) -> tuple[Track | None, FollowedPath, float]:
+        """Go to the beginning and along the path, as ``follow_and_track`` does."""
         self._go(run_up(trajectory.q))
         self._go(trajectory.q[0])
         start_M = path.positions(np.zeros(1))[0] if measure else None
@@ -204,8 +211,9 @@ def follow_and_track(
     trajectory: Trajectory,
     start_M: Array | None,
     interval_s: float = INTERVAL_S,
-) -> tuple[Track | None, FollowedPath]:
-    """Let an arm at the beginning of a path follow it; return the points that were measured meanwhile.
+) -> tuple[Track | None, FollowedPath, float]:
+    """Let an arm at the beginning of a path follow it: the points that were measured meanwhile, what the arm reports,
+    and when it began on the cell's clock [s].
 
     ``start_M`` (3,) is where its SMR is [m], ``interval_s`` the time between two points. None, and no points: nothing
     is measured, or the tracker's driver cannot measure a moving SMR. A beam that breaks stops all arms. Raises as
@@ -220,12 +228,12 @@ def follow_and_track(
     if streaming is not None and start_M is not None:
         streaming.start_track(start_M, interval_s, beam_lost)
     began_s = cell.clock.now_s()
-    followed = mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
+    arm = mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
     if streaming is None:
-        return None, followed
+        return None, arm, began_s
     track = streaming.end_track()
     within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
-    return track.within(within), followed
+    return track.within(within), arm, began_s
 
 
 def run_up(q: Array) -> Array:
@@ -240,6 +248,22 @@ def _lag_record(found: Lag | None) -> PathLag | None:
     if found is None:
         return None
     return PathLag(delay_ms=found.delay_s * 1e3, late_mm=found.late_m * 1e3, cut_mm=found.cut_m * 1e3)
+
+
+def _time_record(found: Followed | None) -> PathTime | None:
+    if found is None:
+        return None
+    speed = found.speed
+    return PathTime(
+        delay_ms=found.delay_s * 1e3,
+        delay_expanded_ms=2e3 * found.delay_error_s,
+        rms_mm=found.rms_m * 1e3,
+        largest_mm=found.largest_m * 1e3,
+        speed_mm_s=None if speed is None else speed.wanted * 1e3,
+        mean_mm_s=None if speed is None else speed.mean * 1e3,
+        expanded_mm_s=None if speed is None else 2e3 * speed.standard_error,
+        fluctuation_mm_s=None if speed is None else speed.fluctuation * 1e3,
+    )
 
 
 def _summary(path: CartesianPath, points: Array) -> ErrorSummary | None:

@@ -125,7 +125,8 @@ class Mover:
         return all(bool(np.abs(q[name] - target).max() <= _AT_TARGET_RAD) for name, target in targets.items())
 
     def departure(self) -> dict[str, Vector] | None:
-        """Return where the last motion began, name -> (N,) [rad]: the way back from a motion cut short was checked."""
+        """Return where the last motion began, name -> (N,) [rad]: the straight way back from a motion cut short was
+        checked; from a path it was not."""
         return self._departure
 
     def refusal(self, *legs: Mapping[str, Vector]) -> str:
@@ -219,7 +220,7 @@ class Mover:
         if refusal:
             raise MotionRefused(f"refused to follow the path: {refusal}")
         self._record_foreign_steps(start)
-        self._departure = None  # the way back along a path was not checked
+        self._departure = start  # straight back there is another way, which the gate checks as any motion
         expected_s = len(q) * period_s
         self._emit(MotionBegun(self.stop, vectors({name: start[name]}), vectors({name: q[-1]}), expected_s))
         with self._cell.watch_tracker(self._cell.tracker, self._tracker_died):

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from cellapp.cell.planning.design_records import PlanDesignResult
-from cellapp.cell.planning.records import PlannedTime
+from cellapp.cell.planning.records import PlannedTime, SweepForecast
 from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, ReferenceDrift
 from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result
@@ -18,21 +18,21 @@ End = Literal["complete", "accurate enough"]
 
 
 class SweepCount(Record):
-    """Planned sweeps of one arm: number, and how long they last together."""
+    """Planned sweeps of one arm: number, how long they last together, and what they will tell beside the stops."""
 
     n: int
     seconds: float
+    forecast: SweepForecast | None = None
+    omitted_when_none = frozenset({"forecast"})
 
 
-class PlanResult(Result):
+class PlanResult(Result, schema="cellapp-plan"):
     """``plan``: number of planned stops of each arm, and of further ones in reserve.
 
     ``design`` is what is known of designed stops, ``time`` how long collecting them takes; ``sweeps`` are
     those of each arm.
     """
 
-    schema_: Literal["cellapp-plan"] = "cellapp-plan"
-    version: Literal[1] = 1
     run: str
     stops: Mapping[str, int]
     reserves: int = 0
@@ -43,7 +43,7 @@ class PlanResult(Result):
     omitted_when_none = frozenset({"design", "time", "sweeps"})
 
 
-class CollectResult(Result):
+class CollectResult(Result, schema="cellapp-collect"):
     """``collect``: number of stored stops, how the session ended, what is missing, and notes for the operator.
 
     ``missing_share`` is the share of the asked readings that the run lacks although reserves were measured;
@@ -52,8 +52,6 @@ class CollectResult(Result):
     again, whose earlier readings are kept; None where no stop was.
     """
 
-    schema_: Literal["cellapp-collect"] = "cellapp-collect"
-    version: Literal[1] = 1
     stops: int
     notes: tuple[str, ...]
     outcome: End = "complete"
@@ -144,7 +142,7 @@ class ResidualRange(Record):
     after_mm: float | None = None
 
 
-class CollectionResult(Result):
+class CollectionResult(Result, schema="cellapp-collection"):
     """``show DIR collection``: sessions, missing readings, reference drift, standard errors reached, every stop.
 
     ``missing_share`` and ``tolerated_share`` are as in ``CollectResult``; ``standard_error_mm`` maps each arm to the
@@ -153,8 +151,6 @@ class CollectionResult(Result):
     ``replaced`` are the readings of stops that were measured again, as they were before.
     """
 
-    schema_: Literal["cellapp-collection"] = "cellapp-collection"
-    version: Literal[1] = 1
     run: str
     sessions: tuple[SessionRecord, ...]
     missing: tuple[MissingReading, ...]
@@ -173,14 +169,12 @@ class CollectionResult(Result):
         return next((one for one in reversed(self.sessions) if not one.again), None)
 
 
-class ReplayResult(Result):
+class ReplayResult(Result, schema="cellapp-replay"):
     """``replay``: stops that were visited, readings of each arm, recorded duration, how many times faster it played.
 
     ``timed`` is False where the readings have no times; the duration is then that of a fixed pace.
     """
 
-    schema_: Literal["cellapp-replay"] = "cellapp-replay"
-    version: Literal[1] = 1
     run: str
     stops: int
     readings: Mapping[str, int]
@@ -189,21 +183,17 @@ class ReplayResult(Result):
     timed: bool
 
 
-class RequestResult(Result):
+class RequestResult(Result, schema="cellapp-request"):
     """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
 
-    schema_: Literal["cellapp-request"] = "cellapp-request"
-    version: Literal[1] = 1
     run: str
     request: Verb
     answer: str
 
 
-class ImportResult(Result):
+class ImportResult(Result, schema="cellapp-import"):
     """``import``: number of readings of each arm; ``in_order`` maps arms to what their order of measurement gave."""
 
-    schema_: Literal["cellapp-import"] = "cellapp-import"
-    version: Literal[1] = 1
     run: str
     readings: Mapping[str, int]
     recordings: tuple[RecordingState, ...] = ()

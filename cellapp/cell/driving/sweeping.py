@@ -112,6 +112,11 @@ class Sweeps:
             return False
         state = recorded.state.model_copy(update={"part_of": sweep.name, "reached_s": part.reached_s})
         store_recording(self._run, replace(recorded, state=state))
+        if len(part.joints.triggers_s) and not len(part.track.triggers_s):
+            self._note(
+                f"{name} of arm {sweep.arm}: the controller gave {counted(len(part.joints.triggers_s), 'pulse')}, the"
+                " tracker stamped none; look at the wiring of its trigger input"
+            )
         missing = part.track.missing(self._driver.interval_s)
         if part.joints.missing or missing:
             self._note(

@@ -65,11 +65,9 @@ class ArmGeometry(Record):
     not_exported: tuple[str, ...]
 
 
-class GeometryExport(Result):
+class GeometryExport(Result, schema="cellapp-geometry"):
     """The file of ``export --geometry``."""
 
-    schema_: Literal["cellapp-geometry"] = "cellapp-geometry"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmGeometry]
 
 

@@ -46,15 +46,13 @@ class CommandFile(Record):
     refused: int
 
 
-class ExportResult(Result):
+class ExportResult(Result, schema="cellapp-export"):
     """``export``: the files that were written.
 
     ``arms`` maps the arms to their files in ``format``, ``commands`` to files of their commands. ``ur_lost_rms_mm``
     belongs to ``--geometry``: the rms position error of its D-H deltas, which lack the Hayati angles.
     """
 
-    schema_: Literal["cellapp-export"] = "cellapp-export"
-    version: Literal[1] = 1
     csv: str | None = None
     readings: Mapping[str, int] | None = None
     recordings: Mapping[Literal["joints", "points"], str] | None = None

@@ -79,11 +79,9 @@ class TravelTime(Record):
         return 1.0 - self.planned_s / max(self.random_order_s, 1e-12)
 
 
-class PlanDesignResult(Result):
+class PlanDesignResult(Result, schema="cellapp-plan-design"):
     """What ``plan`` knows of a designed plan; stored in the run."""
 
-    schema_: Literal["cellapp-plan-design"] = "cellapp-plan-design"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmDesign]
     correlations: tuple[FactorCorrelation, ...]
     travel: TravelTime
@@ -166,10 +164,8 @@ class ArmView(Record):
         return self.seen / max(self.drawn, 1)
 
 
-class ViewResult(Result):
+class ViewResult(Result, schema="cellapp-view"):
     """``plan PROFILE --view``: what the tracker sees of each arm's workspace, before anything is planned."""
 
-    schema_: Literal["cellapp-view"] = "cellapp-view"
-    version: Literal[1] = 1
     profile: str
     arms: Mapping[str, ArmView]

@@ -18,7 +18,9 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
 _SAMPLED_WAYS = 80
-"""Ways between random stops on which detours are looked for: some ten of them need one."""
+"""Ways between random stops on which detours are looked for, at most: some ten of them need one."""
+_SAMPLED_A_STOP = 2
+"""Such ways for each stop: of a small plan they say as much as all ways of it."""
 _RANDOM_ORDERS = 20
 """Random orders whose time is averaged: its standard deviation is then a few tenths of a percent."""
 
@@ -77,7 +79,7 @@ def _added_by_a_detour_s(profile: Profile, stops: PlannedStops, rng: np.random.G
         return 0.0
     finder = TransitPlanner(profile, cell_bodies(profile), rng)
     added = []
-    for _ in range(_SAMPLED_WAYS):
+    for _ in range(min(_SAMPLED_WAYS, _SAMPLED_A_STOP * len(stops))):
         here, there = (stops.targets(stop) for stop in rng.choice(len(stops), 2, replace=False).tolist())
         way = finder.find(here, there)
         if isinstance(way, TransitPath):

@@ -32,14 +32,12 @@ class PlanRefusal(Record):
         return self.via_home or self.detour is not None
 
 
-class PlanCheckResult(Result):
+class PlanCheckResult(Result, schema="cellapp-plan-check"):
     """``show DIR plan --check``: the safety gate and the tracker's view, over all stops and ways of a plan.
 
     ``plan PROFILE --check FILE`` is the same for a hand-edited plan; ``run`` is empty and ``file`` is given then.
     """
 
-    schema_: Literal["cellapp-plan-check"] = "cellapp-plan-check"
-    version: Literal[1] = 1
     run: str
     stops: int
     ways: int
@@ -93,11 +91,26 @@ class ArmForecast(Record):
     effects: tuple[PlannedEffect, ...]
 
 
-class PlanForecastResult(Result):
+class LawInMotion(Record):
+    """From which size on a law of joints is seen: its effect, cycles a turn for lines, unit, and the smallest size of
+    each joint by source (stops, sweeps, both); None where no size that arms have is seen."""
+
+    effect: str
+    cycles: int
+    unit: str
+    smallest: Mapping[str, Mapping[str, float | None]]
+
+
+class SweepForecast(Record):
+    """What stops, sweeps and both together will tell of an arm: standard errors by source, and sizes of laws."""
+
+    accuracy: Mapping[str, PlannedAccuracy]
+    laws: tuple[LawInMotion, ...]
+
+
+class PlanForecastResult(Result, schema="cellapp-plan-forecast"):
     """``show DIR plan --forecast``: time, covered joint ranges, expected standard errors, effects that can be seen."""
 
-    schema_: Literal["cellapp-plan-forecast"] = "cellapp-plan-forecast"
-    version: Literal[1] = 1
     run: str
     time: PlannedTime
     arms: Mapping[str, ArmForecast]

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.records import SweepForecast
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import CellBodies, Gate, refuse_motion, visible
@@ -69,10 +70,11 @@ class PlannedSweep(Record):
 
 
 class PlannedSweeps(Record):
-    """All sweeps of a run, and sentences on what could not be planned."""
+    """All sweeps of a run, sentences on what could not be planned, and what they will tell of each arm."""
 
     sweeps: tuple[PlannedSweep, ...]
     notes: tuple[str, ...] = ()
+    forecast: Mapping[str, SweepForecast] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +87,16 @@ class _Known:
 
 def read_sweeps(run: RunFile) -> tuple[PlannedSweep, ...]:
     """The planned sweeps of a run; none if none were planned. Raises ``InputError`` if their document is damaged."""
+    return read_planned_sweeps(run).sweeps
+
+
+def read_planned_sweeps(run: RunFile) -> PlannedSweeps:
+    """The same with notes and forecast."""
     text = run.read_result(SWEEPS_RESULT)
     if text is None:
-        return ()
+        return PlannedSweeps(sweeps=())
     try:
-        return PlannedSweeps.model_validate_json(text).sweeps
+        return PlannedSweeps.model_validate_json(text)
     except ValidationError:
         raise InputError(f"{run.path} is damaged ({SWEEPS_RESULT}); restore it from a copy") from None
 

@@ -46,7 +46,12 @@ class _Loader(yaml.SafeLoader):
     """YAML's safe loader that also reads numbers with an exponent."""
 
 
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
+class _FastLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """The same by libyaml, ten times as fast; some installations of PyYAML lack it."""
+
+
+for _loader in (_Loader, _FastLoader):
+    _loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
 
 
 def load_profile(path: Path) -> Profile:
@@ -255,10 +260,18 @@ def _tag(text: str) -> str:
     return str(tag).removeprefix("tag:yaml.org,2002:")
 
 
+def _composed(text: str) -> tuple[yaml.Node | None, _Loader | _FastLoader]:
+    """The document as nodes with their lines, and what read it. Python's own loader says what is wrong, if anything."""
+    with contextlib.suppress(yaml.YAMLError):
+        fast = _FastLoader(text)
+        return fast.get_single_node(), fast
+    loader = _Loader(text)
+    return loader.get_single_node(), loader
+
+
 def _parse_yaml(text: str, path: Path) -> Document:
     try:
-        loader = _Loader(text)
-        node = loader.get_single_node()
+        node, loader = _composed(text)
         if node is None:
             raise InputError(f"{path}: the file is empty; expected a mapping of keys to values")
         if not isinstance(node, yaml.MappingNode):
@@ -295,7 +308,9 @@ def _read_text(path: Path) -> str:
         raise InputError(f"{path}:{line}: not UTF-8 text ({error.reason}); save the file as UTF-8") from None
 
 
-def _plain_data(node: yaml.Node, at: KeyPath, place: Place, places: dict[KeyPath, Place], loader: _Loader) -> Any:
+def _plain_data(
+    node: yaml.Node, at: KeyPath, place: Place, places: dict[KeyPath, Place], loader: _Loader | _FastLoader
+) -> Any:
     """Return a node as dict, list, text, number, bool or None; enter its place and those below it into ``places``."""
     if len(at) > _MOST_LEVELS:
         raise InputError(f"{place}: nested too deeply; a profile has a handful of levels")
@@ -313,7 +328,7 @@ def _plain_data(node: yaml.Node, at: KeyPath, place: Place, places: dict[KeyPath
 
 
 def _mapping(
-    node: yaml.MappingNode, at: KeyPath, place: Place, places: dict[KeyPath, Place], loader: _Loader
+    node: yaml.MappingNode, at: KeyPath, place: Place, places: dict[KeyPath, Place], loader: _Loader | _FastLoader
 ) -> dict[str, Any]:
     result: dict[str, Any] = {}
     lines: dict[str, int] = {}
@@ -332,7 +347,7 @@ def _mapping(
     return result
 
 
-def _scalar(node: yaml.Node, place: Place, loader: _Loader) -> str | int | float | bool | None:
+def _scalar(node: yaml.Node, place: Place, loader: _Loader | _FastLoader) -> str | int | float | bool | None:
     kind = node.tag.removeprefix("tag:yaml.org,2002:")
     if kind == "timestamp":
         return str(node.value)

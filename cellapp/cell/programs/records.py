@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from cellapp.cell.programs.targets import TargetKind
 from cellapp.ground.results import Record, Result
 
@@ -58,11 +56,9 @@ class LeftLine(Record):
     refused: bool
 
 
-class CorrectResult(Result):
+class CorrectResult(Result, schema="cellapp-correct"):
     """``correct``: every target and what was assumed; ``out`` is None where nothing was written."""
 
-    schema_: Literal["cellapp-correct"] = "cellapp-correct"
-    version: Literal[1] = 1
     program: str
     out: str | None
     arm: str

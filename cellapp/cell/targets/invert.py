@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.inverse import damped_step, errors_and_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -84,7 +83,8 @@ def invert(
     Notes
     -----
     Newton's iteration on the whole model with the Jacobian of its chain at the true joint positions. The flange turns
-    by the effects' joint offsets; effects that shift the SMR, and the network, move the position alone.
+    by the effects' joint offsets, and where the arm was calibrated with orientations as links and base turn it that
+    give way. Otherwise effects that shift the SMR move the position alone, as the network does.
     """
     n = len(start)
     conditions = MeasurementConditions() if conditions is None else conditions
@@ -143,7 +143,7 @@ def with_approach(arm: ArmModel, command: Array, here: Array, conditions: Measur
     q = without_effects(arm, true, conditions=driven)
     wanted = arm.predict(command[None], conditions=made)
     if np.linalg.norm(arm.predict(q, conditions=driven) - wanted) > _SHIFTED_M:
-        found = invert(arm, wanted, flange_poses(arm.geometry, true)[0], q, driven)
+        found = invert(arm, wanted, arm.flange(command[None], made)[0], q, driven)
         q = found.q if found.reached[0] else q
     return np.asarray(q[0])
 
@@ -159,6 +159,8 @@ def _errors(
     if arm.effects:
         moved = arm.effect_displacement(q, conditions=conditions)
         aim, true = aim - moved.shift_M, q + moved.joints
+        if arm.geometry.probe is not None:
+            rotation_M = arm.turns(q, conditions).swapaxes(1, 2) @ rotation_M
     if arm.network is not None:
         aim = aim - arm.network.correct(q) @ arm.geometry.T_M_B()[:3, :3].T
     return errors_and_jacobian(arm.geometry, aim, rotation_M, true)

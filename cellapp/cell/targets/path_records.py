@@ -40,6 +40,31 @@ class PathLag(Record):
     cut_mm: float
 
 
+class PathTime(Record):
+    """How the SMR followed the path in time, by the tracker's stamps.
+
+    Attributes
+    ----------
+    delay_ms, delay_expanded_ms : float
+        By how much it was later than the positions that were sent: controller, and the way of the stamps. It is taken
+        out of all that follows. With its expanded uncertainty (k = 2).
+    rms_mm, largest_mm : float
+        Distance from where the path wants it at the delayed time.
+    speed_mm_s, mean_mm_s, expanded_mm_s, fluctuation_mm_s : float or None
+        Wanted speed, mean where the path has it, expanded uncertainty of that (k = 2), and from the slowest to the
+        fastest 0.2 s; None where the path does not keep its speed long enough.
+    """
+
+    delay_ms: float
+    delay_expanded_ms: float
+    rms_mm: float
+    largest_mm: float
+    speed_mm_s: float | None = None
+    mean_mm_s: float | None = None
+    expanded_mm_s: float | None = None
+    fluctuation_mm_s: float | None = None
+
+
 class DrivenPath(Record):
     """Distances of measured points from the wanted path [mm], without regard to time.
 
@@ -53,6 +78,8 @@ class DrivenPath(Record):
         Of the path as the published geometry drives it; measured moving, or else at rest.
     lag : PathLag or None
         None where the arm did not report its joints.
+    in_time : PathTime or None
+        Delay and speed of the measured points; None where the tracker does not measure a moving SMR.
     rehearsed : bool
         Whether the path was driven once before, and corrected by how the joints followed.
     expanded_mm : float or None
@@ -72,12 +99,14 @@ class DrivenPath(Record):
     at_rest: ErrorSummary | None = None
     nominal: ErrorSummary | None = None
     lag: PathLag | None = None
+    in_time: PathTime | None = None
     rehearsed: bool = False
     expanded_mm: float | None = None
     rule: DecisionRule = "simple"
     verdict: ToleranceVerdict = ""
     judged: PathSource = ""
     note: str = ""
+    omitted_when_none = frozenset({"in_time"})
 
 
 class PathRecord(Record):
@@ -116,11 +145,9 @@ class PathRecord(Record):
     driven: DrivenPath | None = None
 
 
-class PathResult(Result):
+class PathResult(Result, schema="cellapp-path"):
     """``follow``: every path, and with ``--verify`` how far its measured points are from it."""
 
-    schema_: Literal["cellapp-path"] = "cellapp-path"
-    version: Literal[1] = 1
     paths: tuple[PathRecord, ...]
     notes: tuple[str, ...] = ()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
 from cellapp.ground.results import DecisionRule, ErrorSummary, Record, Result
@@ -93,11 +92,9 @@ class TargetCommand(TargetRecord):
     verdict: ToleranceVerdict = ""
 
 
-class CompensateResult(Result):
+class CompensateResult(Result, schema="cellapp-compensate"):
     """``compensate``: a command for each target; ``notes`` say where the model that was used is out of date."""
 
-    schema_: Literal["cellapp-compensate"] = "cellapp-compensate"
-    version: Literal[1] = 1
     targets: tuple[TargetCommand, ...]
     notes: tuple[str, ...] = ()
 
@@ -195,7 +192,7 @@ class ArmVerification(Record):
     omitted_when_none = frozenset({"corrected_mm"})
 
 
-class VerifyResult(Result):
+class VerifyResult(Result, schema="cellapp-verify"):
     """``push``: every target, and with ``--verify`` the errors of each arm before and after compensation.
 
     ``rule`` is that by which tolerances were decided, ``not_given`` what is missing for an expanded uncertainty; in
@@ -203,8 +200,6 @@ class VerifyResult(Result):
     not all targets were visited; empty if they were. ``notes`` also say where the model that was used was out of date.
     """
 
-    schema_: Literal["cellapp-verify"] = "cellapp-verify"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmVerification]
     targets: tuple[MeasuredTarget, ...]
     pairs: tuple[MeasuredPair, ...] = ()

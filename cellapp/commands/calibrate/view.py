@@ -10,6 +10,7 @@ from cellapp.commands.calibrate.nests_view import nest_sentences, nest_tables
 from cellapp.commands.calibrate.network_view import network_sentences
 from cellapp.commands.calibrate.prior_view import prior_sentences, prior_tables
 from cellapp.commands.calibrate.request import CalibrateRequest
+from cellapp.commands.calibrate.torque_view import torque_sentences, torque_tables
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
@@ -58,7 +59,13 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
             if method in result.pair
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *ERROR_COLUMNS), tuple(rows)))
-    return [*tables, *motion_tables(result), *nest_tables(result), *gauge_tables(result), *prior_tables(result)]
+    return [*tables, *_tables_of_kinds(result)]
+
+
+def _tables_of_kinds(result: CalibrateResult) -> list[Table]:
+    """Tables of what more than points at rest told."""
+    measured = (*motion_tables(result), *torque_tables(result), *nest_tables(result))
+    return [*measured, *gauge_tables(result), *prior_tables(result)]
 
 
 def gauge_tables(result: CalibrateResult) -> list[Table]:
@@ -94,7 +101,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
             (METHOD_WORDS[key], *_detailed_cells(errors), _ratio(errors, noise)) for key, errors in summaries.items()
         ]
         tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
-    return [*tables, *motion_tables(result), *nest_tables(result), *gauge_tables(result), *prior_tables(result)]
+    return [*tables, *_tables_of_kinds(result)]
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:
@@ -156,7 +163,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    more = (*network_sentences(result), *motion_sentences(result), *nest_sentences(result))
+    more = (*network_sentences(result), *motion_sentences(result), *nest_sentences(result), *torque_sentences(result))
     return [*sentences, *more, *prior_sentences(result)]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import IsoLine
@@ -126,7 +125,7 @@ SIMULATED = "simulated cell"
 """How the warning begins that says so: it must not pass for a real one."""
 
 
-class CertificateResult(Result):
+class CertificateResult(Result, schema="cellapp-certificate"):
     """``certificate``: what was found and left, measured with what, judged how.
 
     Attributes
@@ -158,8 +157,6 @@ class CertificateResult(Result):
         Those that were verified.
     """
 
-    schema_: Literal["cellapp-certificate"] = "cellapp-certificate"
-    version: Literal[1] = 1
     number: str
     run: str
     profile: str = ""

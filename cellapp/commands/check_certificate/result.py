@@ -13,7 +13,7 @@ DocumentState = Literal["as certified", "changed", "not here"]
 SignatureState = Literal["valid", "wrong", "missing", "other key", "not checked"]
 
 
-class CertificateCheckResult(Result):
+class CertificateCheckResult(Result, schema="cellapp-certificate-check"):
     """``check-certificate``: whether signature and data are those that were signed; ``problems`` is empty if so.
 
     ``signature`` is "not checked" where no public key was given. ``comment`` is the signed comment of a valid
@@ -21,8 +21,6 @@ class CertificateCheckResult(Result):
     is the one whose hash the certificate states. ``run`` is the run whose data were compared; empty if none was.
     """
 
-    schema_: Literal["cellapp-certificate-check"] = "cellapp-certificate-check"
-    version: Literal[1] = 1
     certificate: str
     number: str = ""
     signature: SignatureState

@@ -11,6 +11,7 @@ from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     ArmDiscoveryResult,
     CurveRecord,
+    DiscoverResult,
     EffectMeaning,
     Picture,
 )
@@ -30,6 +31,15 @@ _GAP_DEG = 10.0
 def verdict_sentence(name: str, arm: ArmDiscoveryResult) -> str:
     """The sentence of the verdict without the arm's name."""
     return arm.sentence.removeprefix(f"arm {name}: ")
+
+
+def verdict_lines(result: DiscoverResult) -> list[str]:
+    """The sentence of each arm's verdict, and its orientation errors where orientation was measured."""
+    return [
+        line
+        for name, arm in result.arms.items()
+        for line in (arm.sentence, *(f"arm {name}: {said}" for said in orientation_sentences(arm)))
+    ]
 
 
 def orientation_sentences(arm: ArmDiscoveryResult) -> list[str]:
@@ -193,13 +203,23 @@ def picture_words(picture: Picture) -> str:
 
 
 def size_sentence(picture: Picture) -> str:
-    """Size of an effect and scatter about it."""
+    """Size of an effect and scatter about it; width of a loop."""
+    if picture.direction is not None:
+        measured, computed = (_loop_width(picture, values) for values in (picture.measured, picture.computed))
+        return f"The loop is {measured:.1f} {_unit(picture)} wide as measured, {computed:.1f} by the model."
     remaining = _rms([m - c for m, c in zip(picture.measured, picture.computed, strict=True)])
     unit = _unit(picture)
     return (
         f"The effect is {_rms(picture.computed):.0f} {unit} rms at these readings, which scatter"
         f" {remaining:.0f} {unit} rms about it."
     )
+
+
+def _loop_width(picture: Picture, values: Sequence[float]) -> float:
+    """Distance between the means after upward and after downward motion; not a number without one of both."""
+    directions = picture.direction or ()
+    up, down = ([v for v, d in zip(values, directions, strict=True) if d == sign] for sign in (1, -1))
+    return abs(sum(up) / len(up) - sum(down) / len(down)) if up and down else math.nan
 
 
 def _certainty_sentences(picture: Picture) -> list[str]:

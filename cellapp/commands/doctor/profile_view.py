@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from cellapp.commands.doctor.result import DoctorResult, Finding
 from cellapp.commands.view.table import Column, Table
@@ -92,10 +93,10 @@ def constraint_words(profile: Profile) -> list[tuple[str, str]]:
     ]
     for name, arm in profile.arms.items():
         limits = arm.joint_limits
-        words.append((f"joints {name}", ", ".join(_degrees(pair) for pair in limits) + " deg"))
+        words.append((f"joints {name}", _ranges(limits)))
         words.append((f"incidence {name}", f"beam within {math.degrees(arm.smr.acceptance):.0f} deg of the SMR's axis"))
     if plan.ranges is not None:
-        words.append(("ranges", ", ".join(_degrees(pair) for pair in plan.ranges) + " deg, for all arms"))
+        words.append(("ranges", f"{_ranges(plan.ranges)}, for all arms"))
     return words
 
 
@@ -152,6 +153,12 @@ def _mm(point: tuple[float, float, float]) -> str:
 
 def _degrees(pair: tuple[float, float]) -> str:
     return f"{math.degrees(pair[0]):.0f} to {math.degrees(pair[1]):.0f}"
+
+
+def _ranges(pairs: Sequence[tuple[float, float]]) -> str:
+    """Ranges [rad] of the joints, in degrees; one where all are the same."""
+    words = [_degrees(pair) for pair in pairs]
+    return f"{words[0]} deg, each joint" if len(set(words)) == 1 < len(words) else f"{', '.join(words)} deg"
 
 
 def _azimuth(azimuth: tuple[float, float]) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from cellapp.ground.results import Record, Result
 from drivers.findings import Status
 
@@ -34,11 +32,9 @@ class Finding(Record):
     omitted_when_none = frozenset({"device"})
 
 
-class DoctorResult(Result):
+class DoctorResult(Result, schema="cellapp-doctor"):
     """``doctor``: what was checked."""
 
-    schema_: Literal["cellapp-doctor"] = "cellapp-doctor"
-    version: Literal[1] = 1
     findings: tuple[Finding, ...]
 
     @property

@@ -15,6 +15,9 @@ class EmulateRequest(Request):
 
     profile: ProfilePath
     pace: Annotated[float, Field(ge=0.1, le=1000.0), Asked("Simulated seconds for each real one.", "X")] = 1.0
+    lost_beams: Annotated[
+        float, Field(ge=0.0, le=60.0), Asked("How often in a minute the beam to a moving SMR breaks.", "N")
+    ] = 0.0
 
 
 VERB = Verb("emulate", EmulateRequest, chapter="emulator")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from cellapp.ground.results import Record, Result
 from drivers.emulators.ur_controller.personality import STANDARD_PORTS, Personality
 
@@ -32,11 +30,9 @@ class EmulatedTracker(Record):
     port: int
 
 
-class EmulateResult(Result):
+class EmulateResult(Result, schema="cellapp-emulate"):
     """``emulate``: what is served; ``pace`` is simulated seconds per real second."""
 
-    schema_: Literal["cellapp-emulate"] = "cellapp-emulate"
-    version: Literal[1] = 1
     pace: float
     arms: tuple[EmulatedArm, ...]
     tracker: EmulatedTracker | None

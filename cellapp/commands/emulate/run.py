@@ -48,7 +48,14 @@ def run(request: EmulateRequest, work: Work) -> EmulateResult:
         served.append(EmulateResult(pace=request.pace, arms=tuple(arms), tracker=tracker))
         work.announce(served[0])
 
-    emulate(load_profile(request.profile), work.control, announce, pace=request.pace, announce_tracker=trackers.append)
+    emulate(
+        load_profile(request.profile),
+        work.control,
+        announce,
+        pace=request.pace,
+        announce_tracker=trackers.append,
+        lost_beams=request.lost_beams,
+    )
     return served[0]
 
 
@@ -59,7 +66,12 @@ def emulated_tracker(profile: Profile) -> EmulatedTracker | None:
 
 
 def _serve_tracker(
-    stack: ExitStack, profile: Profile, plant: Plant, server: UrControllerServer, tracker: EmulatedTracker
+    stack: ExitStack,
+    profile: Profile,
+    plant: Plant,
+    server: UrControllerServer,
+    tracker: EmulatedTracker,
+    lost_beams: float,
 ) -> EmulatedTracker:
     """Serve the tracker of the cell that the controllers move; it waits for their clock and holds their lock."""
     try:
@@ -71,7 +83,7 @@ def _serve_tracker(
         clock_offset_s=clocks.offset_s,
         clock_rate=clocks.rate_ppm * 1e-6,
         packet_jitter_s=_LATE_S,
-        lost_beams_per_min=clocks.lost_beams_per_min,
+        lost_beams_per_min=lost_beams,
         longest_loss_s=clocks.longest_loss_s,
     )
     bridge = TrackerBridgeEmulator(
@@ -143,6 +155,7 @@ def emulate(
     tracker: EmulatedTracker | None = None,
     announce_tracker: Callable[[EmulatedTracker], None] = lambda _: None,
     watch_clearance: bool = False,
+    lost_beams: float = 0.0,
 ) -> None:
     """Emulate the controllers of a profile until ``cancel``; all ports are free again when this returns.
 
@@ -163,6 +176,8 @@ def emulate(
         Called before ``announce`` with that address.
     watch_clearance : bool
         Whether the command ``clearance`` of the control channel gives the smallest distances.
+    lost_beams : float
+        How often the beam to a moving SMR breaks [1/min].
 
     Raises
     ------
@@ -180,7 +195,7 @@ def emulate(
             stack.enter_context(in_real_time(inherited=True))
         _listen(stack, server)
         if served is not None and plant is not None:
-            announce_tracker(_serve_tracker(stack, profile, plant, server, served))
+            announce_tracker(_serve_tracker(stack, profile, plant, server, served, lost_beams))
         announce([_listening(arm, server.addresses) for arm in chosen])
         while not cancel.wait(_STEP_S):
             _check(server)

@@ -40,7 +40,7 @@ from cellapp.ground.results import (
     Method,
     StageName,
 )
-from cellapp.robot.kinematics.chain import JointAngles, jacobian, parameter_names
+from cellapp.robot.kinematics.chain import JointAngles, all_names, jacobian
 from cellapp.robot.model.nominal import nominal_arm
 
 _LEVER_CONFIGURATIONS = 64
@@ -357,7 +357,7 @@ def levers(arm: Arm, names: list[str]) -> dict[str, float]:
     geometry = nominal_arm(arm)
     joints = len(arm.type.joints)
     q = np.random.default_rng(0).uniform(-np.pi, np.pi, (_LEVER_CONFIGURATIONS, joints))
-    columns = tuple(parameter_names(joints).index(name) for name in names)
+    columns = tuple(all_names(joints).index(name) for name in names)
     _, J = jacobian(geometry, JointAngles.of(q), columns)
     return dict(zip(names, np.sqrt(np.mean(np.sum(J**2, axis=0), axis=1)).tolist(), strict=True))
 

@@ -49,6 +49,8 @@ def path_tables(result: PathResult) -> list[Table]:
         tables.append(_reversals(planned))
     if any(_measured(path) for path in planned):
         tables.append(_distances(planned))
+    if any(path.driven is not None and path.driven.in_time is not None for path in planned):
+        tables.append(_in_time(planned))
     return tables
 
 
@@ -135,6 +137,22 @@ def _distances(paths: list[PathRecord]) -> Table:
                 expanded, verdict = (driven.expanded_mm, driven.verdict) if decides else (None, "")
                 rows.append((path.name, by, how, errors.n, errors.mean, errors.p95, errors.max, expanded, verdict))
     return Table("Distance of measured points from the path", columns, tuple(rows))
+
+
+def _in_time(paths: list[PathRecord]) -> Table:
+    return table_of(
+        "In time: delay, which is taken out, and speed",
+        [(path.name, path.driven.in_time) for path in paths if path.driven and path.driven.in_time],
+        ("path", lambda one: one[0]),
+        ("later", lambda one: one[1].delay_ms, ".2f", "ms"),
+        ("U", lambda one: one[1].delay_expanded_ms, ".2f", "ms"),
+        ("off then, rms", lambda one: one[1].rms_mm, ".3f", "mm"),
+        ("largest", lambda one: one[1].largest_mm, ".3f", "mm"),
+        ("speed", lambda one: one[1].speed_mm_s, ".2f", "mm/s"),
+        ("measured", lambda one: one[1].mean_mm_s, ".2f", "mm/s"),
+        ("U of it", lambda one: one[1].expanded_mm_s, ".2f", "mm/s"),
+        ("fluctuation", lambda one: one[1].fluctuation_mm_s, ".2f", "mm/s"),
+    )
 
 
 def _measured(path: PathRecord) -> bool:

@@ -49,7 +49,7 @@ class OtherMotion(Record):
     others_still: bool
 
 
-class LocateResult(Result):
+class LocateResult(Result, schema="cellapp-locate"):
     """``locate``: where the tracker stands now, from a few points of the arms.
 
     Attributes
@@ -75,8 +75,6 @@ class LocateResult(Result):
         Whether the arms' models state the station's uncertainty from now on.
     """
 
-    schema_: Literal["cellapp-locate"] = "cellapp-locate"
-    version: Literal[1] = 1
     verdict: LocateVerdict
     moved: bool
     T_new_old: Matrix

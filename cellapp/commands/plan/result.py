@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
+from cellapp.cell.driving.records import SweepCount
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.ground.results import Record, Result
 
@@ -17,12 +17,11 @@ class PlannedStop(Record):
     q: Mapping[str, tuple[float, ...]]
 
 
-class StopsResult(Result):
-    """``show DIR plan``: every planned stop, and what is known of their design if they were designed."""
+class StopsResult(Result, schema="cellapp-stops"):
+    """``show DIR plan``: every planned stop, what is known of their design if they were designed, and the sweeps."""
 
-    schema_: Literal["cellapp-stops"] = "cellapp-stops"
-    version: Literal[1] = 1
     run: str
     stops: tuple[PlannedStop, ...]
     design: PlanDesignResult | None = None
-    omitted_when_none = frozenset({"design"})
+    sweeps: Mapping[str, SweepCount] | None = None
+    omitted_when_none = frozenset({"design", "sweeps"})

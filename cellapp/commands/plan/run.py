@@ -26,7 +26,8 @@ from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
 from cellapp.cell.planning.stop_conditions import proposed_stops, read_stop_conditions
 from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_stops, write_planned_stops
-from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_sweeps
+from cellapp.cell.planning.sweep_forecast import forecast_sweeps
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_planned_sweeps
 from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -109,6 +110,8 @@ def new_planned_run(
             stops = plan_run(run, with_eta(listener), cancel)
             if sweeps is not None:
                 planned = plan_sweeps(profile, stops, with_eta(listener), cancel)
+                foreseen = forecast_sweeps(profile, stops, planned.sweeps)
+                planned = planned.model_copy(update={"forecast": foreseen})
                 run.write_result(SWEEPS_RESULT, planned.model_dump_json())
                 for note in planned.notes:
                     run.log("note", note)
@@ -154,14 +157,20 @@ def _nest_notes(profile: Profile, stops: Mapping[str, NDArray[np.float64]]) -> l
 
 
 def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
-    """Number and duration of the planned sweeps of each arm; None without any."""
-    sweeps = read_sweeps(run)
+    """Number and duration of the planned sweeps of each arm, and what they will tell; None without any."""
+    planned = read_planned_sweeps(run)
+    sweeps = planned.sweeps
     times = {name: [one.period_s for one in sweeps if one.arm == name] for name in run.profile.arms}
-    return {name: SweepCount(n=len(its), seconds=sum(its)) for name, its in times.items()} if sweeps else None
+    if not sweeps:
+        return None
+    return {
+        name: SweepCount(n=len(its), seconds=sum(its), forecast=planned.forecast.get(name))
+        for name, its in times.items()
+    }
 
 
 def planned_stops(run: RunFile) -> StopsResult:
-    """Every planned stop, and whether it was measured."""
+    """Every planned stop, whether it was measured, and the sweeps about them."""
     plan, done = run.read_plan(), run.stops_done()
     count = max((len(q) for q in plan.values()), default=0)
     return StopsResult(
@@ -174,6 +183,7 @@ def planned_stops(run: RunFile) -> StopsResult:
             )
             for stop in range(count)
         ),
+        sweeps=planned_sweeps(run),
     )
 
 

@@ -15,6 +15,7 @@ from cellapp.commands.plan.charts_map import cell_map_chart
 from cellapp.commands.plan.design_view import design_sentences, gaps_table, indices_table, quality_table
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.plan.run import planned_stops
+from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Table
@@ -23,7 +24,8 @@ from cellapp.ground.profile import Profile
 
 def plan_section(run: RunFile) -> Section | None:
     """The section of a run with a plan; None for imported readings."""
-    stops, design = planned_stops(run).stops, read_plan_design(run)
+    planned, design = planned_stops(run), read_plan_design(run)
+    stops, sweeps = planned.stops, planned.sweeps
     if not stops:
         return None
     sentences = [] if design is None else design_sentences(design)
@@ -40,7 +42,7 @@ def plan_section(run: RunFile) -> Section | None:
         )
     return section_of(
         "",
-        [*sentences[1:], *charts, *design_tables_of(design)],
+        [*sentences[1:], *sweep_sentences(sweeps), *charts, *design_tables_of(design), *sweep_tables(sweeps)],
         message=sentences[0] if sentences else "Where the planned stops are, and what limits them.",
         about=about,
     )

@@ -10,10 +10,10 @@ from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.commands.plan.check_view import check_sentences, forecast_sentences, forecast_tables
 from cellapp.commands.plan.design_view import design_sentences, design_tables, plan_lines, plan_result_tables
 from cellapp.commands.plan.result import StopsResult
+from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
 from cellapp.commands.plan.tracker_view import view_sentences, view_tables
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Column, Table, number_column
-from cellapp.ground.counting import counted
 
 _DEG = ".2f"
 """Number format of joint angles in degrees."""
@@ -25,7 +25,8 @@ def view(
     """What was planned, refused, foreseen or seen; a check fails where the safety gate refuses something."""
     match result:
         case PlanResult():
-            parts: tuple[Table | str, ...] = (*plan_result_tables(result), *plan_lines(result), *sweep_lines(result))
+            tables = (*plan_result_tables(result), *sweep_tables(result.sweeps))
+            parts: tuple[Table | str, ...] = (*tables, *plan_lines(result), *sweep_sentences(result.sweeps))
             return View(parts, held="; ".join(result.notes))
         case PlanCheckResult():
             verdict, *offences = check_sentences(result)
@@ -37,15 +38,8 @@ def view(
     planned = () if result.stops else ("no stops are planned",)
     design = result.design
     told: tuple[Table | str, ...] = () if design is None else (*design_tables(design), *design_sentences(design))
-    return View((*plan_tables(result), *planned, *told))
-
-
-def sweep_lines(result: PlanResult) -> list[str]:
-    """How many sweeps each arm makes, and how long they last."""
-    return [
-        f"arm {name}: {counted(its.n, 'sweep')} about its stops, {its.seconds / 60.0:.1f} min"
-        for name, its in (result.sweeps or {}).items()
-    ]
+    swept: tuple[Table | str, ...] = (*sweep_tables(result.sweeps), *sweep_sentences(result.sweeps))
+    return View((*plan_tables(result), *planned, *told, *swept))
 
 
 def plan_tables(stops: StopsResult) -> list[Table]:

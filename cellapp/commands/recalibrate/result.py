@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 from cellapp.ground.results import ModelStage, Record, Result
 
@@ -21,11 +20,9 @@ class RecalibratedRun(Record):
     seconds: float
 
 
-class RecalibrateResult(Result):
+class RecalibrateResult(Result, schema="cellapp-recalibrate"):
     """``recalibrate``: every run, and for each that failed why."""
 
-    schema_: Literal["cellapp-recalibrate"] = "cellapp-recalibrate"
-    version: Literal[1] = 1
     runs: tuple[RecalibratedRun, ...]
     failed: Mapping[str, str]
     workers: int

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from cellapp.cell.run.file import RunFile
 from cellapp.commands.certificate.result import CertificateResult
@@ -17,11 +17,9 @@ class RunResults(StageResults):
     certificate: CertificateResult | None = None
 
 
-class ReportResult(RunResults):
+class ReportResult(RunResults, schema="cellapp-report"):
     """``report``: the page, the results that it shows, and its print where one was asked for."""
 
-    schema_: Literal["cellapp-report"] = "cellapp-report"
-    version: Literal[1] = 1
     page: str
     pdf: str | None = None
     omitted_when_none = RunResults.omitted_when_none | {"pdf"}

@@ -94,11 +94,9 @@ class RunSummary(Record):
         return self.interrupted and not self.in_use
 
 
-class RunsResult(Result):
+class RunsResult(Result, schema="cellapp-runs"):
     """``runs``: every run below a folder, newest first."""
 
-    schema_: Literal["cellapp-runs"] = "cellapp-runs"
-    version: Literal[1] = 1
     folder: str
     runs: tuple[RunSummary, ...]
 
@@ -194,11 +192,9 @@ class PairComparison(Record):
     cooperative_mm: Mapping[Method, ErrorComparison] = {}
 
 
-class RunComparison(Result):
+class RunComparison(Result, schema="cellapp-comparison"):
     """``compare``: where two runs differ; ``notes`` say what cannot be compared, and what is out of date."""
 
-    schema_: Literal["cellapp-comparison"] = "cellapp-comparison"
-    version: Literal[1] = 1
     a: str
     b: str
     profile: tuple[ProfileDifference, ...]

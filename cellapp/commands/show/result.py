@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 from pydantic import SerializeAsAny
 
@@ -38,7 +37,7 @@ class UnseenArmState(Record):
     reason: str
 
 
-class OverviewResult(Result):
+class OverviewResult(Result, schema="cellapp-overview"):
     """``show``: the state of a run, and the verb and command that come next (both empty if none).
 
     ``in_order`` maps arms to what an import derived from their order of measurement. ``complaints`` says what is out of
@@ -46,8 +45,6 @@ class OverviewResult(Result):
     it may. ``not_seen_at_rest`` has the arms that must be treated as moving.
     """
 
-    schema_: Literal["cellapp-overview"] = "cellapp-overview"
-    version: Literal[1] = 1
     run: str
     profile: str
     arms: Mapping[str, ArmState]
@@ -61,20 +58,16 @@ class OverviewResult(Result):
     not_seen_at_rest: Mapping[str, UnseenArmState] = {}
 
 
-class RecordingsResult(Result):
+class RecordingsResult(Result, schema="cellapp-recordings"):
     """``show DIR recordings``: the recordings of motion that a run holds."""
 
-    schema_: Literal["cellapp-recordings"] = "cellapp-recordings"
-    version: Literal[1] = 1
     run: str
     recordings: tuple[RecordingState, ...]
 
 
-class HistoryResult(Result):
+class HistoryResult(Result, schema="cellapp-history"):
     """``show DIR history``: every stage that was ever stored, oldest first."""
 
-    schema_: Literal["cellapp-history"] = "cellapp-history"
-    version: Literal[1] = 1
     run: str
     stages: tuple[StageState, ...]
 
@@ -89,16 +82,14 @@ class LogLine(Record):
     text: str
 
 
-class LogResult(Result):
+class LogResult(Result, schema="cellapp-log"):
     """``show DIR log``: lines of the run's log, oldest first."""
 
-    schema_: Literal["cellapp-log"] = "cellapp-log"
-    version: Literal[1] = 1
     run: str
     lines: tuple[LogLine, ...]
 
 
-class Shown(Result):
+class Shown(Result, schema="cellapp-shown"):
     """A part of a run, and what is said of it. Its JSON is that of the part.
 
     Attributes
@@ -115,8 +106,6 @@ class Shown(Result):
     """
 
     has_own_schema = False
-    schema_: Literal["cellapp-shown"] = "cellapp-shown"
-    version: Literal[1] = 1
     part: str
     result: SerializeAsAny[Result] | None = None
     text: str = ""

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Literal
 
 from cellapp.commands.trials.judge import judge_trials
 from cellapp.commands.trials.judge_records import JudgeResult, PosteriorScore, ScoredRun, Spread, TargetScore
@@ -55,11 +54,9 @@ class CellScore(Record):
     failed: tuple[str, ...]
 
 
-class MatrixResult(Result):
+class MatrixResult(Result, schema="cellapp-trials-blind-matrix"):
     """``trials blind-matrix``: targets, posteriors and seconds over all cells together, and every cell."""
 
-    schema_: Literal["cellapp-trials-blind-matrix"] = "cellapp-trials-blind-matrix"
-    version: Literal[1] = 1
     date: str
     program: str
     source: str

@@ -68,11 +68,9 @@ class Share(Record):
         return self.count / self.n if self.n else float("nan")
 
 
-class CheckTrialResult(Result):
+class CheckTrialResult(Result, schema="cellapp-trials-check"):
     """``trials check``: every check of every cell, and the bars."""
 
-    schema_: Literal["cellapp-trials-check"] = "cellapp-trials-check"
-    version: Literal[1] = 1
     profile: str
     cells: int
     planned: int

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -41,11 +40,9 @@ class TaskCost(Record):
     core_hours: float
 
 
-class CostResult(Result):
+class CostResult(Result, schema="cellapp-trials-cost"):
     """``trials cost``: what ``tasks`` tasks of each job in a store would take."""
 
-    schema_: Literal["cellapp-trials-cost"] = "cellapp-trials-cost"
-    version: Literal[1] = 1
     tasks: int
     jobs: tuple[TaskCost, ...]
 

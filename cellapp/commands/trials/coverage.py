@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 from scipy.special import stdtrit
@@ -20,7 +19,7 @@ from cellapp.ground.scale.task import TaskKind, as_given
 from cellapp.robot.model.nominal import nominal_arm
 
 
-class ArmCoverage(Result):
+class ArmCoverage(Result, schema="cellapp-trials-coverage"):
     """How often the 95 % intervals of one arm contained the truth.
 
     Attributes
@@ -35,8 +34,6 @@ class ArmCoverage(Result):
         Mean of the root of chi-square per degree of freedom: 1 when the tracker's noise model is the true one.
     """
 
-    schema_: Literal["cellapp-trials-coverage"] = "cellapp-trials-coverage"
-    version: Literal[1] = 1
     runs: int
     intervals: int
     share: float
@@ -44,11 +41,9 @@ class ArmCoverage(Result):
     scatter: float
 
 
-class CoverageResult(Result):
+class CoverageResult(Result, schema="cellapp-trials-coverage"):
     """``trials coverage``: every arm."""
 
-    schema_: Literal["cellapp-trials-coverage"] = "cellapp-trials-coverage"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmCoverage]
     failed: tuple[str, ...] = ()
     """Seeds that failed, and why."""

@@ -292,11 +292,9 @@ class Scores(Record):
         return tuple(target for target in self.targets if target.missed)
 
 
-class JudgeResult(Scores, Result):
+class JudgeResult(Scores, Result, schema="cellapp-trials-judge"):
     """``trials judge``: scores, how the trials were sealed, and runs that could not be scored with the reason."""
 
-    schema_: Literal["cellapp-trials-judge"] = "cellapp-trials-judge"
-    version: Literal[1] = 1
     date: str
     program: str
     source: str

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
-from typing import Literal
 
 import numpy as np
 
@@ -69,11 +68,9 @@ class BesidePaper(Record):
     paper: float | None
 
 
-class PaperResult(Result):
+class PaperResult(Result, schema="cellapp-trials-paper"):
     """``trials paper``: cooperative errors by method, the gain of the proposed method, every seed, and what failed."""
 
-    schema_: Literal["cellapp-trials-paper"] = "cellapp-trials-paper"
-    version: Literal[1] = 1
     cooperative_mm: Mapping[str, BesidePaper]
     gain: BesidePaper
     trials: tuple[PaperTrial, ...]

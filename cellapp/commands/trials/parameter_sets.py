@@ -8,7 +8,6 @@ at |dg| < 1e-5 or after 1000 iterations; on the redundant model its steps along 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -47,11 +46,9 @@ class ParameterSetTrial(Record):
     max_mm: float
 
 
-class ParameterSetsResult(Result):
+class ParameterSetsResult(Result, schema="cellapp-trials-parameter-sets"):
     """``trials parameter-sets``: every arm with every parameter set and solver."""
 
-    schema_: Literal["cellapp-trials-parameter-sets"] = "cellapp-trials-parameter-sets"
-    version: Literal[1] = 1
     arms: Mapping[str, tuple[ParameterSetTrial, ...]]
     failed: tuple[str, ...] = ()
     """Seeds that failed, and why."""

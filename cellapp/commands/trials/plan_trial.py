@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -56,11 +55,9 @@ class PlanTrial(Record):
     seconds: float
 
 
-class PlanTrialsResult(Result):
+class PlanTrialsResult(Result, schema="cellapp-trials-plans"):
     """``trials plans``: every seed and arm."""
 
-    schema_: Literal["cellapp-trials-plans"] = "cellapp-trials-plans"
-    version: Literal[1] = 1
     profile: str
     trials: tuple[PlanTrial, ...]
     plans: tuple[WholePlan, ...] = ()

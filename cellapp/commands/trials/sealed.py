@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import JsonValue
@@ -115,20 +115,16 @@ class SealHeader(Record):
     stops: int
 
 
-class TruthFile(Result):
+class TruthFile(Result, schema="cellapp-trials-truth"):
     """The content of ``truth.json``."""
 
-    schema_: Literal["cellapp-trials-truth"] = "cellapp-trials-truth"
-    version: Literal[1] = 1
     sealed: SealHeader
     trials: tuple[GroundTruth, ...]
 
 
-class SealResult(Result):
+class SealResult(Result, schema="cellapp-trials-seal"):
     """``trials seal``: number of runs, their folder, and the SHA-256 of the truth."""
 
-    schema_: Literal["cellapp-trials-seal"] = "cellapp-trials-seal"
-    version: Literal[1] = 1
     runs: int
     folder: str
     sha256: str

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -99,11 +98,9 @@ class SignatureBar(Record):
     met: bool
 
 
-class SignatureResult(Result):
+class SignatureResult(Result, schema="cellapp-trials-signature"):
     """``trials signature``: a line for each cell and number of stops, the bars, and every draw."""
 
-    schema_: Literal["cellapp-trials-signature"] = "cellapp-trials-signature"
-    version: Literal[1] = 1
     earlier_stops: Mapping[str, int]
     lines: tuple[SignatureLine, ...]
     bars: tuple[SignatureBar, ...]

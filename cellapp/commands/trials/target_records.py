@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Literal
 
 import numpy as np
 
@@ -105,11 +104,9 @@ class TargetTrial(Record):
     push_seconds: float
 
 
-class TargetTrialsResult(Result):
+class TargetTrialsResult(Result, schema="cellapp-trials-targets"):
     """``trials targets``: every cell."""
 
-    schema_: Literal["cellapp-trials-targets"] = "cellapp-trials-targets"
-    version: Literal[1] = 1
     profile: str
     trials: tuple[TargetTrial, ...]
     failed: tuple[str, ...] = ()

@@ -31,6 +31,7 @@ from cellapp.estimation.calibration.socket_identification import gross_errors_in
 from cellapp.estimation.calibration.socket_splits import draw_point_splits
 from cellapp.estimation.calibration.splits import draw_splits
 from cellapp.estimation.calibration.station_change import station_change
+from cellapp.estimation.calibration.torques import TorqueFit, fit_torques, has_torques
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
@@ -38,7 +39,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
-from cellapp.robot.kinematics.chain import Geometry, smr_positions
+from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
@@ -46,6 +47,8 @@ from cellapp.robot.plugins import program_of
 
 _HARDLY_BETTER = 0.9
 """Share of the nominal error from which an identified geometry is hardly better."""
+_UNDETERMINED_MM = 1.0
+"""Standard deviation of a probe's offset from which it is said to be undetermined: ten times that of a usual run."""
 _OF_NOISE = 3.0
 """Multiple of the tracker's noise below which an error is no reason to look for wrong readings."""
 
@@ -77,6 +80,8 @@ class ArmCalibration:
         Configurations of readings with gross errors. Nothing here rests on them: no parameter, no held-out error.
     left_out_counts : mapping
         Their number in each split.
+    torques : TorqueFit or None
+        Masses from measured torques or currents.
     clocks, motion
         Of an arm that was recorded in motion: the clocks by recording, and what was found.
     """
@@ -95,6 +100,7 @@ class ArmCalibration:
     left_out_counts: Mapping[str, int] = field(default_factory=dict)
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
+    torques: TorqueFit | None = None
 
 
 @dataclass(frozen=True)
@@ -212,7 +218,8 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         if not wrong.any():
             break
         fitted = _fitted(profile, name, fitted.readings.take(~wrong), robust=True)
-    calibration = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
+    evaluated = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
+    calibration = _with_torques(evaluated, fitted.readings)
     return calibration, _arm_notes(name, calibration, fitted)
 
 
@@ -295,13 +302,22 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
     )
 
 
+def _with_torques(arm: ArmCalibration, readings: Readings) -> ArmCalibration:
+    """The arm with the masses that torques or currents of its readings show, where these are surely better."""
+    if in_sockets(readings) or not has_torques(readings):
+        return arm
+    found = fit_torques(arm.model, readings)
+    model = replace(arm.model, bodies=found.bodies) if found.used else arm.model
+    return replace(arm, model=model, torques=found)
+
+
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     """What the operator must know of the calibration of one arm."""
     found, readings = arm.identification, fitted.readings
     notes = [] if found.converged else [f"arm '{name}': {found.message}; do not use this calibration"]
     if arm.left_out:
         notes.append(left_out_note(name, arm))
-    notes += [*_hardly_better(name, arm), *fitted.notes]
+    notes += [*_hardly_better(name, arm), *fitted.notes, *undetermined_offset(name, found)]
     if in_sockets(readings):
         gauge, held_out = arm.validate["geometry"].gauge_mm, readings.take(readings.in_split("validate"))
         return notes if gauge is None else [*notes, *gauge_note(name, held_out, gauge.mean)]
@@ -333,6 +349,24 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
         f"arm '{name}': the identified geometry is hardly better than the nominal one (mean held-out error"
         f" {found.mean:.3f} mm, nominal {nominal.mean:.3f} mm): look for readings in other units, swapped rows, another"
         " arm type or SMR offset, and too few readings, before you use this calibration"
+    ]
+
+
+def undetermined_offset(name: str, found: Identification) -> list[str]:
+    """A note where a probe's offset is hardly determined along some direction, in which it then hardly turned."""
+    places = [found.estimated.names.index(one) for one in TOOL_NAMES if one in found.estimated.names]
+    if found.turned is None or len(places) < len(TOOL_NAMES):
+        return []
+    variances, axes = np.linalg.eigh(found.estimated_covariance[np.ix_(places, places)])
+    sd_mm = 1e3 * float(np.sqrt(variances[-1]))
+    if sd_mm < _UNDETERMINED_MM:
+        return []
+    direction = axes[:, -1] * np.sign(axes[np.argmax(np.abs(axes[:, -1])), -1])
+    words = ", ".join(f"{round(one, 2) + 0.0:.2f}" for one in direction.tolist())
+    return [
+        f"arm '{name}': the probe's offset along ({words}) of the flange is not determined (95 % within"
+        f" +-{1.96 * sd_mm:.0f} mm), as that direction hardly turned; positions of the probe are not affected, those of"
+        " another tool are: measure with the wrist turned to more sides"
     ]
 
 

@@ -44,6 +44,7 @@ def measurement_conditions(readings: Readings, other: tuple[ArmModel, Readings] 
         time_s=time_s,
         order=_order(readings),
         payload_kg=readings.payload_kg,
+        payload_center_F=readings.payload_center_F,
         air_c=readings.temperature_c,
         joints_c=readings.joint_temperature_c,
         other_moment_M=moment,

@@ -99,15 +99,11 @@ def _stated(readings: Readings, of_points: Array | None, rows: NDArray[np.intp])
     of_turns = np.full(len(rows), NOT_STATED)
     if readings.sigma_rad is not None and np.isfinite(readings.sigma_rad[rows]).all():
         of_turns = readings.sigma_rad[rows]
-    if readings.turning_covariance_M is not None:
-        of_turns = readings.turning_covariance_M[rows]
     if of_points is None:
         of_points = np.full(len(readings), NOT_STATED)
-    if of_points.ndim == of_turns.ndim:
+    if of_points.ndim == 1:
         return np.concatenate([of_points, of_turns])
-    return np.concatenate(
-        [one if one.ndim == 3 else one[:, None, None] ** 2 * np.eye(3) for one in (of_points, of_turns)]
-    )
+    return np.concatenate([of_points, of_turns[:, None, None] ** 2 * np.eye(3)])
 
 
 def states_nothing(stated: Array) -> bool:
@@ -164,7 +160,7 @@ def _of_quaternions(order: tuple[int, ...], signs: tuple[float, ...]) -> Callabl
 _FRAMES: dict[str, Callable[[Array], Array]] = {
     "they fit as those of the tracker in the probe's frame: give the inverse, quat_x, quat_y and quat_z with the"
     " opposite sign": lambda rotations: np.swapaxes(rotations, 1, 2),
-    "they fit with the scalar last: the first column must be quat_w": _of_quaternions((1, 2, 3, 0), (1.0,) * 4),
+    "they fit with the scalar last: the first column must be quat_w": _of_quaternions((3, 0, 1, 2), (1.0,) * 4),
     "they fit in a mirrored frame (x against y and z): the probe's or the tracker's frame is left-handed": (
         _of_quaternions((0, 1, 2, 3), (1.0, -1.0, -1.0, 1.0))
     ),

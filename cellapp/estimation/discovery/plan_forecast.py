@@ -19,6 +19,7 @@ from cellapp.estimation.calibration.linear import inverse_psd
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.parameters import (
     EXPECTED_SCATTER_M,
+    ParameterSet,
     determined_set,
     estimated_parameters,
     gram_matrix,
@@ -42,7 +43,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Tracker
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
-from cellapp.robot.kinematics.chain import JointAngles, jacobian, smr_positions
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, prior_sigmas, up_in_tracker
@@ -182,29 +183,33 @@ def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
     _, J = jacobian(data.model.geometry, JointAngles.of(data.readings.q), parameters.columns)
     white = whitening(data.sigma)
     information = gram_matrix(np.einsum("acn,ckn->akn", white, J))
+    return accuracy_of(data.model.nominal, parameters, priors, information, J, scatter_m)
+
+
+def accuracy_of(
+    nominal: Geometry, estimated: ParameterSet, priors: Array, information: Array, J: Array, scatter_m: float
+) -> PlannedAccuracy:
+    """Standard errors from ``information`` (k, k) on the ``estimated`` parameters and their ``priors`` (k,): of SMR
+    positions with the columns ``J`` (3, k, n), and of the parameters as the table will have them."""
     unit = np.where(np.isfinite(priors), priors, 1.0)  # numbers of comparable size
     precision = (information + np.diag(priors**-2.0)) * unit * unit[:, None]
     covariance = inverse_psd(precision) * unit * unit[:, None]
     variance = np.einsum("ckn,kl,cln->n", J, covariance, J)
+    chosen = determined_set(estimated, information, priors) if estimated.name == "auto" else estimated
+    to_table, _ = chosen.from_estimated(estimated)
+    errors = np.sqrt(np.maximum(np.diag(to_table @ covariance @ to_table.T), 0.0))
+    values = nominal.vector()[list(chosen.columns)]
     return PlannedAccuracy(
         scatter_mm=1e3 * scatter_m,
         standard_error_mm=1e3 * math.sqrt(float(np.mean(variance))),
         largest_mm=1e3 * math.sqrt(float(np.max(variance))),
-        parameters=_parameters(data, information, covariance, priors),
+        parameters={
+            name: Estimate(value=value, standard_error=error, unit=unit)
+            for name, unit, value, error in zip(
+                chosen.names, chosen.units, values.tolist(), errors.tolist(), strict=True
+            )
+        },
     )
-
-
-def _parameters(data: ArmData, information: Array, covariance: Array, priors: Array) -> dict[str, Estimate]:
-    """Nominal values and standard errors of the parameters that the readings determine, as the table will have them."""
-    estimated = data.parameter_set
-    chosen = determined_set(estimated, information, priors) if estimated.name == "auto" else estimated
-    to_table, _ = chosen.from_estimated(estimated)
-    errors = np.sqrt(np.maximum(np.diag(to_table @ covariance @ to_table.T), 0.0))
-    values = data.model.nominal.vector()[list(chosen.columns)]
-    return {
-        name: Estimate(value=value, standard_error=error, unit=unit)
-        for name, unit, value, error in zip(chosen.names, chosen.units, values.tolist(), errors.tolist(), strict=True)
-    }
 
 
 def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:

@@ -188,7 +188,8 @@ class Picture(Record):
 
     ``x`` is what the effect depends on; what is periodic in the joint angle is folded into one turn or one cycle, and
     has a ``curve``. ``measured`` are the readings less everything else in the model, ``computed`` is the effect itself,
-    both in the unit of ``y_label``; ``band`` is the standard deviation of ``computed``, geometry included.
+    both in the unit of ``y_label``; ``band`` is the standard deviation of ``computed``, geometry included. In a loop
+    ``direction`` says for each x whether the joint's last motion was upward (1) or downward (-1).
     """
 
     title: str
@@ -200,6 +201,8 @@ class Picture(Record):
     computed: tuple[float, ...]
     band: tuple[float, ...] = ()
     curve: CurveRecord | None = None
+    direction: tuple[int, ...] | None = None
+    omitted_when_none = frozenset({"direction"})
 
 
 class PredictedUncertainty(Record):
@@ -365,14 +368,12 @@ class Proposal(Record):
     advice: tuple[str, ...]
 
 
-class DiscoverResult(Result):
+class DiscoverResult(Result, schema="cellapp-discover"):
     """``discover``: every arm; ``pair`` are the cooperative errors with the effects that were found.
 
     ``notes`` says which effects of plug-ins could not be searched for, and why; None if there are none.
     """
 
-    schema_: Literal["cellapp-discover"] = "cellapp-discover"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmDiscoveryResult]
     pair: Mapping[Method, PairMethodResult] = {}
     proposal: Proposal | None = None

@@ -421,7 +421,7 @@ class IsoConditions(Record):
     temperature_c: tuple[float, float] | None = None
 
 
-class Iso9283Result(Result):
+class Iso9283Result(Result, schema="cellapp-iso9283"):
     """``iso9283``: the tests that were made, with their conditions; ``judgements`` against the profile's tolerances.
 
     ``missing`` says which cycles, poses or tests could not be measured, and why. ``pairs`` are those of arms.
@@ -431,8 +431,6 @@ class Iso9283Result(Result):
     ``points_file`` in the folder of the run holds every measured point with its time; ``points_sha256`` is its hash.
     """
 
-    schema_: Literal["cellapp-iso9283"] = "cellapp-iso9283"
-    version: Literal[1] = 1
     tests: tuple[IsoTest, ...]
     arms: Mapping[str, ArmIso9283]
     pairs: tuple[PairIso9283, ...] = ()

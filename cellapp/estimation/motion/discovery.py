@@ -12,6 +12,8 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms, measurement_conditions
 from cellapp.estimation.discovery.accepted import accepted_effect
 from cellapp.estimation.discovery.held_out import HeldOut
@@ -21,18 +23,20 @@ from cellapp.estimation.discovery.records import (
     Evidence,
     MotionDiscoveryResult,
     MotionEffectResult,
+    Picture,
     Place,
 )
 from cellapp.estimation.motion.calibrate import each_recorded, recorded_arm, samples_of
 from cellapp.estimation.motion.effects import MotionDiscovery, MotionEffect, effects_in_motion
+from cellapp.estimation.motion.loops import Loop
 from cellapp.estimation.motion.streams import Recording
+from cellapp.estimation.motion.terms import Law
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, up_in_tracker
 
 LAG_TITLE = "delay of a joint behind the others"
 
@@ -62,7 +66,6 @@ def with_motion(
     for name, its, told in each_recorded(recordings, listener, cancel or CancelToken()):
         started = time.perf_counter()
         arm = recorded_arm(profile, name, stops[name], its)
-        arm = replace(arm, bodies=bodies_of(profile.arms[name]), up_M=up_in_tracker(profile))
         motion = effects_in_motion(arm, told)
         held_out = HeldOut.of(readings[name], conditions[name])
         if not len(stops[name].in_split("validate")):  # samples stand for poses at rest: without what only motion has
@@ -87,8 +90,10 @@ def _with_effects(
         used=used,
         seconds=seconds,
     )
+    pictures = tuple(loop_picture(loop) for loop in motion.loops)
     if not used:
-        return replace(found, result=found.result.model_copy(update={"motion": shown}))
+        kept = (*found.result.pictures, *pictures)
+        return replace(found, result=found.result.model_copy(update={"motion": shown, "pictures": kept}))
     at_rest = [effect for effect in motion.effects if effect.at_rest]
     accepted = tuple(
         accepted_effect(
@@ -109,7 +114,7 @@ def _with_effects(
         verdict="explained",
         sentence=f"arm {name}: {names}, by its recordings of motion; {after * 1e3:.0f} µm rms held out",
         contradictions=(),
-        pictures=(),
+        pictures=pictures,
         network_mm=None,
     )
 
@@ -125,6 +130,20 @@ def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
         identified=(*identification.estimated.names, *(name for term in motion.terms for name in term.names)),
         covariance=motion.covariance,
         posterior=None,
+    )
+
+
+def loop_picture(loop: Loop) -> Picture:
+    """The loop of a joint as a picture: position in degrees, lost motion in microradians."""
+    return Picture(
+        title=f"lost motion of joint {loop.joint} in motion",
+        effect=Law.PLAY.value,
+        x_label=f"joint {loop.joint} [deg]",
+        y_label="behind its motor [urad]",
+        x=tuple(np.degrees(loop.position).round(3).tolist()),
+        measured=tuple((1e6 * loop.measured).round(3).tolist()),
+        computed=tuple((1e6 * loop.computed).round(3).tolist()),
+        direction=tuple(loop.direction.astype(int).tolist()),
     )
 
 

@@ -21,9 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
-from cellapp.estimation.motion.fit import Problem, Solution, free_clocks, solve
+from cellapp.estimation.motion.discrepancy import allow_for_missing
+from cellapp.estimation.motion.fit import Problem, Solution, solve
 from cellapp.estimation.motion.identify import RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.lines import line_powers
+from cellapp.estimation.motion.loops import Loop, loops
 from cellapp.estimation.motion.noise import whitening_filter
 from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.records import MotionFit
@@ -38,11 +40,11 @@ _MOST_LINES = 12
 _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _COUNT_ROUNDS = 3
-_SHOWN = 3.5
+SHOWN = 3.5
 """Standard errors from which a joint is named as having an effect that was found."""
 _AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.COMPLIANCE: "linear"}
 """Forms of the effects' laws that say the same of stops; a lag has none."""
-_DENSE = 20
+DENSE = 20
 """Cycles a turn from which lines are too dense for the few hundred stops of a plan."""
 
 
@@ -103,7 +105,8 @@ class MotionEffect:
 class MotionDiscovery:
     """The fit with all effects that were found, in the order in which they entered, and the errors without any.
 
-    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``.
+    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``; ``loops`` are those of
+    the joints that show lost motion.
     """
 
     fit: MotionFit
@@ -111,6 +114,7 @@ class MotionDiscovery:
     heldout_before_mm: float
     heldout_after_mm: float
     covariance: Array = field(repr=False)
+    loops: tuple[Loop, ...] = ()
 
     def lags_s(self, joints: int) -> Array:
         """Lag of each joint (N,) behind the mean of all [s]; zero where none shows."""
@@ -175,14 +179,16 @@ class _Search:
         state, steps = self._without_chance(state, steps)
         final = self._unwhitened(state)
         # with lags an offset is known by its sum with their mean only, and is left as it is
-        freed = final.solution if _has(steps, Law.LAG) else free_clocks(final.problem, final.solution)
+        freed = final.solution if _has(steps, Law.LAG) else allow_for_missing(final.problem, final.solution)
         fit = motion_fit(final.problem, freed)
         effects = tuple(_effect(final, law, steps) for law in dict.fromkeys(step.law for step in steps))
         laws_at_rest = [law for law in dict.fromkeys(step.law for step in steps) if law in _AT_REST]
         at_rest = [term for law in laws_at_rest for term in _shown(final, law, steps)]
         places = [*range(final.problem.layout.geometric), *_places(final, at_rest)]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
-        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance)
+        lost = {joint for one in effects if Law(one.slug) in (Law.PLAY, Law.WINDUP) for joint in one.joints}
+        drawn = loops(final.problem, final.solution, sorted(lost))
+        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, drawn)
 
     def _with_exact_counts(self, state: _State, steps: list[_Step]) -> tuple[_State, list[_Step]]:
         """Lines at the counts that are best beside all other terms: the first ones entered before these were known.
@@ -350,7 +356,7 @@ def _shown(state: _State, law: Law, steps: Sequence[_Step]) -> tuple[JointTerm, 
     terms = _terms(law, steps)
     values, covariance = _values(state, terms)
     errors = np.sqrt(np.diag(covariance))
-    pairs = zip(terms, np.abs(values) > _SHOWN * errors, strict=True)
+    pairs = zip(terms, np.abs(values) > SHOWN * errors, strict=True)
     clear = {(term.joint, term.cycles) for term, shows in pairs if shows}
     return tuple(term for term in terms if (term.joint, term.cycles) in clear)
 
@@ -385,7 +391,7 @@ def _effect(state: _State, law: Law, steps: Sequence[_Step]) -> MotionEffect:
     only = ""
     if law is Law.LAG:
         only = "a delay moves nothing at rest"
-    elif law is Law.LINE and all(term.cycles >= _DENSE for term in terms):
+    elif law is Law.LINE and all(term.cycles >= DENSE for term in terms):
         only = "lines as dense as these are aliased by the few hundred stops of a plan"
     return MotionEffect(
         slug=law.value,

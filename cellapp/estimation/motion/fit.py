@@ -33,13 +33,10 @@ from cellapp.estimation.motion.observe import (
     Model,
     Stops,
     Sums,
-    posture_basis,
     residuals,
     stop_residuals,
     stop_sums,
-    track_averages,
     track_sums,
-    without_posture,
 )
 from cellapp.estimation.motion.terms import JointTerm, Law, Masses
 from cellapp.estimation.motion.tracks import Track
@@ -62,10 +59,10 @@ _RATE_SD = 3e-4
 """Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; one that is off by more shows in any recording."""
 _TRACKER_M = 1e-5
 """Smallest standard deviation of a coordinate [m]: keeps weights finite where there is no noise."""
+_MOST_WORTH = 1e6
+"""Points cannot be a thousand times better than they say; a recording of a few seconds can look so."""
 _REWEIGHTED = 0.02
 """Relative change of a weight at which weights count as settled."""
-_WEAK = 0.01
-"""Precision of a prior that only keeps what is not determined, in that of the solution."""
 _ALIKE = 4.0
 """Ratio of variances up to which recordings of one arm weigh the same for each second."""
 _ROUNDS = 4
@@ -211,52 +208,6 @@ def solve(
     return Solution(values, noise, information, precision, sources, tuple(steps), converged)
 
 
-def free_clocks(problem: Problem, solution: Solution) -> Solution:
-    """The solution with clocks that are free of what the model lacks, and the arm that belongs to them.
-
-    What a model of an arm lacks at rest is a function of posture; it can look like a delay where a path comes by a
-    posture in one direction more often than in the other. Functions of posture are therefore taken out of residuals and
-    columns, as far as they are more than noise, before clocks and terms are estimated.
-    """
-    model, sources = problem.model(solution.values), solution.sources[: len(problem.tracks)]
-    averages = [
-        track_averages(model, track, number, source.rows, source.root())
-        for number, (track, source) in enumerate(zip(problem.tracks, sources))
-    ]
-    here = replace(problem, mean=solution.values, precision=_held_arm(problem, solution), spreads=())
-    bases = [posture_basis(one.q) for one in averages]
-    bare = [without_posture(one, basis, 0.0) for one, basis in zip(averages, bases)]
-    _, _, worths, _, _ = _weighed_step(here, solution.values, bare)
-    shares = [
-        min(1.0, float(np.sqrt(3 * basis.shape[1] / worth / max(np.sum((basis.T @ one.r) ** 2), 1e-300))))
-        for one, basis, worth in zip(averages, bases, worths)
-    ]
-    freed = [without_posture(one, basis, share) for one, basis, share in zip(averages, bases, shares)]
-    step, noise, _, _, _ = _weighed_step(here, solution.values, freed)
-    clocks = np.concatenate([problem.layout.clock(number) for number in range(len(problem.tracks))])
-    arm = np.arange(problem.layout.arm)
-    values, change = solution.values.copy(), step[clocks]
-    values[clocks] += change
-    normal = solution.information + np.diag(solution.precision)
-    values[arm] -= solve_psd(normal[np.ix_(arm, arm)], normal[np.ix_(arm, clocks)] @ change)
-    return replace(solution, values=values, noise=_with_clocks(solution.noise, noise, clocks))
-
-
-def _held_arm(problem: Problem, solution: Solution) -> Array:
-    """Precision of priors about the present values: that of the solution, and weak ones for base and tool."""
-    variances = np.maximum(np.diag(solution.noise.covariance), 1e-300)
-    return np.asarray(np.where(problem.precision > 0.0, solution.precision, _WEAK / variances))
-
-
-def _with_clocks(noise: NoiseModel, of_clocks: NoiseModel, places: NDArray[np.intp]) -> NoiseModel:
-    """The noise model with the variances of the clocks from another one."""
-    covariance, freedom = noise.covariance.copy(), noise.freedom.copy()
-    covariance[places] = covariance[:, places] = 0.0
-    covariance[np.ix_(places, places)] = of_clocks.covariance[np.ix_(places, places)]
-    freedom[places] = of_clocks.freedom[places]
-    return replace(noise, covariance=covariance, freedom=freedom)
-
-
 def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tuple[Array, list[float]]:
     """Robust fit of a subset: values, and the sizes of the steps."""
     share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
@@ -293,7 +244,7 @@ def _weighed_step(
         levels = noise.level
         if max(abs(level - 1.0) for level in levels) < _REWEIGHTED:
             break
-        worths = [worth / level for worth, level in zip(worths, levels, strict=True)]
+        worths = [min(worth / level, _MOST_WORTH) for worth, level in zip(worths, levels, strict=True)]
         if most is not None:
             worths = _bounded(worths, most)
     return step, noise, worths, A, precision

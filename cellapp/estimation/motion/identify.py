@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.parameters import SetName, determined_set
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
-from cellapp.estimation.motion.fit import GROSS, Problem, Solution, free_clocks, problem_of, solve
+from cellapp.estimation.motion.discrepancy import allow_for_missing
+from cellapp.estimation.motion.fit import GROSS, Problem, Solution, problem_of, solve
 from cellapp.estimation.motion.observe import Model, Stops, residuals, stop_residuals
 from cellapp.estimation.motion.records import ClockFit, ClockSegment, MotionFit, RecordingFit
 from cellapp.estimation.motion.streams import Recording
@@ -83,7 +84,7 @@ def identify_from_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionF
     problem, stop_rows = motion_problem(arm, told)
     solution = solve(problem, stop_rows, told=told)
     told("clocks")
-    return motion_fit(problem, free_clocks(problem, solution))
+    return motion_fit(problem, allow_for_missing(problem, solution))
 
 
 def motion_problem(arm: RecordedArm, told: Told) -> tuple[Problem, NDArray[np.intp]]:

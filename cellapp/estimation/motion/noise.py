@@ -33,6 +33,8 @@ _LEAST_FREEDOM = 24.0
 _MEMORY_S = 0.2
 """Time over which a whitening filter remembers, and the most samples of it."""
 _MOST_ORDER = 40
+_LEAST_LEVEL = 1e-6
+"""Residuals a thousand times below what was stated of them are those of a fit with nothing to spare."""
 _LEAST_SHARE = 0.3
 """A solution for a band's variance below this share of the plain one is chance: the plain one is then taken."""
 
@@ -70,6 +72,18 @@ class Bands:
         own = step[self.columns]
         return np.asarray(self.square - 2.0 * self.product @ own + np.einsum("i,bij,j->b", own, self.gram, own))
 
+    def of(self, chosen: NDArray[np.bool_]) -> Bands:
+        """The same for some of the columns, which stand one after the other then."""
+        gram = self.gram[:, chosen][:, :, chosen]
+        return Bands(
+            np.arange(len(gram[0])), self.count, gram, self.product[:, chosen], self.square, self.uneven[chosen]
+        )
+
+    def normal(self) -> Array:
+        """Products of columns and residuals with one another (k + 1, k + 1), of all bands together."""
+        product = self.product.sum(axis=0)
+        return np.block([[self.gram.sum(axis=0), product[:, None]], [product, self.square.sum()]])
+
 
 def bands_of(X: Array, columns: NDArray[np.intp], r: Array, *, in_time: bool) -> Bands:
     """Bands of residuals ``r`` (m, 3) with columns ``X`` (m, 3, k), both times the root of their weight.
@@ -95,6 +109,16 @@ def bands_of(X: Array, columns: NDArray[np.intp], r: Array, *, in_time: bool) ->
         np.array([float(its_r @ its_r) for _, its_r in flat]),
         np.maximum(uneven, 1.0),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Modelled:
+    """Residuals of which the covariance is known otherwise, in no band: their ``X^T X`` (K, K), the covariance of their
+    ``X^T r`` (K, K), and the degrees of freedom of what that was estimated from."""
+
+    information: Array
+    spread: Array
+    freedom: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +155,12 @@ class _Band:
 
 
 def noise_model(
-    sources: Sequence[Bands], worths: Sequence[float], step: Array, precision: Array, information: Array
+    sources: Sequence[Bands],
+    worths: Sequence[float],
+    step: Array,
+    precision: Array,
+    information: Array,
+    modelled: Modelled | None = None,
 ) -> NoiseModel:
     """The noise model of the residuals that are left after ``step``.
 
@@ -145,6 +174,8 @@ def noise_model(
         Of the priors, zero without one.
     information : array, shape (K, K)
         ``X^T X`` with the weights and worths.
+    modelled : Modelled, optional
+        What is in no band.
     """
     unit = 1.0 / np.sqrt(np.diag(information) + precision + 1e-300)
     H = information * unit * unit[:, None] + np.diag(precision * unit**2)
@@ -160,6 +191,8 @@ def noise_model(
     inner = np.einsum("b,bij->ij", s, np.stack([band.gram for band in bands]))
     # what averages over neighbours lack of the columns is faster than all bands
     averaged_out = (root @ information) @ root.T - sum(band.gram for band in bands)
+    if modelled is not None:
+        averaged_out = averaged_out - (root @ modelled.information) @ root.T
     fastest = max(s[number] for number, band in enumerate(bands) if _is_last(number, bands))
     inner = inner + fastest * averaged_out
     uneven = np.ones(len(H))
@@ -168,6 +201,11 @@ def noise_model(
     covariance = (root.T @ inner @ root) * np.sqrt(np.outer(uneven, uneven)) + root.T @ by_prior @ root
     shares = np.stack([np.sum(root * (band.gram @ root), axis=0) for band in bands]) * s[:, None] * uneven
     own = np.sum(shares**2 / freedom[:, None], axis=0)
+    if modelled is not None:
+        by_step = root.T @ root
+        more = by_step @ modelled.spread @ by_step
+        covariance = covariance + more
+        own = own + np.diag(more) ** 2 / modelled.freedom
     variance = np.diag(covariance)
     return NoiseModel(
         covariance,
@@ -196,7 +234,7 @@ def _joined_bands(number: int, source: Bands, worth: float, step: Array, root: A
     """Bands of one source; those with few degrees of freedom after the fit are joined to the next faster one."""
     own = root[:, source.columns]
     grams = worth * (own @ source.gram @ own.T)
-    energies = worth * source.energy(step)
+    energies = np.maximum(worth * source.energy(step), 0.0)  # below by rounding where a fit leaves nothing
     found: list[_Band] = []
     first = 0
     for place in range(len(grams)):
@@ -225,4 +263,4 @@ def _variances(bands: Sequence[_Band]) -> tuple[Array, Array]:
 
 def _level(number: int, bands: Sequence[_Band], s: Array) -> float:
     tells = np.array([np.trace(band.gram) if band.source == number else 0.0 for band in bands])
-    return float(tells @ s / tells.sum()) if tells.sum() > 0.0 else 1.0
+    return max(float(tells @ s / tells.sum()), _LEAST_LEVEL) if tells.sum() > 0.0 else 1.0

@@ -8,8 +8,7 @@ are those of the geometry; ``o_k dP/dq_j`` for b_k; ``-J qd`` for o and ``-(t - 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import combinations
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +25,6 @@ _CHUNK = 2048
 _BLOCK_RATE = 25.0
 """Averaged residuals a second from which the noise is read: motion and its correlation are slower."""
 _MOST_BLOCKS = 8000
-_SAME = 1e-4
-"""Singular value, over the largest, below which functions of posture are the same along a path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,33 +156,33 @@ def track_sums(
     A, b = np.zeros((k, k)), np.zeros(k)
     past = 0 if whitening is None else len(whitening) - 1
     memory_X, memory_r = np.zeros((3, k, past)), np.zeros((3, past))
-    parts = []
-    for X, left, weight, q in _chunks(model, track, number, rows, root):
+    parts, each = [], _block_length(track, len(rows), _MOST_BLOCKS)
+    for X, left, weight, q in _chunks(model, track, number, rows, root, each):
         if whitening is not None:
             X, memory_X = lfilter(whitening, [1.0], X, zi=memory_X)
             left, memory_r = lfilter(whitening, [1.0], left, zi=memory_r)
         flat = X.swapaxes(0, 1).reshape(k, -1)
         A += flat @ flat.T
         b += flat @ left.ravel()
-        parts.append(_averaged(X, left, weight, q, _block_length(track, len(rows))))
+        parts.append(_averaged(X, left, weight, q, each))
     found = _joined(parts, model.layout.columns_of(number))
     return Sums(A, b, bands_of(found.X, found.columns, found.r, in_time=True))
 
 
-def track_averages(model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array) -> Averages:
-    """Averages of ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m]."""
-    each = _block_length(track, len(rows))
-    parts = [_averaged(*chunk, each) for chunk in _chunks(model, track, number, rows, root)]
+def track_averages(model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, most: int) -> Averages:
+    """At most ``most`` averages of ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m]."""
+    each = _block_length(track, len(rows), most)
+    parts = [_averaged(*chunk, each) for chunk in _chunks(model, track, number, rows, root, each)]
     return _joined(parts, model.layout.columns_of(number))
 
 
 def _chunks(
-    model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array
+    model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, each: int
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
-    """Weighted columns (3, k, n) and residuals (3, n), weights (n,) and joint positions (n, N), chunk by chunk."""
+    """Weighted columns (3, k, n) and residuals (3, n), weights (n,) and joint positions (n, N), in chunks of whole
+    averages of ``each``."""
     k, arm = len(model.layout.columns_of(number)), model.layout.arm
     geometry, (offsets, rate), work = model.geometry, model.clock(number), Workspace()
-    each = _block_length(track, len(rows))
     step = max(1, _CHUNK // each) * each
     for first in range(0, len(rows), step):
         part, weight = rows[first : first + step], root[first : first + step]
@@ -219,45 +216,26 @@ def _joined(parts: Sequence[tuple[Array, Array, Array]], columns: NDArray[np.int
     return Averages(X, columns, r, q)
 
 
-def posture_basis(q: Array) -> Array:
-    """Orthonormal functions of posture (n, f): one and two cycles of each joint, of sums and differences of any two,
-    and of sums along the arm. What a model lacks at rest, gravity and gears, is mostly one of them."""
-    joints = range(q.shape[1])
-    angles = [factor * q[:, joint] for joint in joints for factor in (1, 2)]
-    angles += [q[:, i] + sign * q[:, k] for i, k in combinations(joints, 2) for sign in (1, -1)]
-    angles += [q[:, first:last].sum(axis=1) for first in joints for last in range(first + 3, q.shape[1] + 1)]
-    table = np.stack(angles, axis=1)
-    table = np.concatenate([np.ones((len(q), 1)), np.sin(table), np.cos(table)], axis=1)
-    vectors, sizes, _ = np.linalg.svd(table, full_matrices=False)
-    return np.asarray(vectors[:, sizes > _SAME * sizes[0]])
-
-
-def without_posture(averages: Averages, basis: Array, left: float) -> Sums:
-    """Sums after functions of posture are taken out, all but the share ``left``: the root of what noise is of them.
-
-    Bands have fewer degrees of freedom by what was taken out.
-    """
-    both = np.concatenate([averages.X, averages.r[:, :, None]], axis=2).reshape(len(basis), -1)
-    both = (both - (1.0 - left) * basis @ (basis.T @ both)).reshape(len(basis), 3, -1)
-    X, r = both[:, :, :-1], both[:, :, -1]
-    bands = bands_of(X, averages.columns, r, in_time=True)
-    if left == 0.0:
-        of_basis = bands_of(basis[:, None, :], averages.columns, basis[:, :1], in_time=True)
-        taken = 3.0 * of_basis.gram.trace(axis1=1, axis2=2)
-        bands = replace(bands, count=np.maximum(bands.count - taken, 1.0))
-    flat = X.reshape(-1, X.shape[2])
-    return Sums(flat.T @ flat, flat.T @ r.ravel(), bands)
-
-
 def stop_sums(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> Sums:
     """Sums over some of the stops, each weighted by the square of ``root`` (n,) [1/m]."""
-    X = np.empty((3, model.layout.arm, len(rows)))
-    P, _ = _arm_columns(model, model.geometry, _at_stops(model, stops, rows), X, Workspace())
-    X *= root
-    left = (stops.p_M[rows].T - P) * root
+    X, left = _stop_columns(model, stops, rows, root)
     flat = X.swapaxes(0, 1).reshape(model.layout.arm, -1)
     bands = bands_of(X.transpose(2, 0, 1), np.arange(model.layout.arm), left.T, in_time=False)
     return Sums(flat @ flat.T, flat @ left.ravel(), bands)
+
+
+def stop_averages(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> Averages:
+    """Some of the stops one by one, each weighted by the square of ``root`` (n,) [1/m]."""
+    X, left = _stop_columns(model, stops, rows, root)
+    return Averages(X.transpose(2, 0, 1), np.arange(model.layout.arm), left.T, stops.q[rows])
+
+
+def _stop_columns(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> tuple[Array, Array]:
+    """Weighted columns (3, k, n) and residuals (3, n)."""
+    X = np.empty((3, model.layout.arm, len(rows)))
+    P, _ = _arm_columns(model, model.geometry, _at_stops(model, stops, rows), X, Workspace())
+    X *= root
+    return X, (stops.p_M[rows].T - P) * root
 
 
 def stop_residuals(model: Model, stops: Stops) -> Array:
@@ -291,6 +269,6 @@ def _arm_columns(
     return P, by_joint
 
 
-def _block_length(track: Track, count: int) -> int:
-    """Neighbours that are averaged before the noise is read."""
-    return min(max(round(1.0 / track.stamps.period_s / _BLOCK_RATE), -(-count // _MOST_BLOCKS), 1), _CHUNK)
+def _block_length(track: Track, count: int, most: int) -> int:
+    """Neighbours that are averaged before the noise is read, in ``most`` blocks."""
+    return min(max(round(1.0 / track.stamps.period_s / _BLOCK_RATE), -(-count // most), 1), _CHUNK)

@@ -2,6 +2,10 @@
 
 A nest's row at a stop is p_k = p + R s_k with the figure s of the nests. Position p and orientation R of a stop follow
 from three nests or more by weighted least squares, with their covariance. Two nests fix no orientation.
+
+Both errors are stated without directions: of position the rms of a coordinate, of orientation that about the axis which
+is known least. Errors of p and R are correlated, along the beam most, where a tracker is most precise; full covariances
+would take what the same three distances tell of both for independent.
 """
 
 from __future__ import annotations
@@ -90,19 +94,23 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
     rotation, origin, covariance = _weighted(shape.points_S, p_M, information, rotation, origin)
     S = len(one)
     points, quaternion = one.p_M.copy(), np.full((S, 4), np.nan)
-    sigma_rad, turning = np.full(S, np.nan), np.full((S, 3, 3), np.nan)
+    sigma_rad = np.full(S, np.nan)
     points[turned] = origin
     quaternion[turned] = np.roll(Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=1)
-    turning[turned] = covariance[:, 3:, 3:]
-    sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(turning[turned])[:, -1])  # of the axis that is known least
-    of_points: dict[str, Any] = {"turning_covariance_M": turning}
-    if one.covariance_M is not None:
-        of_points["covariance_M"] = one.covariance_M.copy()
-        of_points["covariance_M"][turned] = covariance[:, :3, :3]
-    elif one.sigma_m is not None:
-        of_points["sigma_m"] = one.sigma_m.copy()
-        of_points["sigma_m"][turned] = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3.0)
-    return replace(one, p_M=points, quaternion_M=quaternion, sigma_rad=sigma_rad, **of_points)
+    sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(covariance[:, 3:, 3:])[:, -1])
+    stated: dict[str, Any] = {"covariance_M": None}
+    if groups.stated:
+        stated["sigma_m"] = sigma_m = _sigma_of_rows(one)
+        sigma_m[turned] = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3.0)
+    return replace(one, p_M=points, quaternion_M=quaternion, sigma_rad=sigma_rad, **stated)
+
+
+def _sigma_of_rows(one: Readings) -> Array:
+    """Standard uncertainty (n,) [m] of a coordinate, of readings that state one."""
+    if one.covariance_M is not None and not np.isnan(one.covariance_M).any():
+        return np.asarray(np.sqrt(np.einsum("nii->n", one.covariance_M) / 3.0))
+    assert one.sigma_m is not None
+    return one.sigma_m.copy()
 
 
 def _weighted(

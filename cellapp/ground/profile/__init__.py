@@ -12,6 +12,7 @@ from cellapp.ground.profile.schema import (
     Profile,
     Sensors,
     Splits,
+    TorqueSensing,
 )
 
 __all__ = [
@@ -26,4 +27,5 @@ __all__ = [
     "Profile",
     "Sensors",
     "Splits",
+    "TorqueSensing",
 ]

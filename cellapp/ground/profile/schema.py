@@ -268,6 +268,15 @@ class GeometryErrors(Section):
         return {key: value for key, value in content.items() if key != "probe" or value}
 
 
+class TorqueSensing(Section):
+    """How simulated drives measure their torques: noise and dry friction; currents where motors have constants."""
+
+    noise_nm: Annotated[float, Field(strict=True, ge=0.0, le=1e3)] = 0.5
+    friction_nm: Annotated[float, Field(strict=True, ge=0.0, le=1e3)] = 3.0
+    constant_nm_per_a: Annotated[float, Field(strict=True, gt=0.0, le=1e3)] | None = None
+    """Motor constant of every joint, at the joint; drives then report currents."""
+
+
 class Plant(Section):
     """The simulated cell behind the simulated drivers. ``effects`` specifies the hidden physics of each arm."""
 
@@ -280,11 +289,14 @@ class Plant(Section):
     """Arm -> effect -> parameters; see ``drivers/plant/effects``."""
     tracker_pose: Pose | None = None
     """Where the simulated tracker really stands, if that is not ``tracker.pose``, as after it was moved."""
+    torques: TorqueSensing | None = None
+    """What drives measure of their torques; nothing if left out."""
 
     @model_serializer(mode="wrap")
-    def _without_tracker_pose(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_what_is_not_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         content: dict[str, Any] = handler(self)
-        return {key: value for key, value in content.items() if key != "tracker_pose" or value is not None}
+        optional = ("tracker_pose", "torques")
+        return {key: value for key, value in content.items() if key not in optional or value is not None}
 
 
 class Profile(Section, defer_build=True):

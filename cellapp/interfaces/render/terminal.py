@@ -15,6 +15,7 @@ from rich import box
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, OverflowMethod, RenderResult
 from rich.measure import Measurement
+from rich.padding import Padding
 from rich.style import Style
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -29,8 +30,8 @@ _TITLE = Style(italic=True)
 def rich_table(table: Table, *, cut: bool = True) -> TerminalTable:
     """A table for Rich's console. Cells are plain text: Rich would read a unit in brackets as markup.
 
-    Where what draws it cuts lines at its width, ``cut``, a word that is longer than a line goes on in the next one;
-    else it stays whole, to be copied.
+    Where what draws it cuts lines at its width, ``cut``, as a screen does, a word that is longer than a line goes on in
+    the next one, and no line is left blank; else it stays whole, to be copied.
     """
     return TerminalTable(table, cut)
 
@@ -50,11 +51,13 @@ class TerminalTable:
         if parts is None:
             yield from _as_lines(self.table, width, "fold" if self.cut else "ignore")
             return
-        for part in parts:
-            if part.spacing is _TIGHT:
+        for number, part in enumerate(parts):
+            if part.spacing is _TIGHT and (number or not self.cut):
                 yield Text("")
-            yield _drawn(self.table, part)
-        if parts and parts[-1].spacing is _TIGHT:
+            drawn = _drawn(self.table, part)
+            drawn.show_edge &= not self.cut
+            yield Padding(drawn, (0, 0, 0, 1)) if self.cut and part.spacing is _LOOSE else drawn
+        if parts and parts[-1].spacing is _TIGHT and not self.cut:
             yield Text("")
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:

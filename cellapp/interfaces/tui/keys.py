@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from textual.binding import Binding, BindingType
 
 from cellapp.commands.registry import VERBS
+from cellapp.commands.view.table import Table
 from cellapp.interfaces.tui.workspace import STEPS, Step
 
 
@@ -131,6 +132,12 @@ def way_to(verb: str) -> str:
         return f"{SHOWN['palette']}, cellapp {verb}"
     step, meaning = WAYS[verb]
     return f"keys {STEPS.index(step) + 1}, {SHOWN[meaning]}"
+
+
+def table_with_keys(table: Table) -> Table:
+    """A table whose cells name keys instead of commands."""
+    rows = tuple(tuple(with_keys(cell) if isinstance(cell, str) else cell for cell in row) for row in table.rows)
+    return replace(table, rows=rows)
 
 
 def with_keys(text: str) -> str:

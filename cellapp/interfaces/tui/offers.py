@@ -61,7 +61,7 @@ def offer_whole_day(app: Host) -> None:
     """Plan, collect, calibrate, discover, push and verify in a new run."""
     profile, path = app.workspace.file_profile, app.workspace.profile_path
     if profile is None or path is None:
-        app.say(app.state.no_run, "warning")
+        app.say(app.state.no_profile, "warning")
         return
     folder, cell = new_folder(profile), Workspace(path, profile)
     arms = arms_words(cell)

@@ -20,6 +20,7 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 
 Stored = Literal["no cell", "broken", "no run", "no plan", "planned", "part", "complete", "calibrated"]
 """What the run file holds: the farthest that is true."""
+COPY_IT = "This folder cannot be written: copy the run to go on with it."
 _DRIVES: Mapping[str, Step] = {
     **{verb: step for verb, (step, _) in WAYS.items()},
     "verify": "targets",
@@ -135,12 +136,19 @@ class RunState:
         return f"No run is open: plan one (keys 2, {SHOWN['go']}), or open one on the screen Runs (key 8).{waits}"
 
     @property
+    def no_profile(self) -> str:
+        """Why nothing new can be planned, where no profile's file is read."""
+        return self.no_run or "No profile's file is open beside this run: choose one on the screen Cell (key 1)."
+
+    @property
     def not_calibrated(self) -> str:
         """Why there is no calibration, and what to do; empty where there is one."""
         if self.no_run or self.stored == "calibrated":
             return self.no_run
         if (job := self.job) is not None and job.step in ("collect", "calibrate"):
             return f"Not calibrated yet: {job.words}; {self.measured_words}."
+        if self.read_only:
+            return f"Not calibrated yet: {self.measured_words}. {COPY_IT}"
         begin = f"keys 4, {SHOWN['go']}"
         if self.stored == "complete":
             return f"Not calibrated yet: {self.measured_words}; {begin} calibrate."
@@ -160,13 +168,14 @@ class RunState:
             return "This run has no plan."
         if self.measured:
             return f"{self.measured_words}; no session of collecting is stored: the readings were imported."
-        return f"Nothing was collected yet in this run: {SHOWN['go']} begins."
+        begin = COPY_IT if self.read_only else f"{SHOWN['go']} begins."
+        return f"Nothing was collected yet in this run: {begin}"
 
     def nothing(self, step: Step, else_: str) -> str:
         """Why a step has nothing to show; ``else_`` where only the step itself was not done."""
         if (job := self.job) is not None and job.step == step and not self.no_run:
             return f"Nothing is stored yet: {job.words}."
-        return self.not_calibrated or else_
+        return self.not_calibrated or (COPY_IT if self.read_only and else_ else else_)
 
     @property
     def residuals_words(self) -> str:
@@ -176,8 +185,10 @@ class RunState:
         if self.collecting:
             return f"No stop was measured in this session yet; {self.measured_words}."
         if self.measured:
+            if self.stored == "calibrated":
+                return f"{self.measured_words}; their residuals are in Calibrate (key 4)."
             return f"{self.measured_words}; their residuals are in Calibrate (key 4) once they are calibrated."
-        return f"No readings yet: {SHOWN['go']} collects."
+        return f"No readings yet. {COPY_IT}" if self.read_only else f"No readings yet: {SHOWN['go']} collects."
 
 
 def run_state(workspace: Workspace, record: JobRecord, running: Job | None = None, waits: str = "") -> RunState:

@@ -42,6 +42,8 @@ class MeasurementConditions:
         first where no clock does.
     payload_kg, air_c : arrays, shape (n,)
         Payload [kg]; temperature of arm or air [degC].
+    payload_center_F : array, shape (n, 3)
+        Centre of mass of the payload in the flange frame [m]; the nominal one where unknown.
     joints_c : array, shape (n, N)
         Joint temperatures [degC].
     other_moment_M : array, shape (n, 3)
@@ -61,6 +63,7 @@ class MeasurementConditions:
     time_s: Array | None = None
     order: Array | None = None
     payload_kg: Array | None = None
+    payload_center_F: Array | None = None
     air_c: Array | None = None
     joints_c: Array | None = None
     other_moment_M: Array | None = None
@@ -136,7 +139,8 @@ class EffectContext:
     @cached_property
     def loads(self) -> GravityLoads:
         """Nominal bodies and payload in the tracker frame."""
-        return gravity_loads(self.frames, self.bodies, self.up_M, self.conditions.payload_kg)
+        now = self.conditions
+        return gravity_loads(self.frames, self.bodies, self.up_M, now.payload_kg, now.payload_center_F)
 
     @cached_property
     def torques(self) -> Array:

@@ -325,5 +325,5 @@ def _typical(name: str) -> str:
 def _in_tracker(context: EffectContext, channel: Channel, shift: Array) -> Array:
     """A shift (n, 3) [m] in the axes of base, tool or tracker, in the tracker's axes."""
     if channel is Channel.TRACKER:
-        return shift
+        return context.moved(shift)
     return context.twist_shift(0 if channel is Channel.BASE else context.joints, shift, None)

@@ -98,7 +98,11 @@ class GravityLoads:
 
 
 def gravity_loads(
-    frames: tuple[Array, Array], bodies: Bodies, up_M: Array, payload_kg: Array | None = None
+    frames: tuple[Array, Array],
+    bodies: Bodies,
+    up_M: Array,
+    payload_kg: Array | None = None,
+    payload_center_F: Array | None = None,
 ) -> GravityLoads:
     """Place the masses of an arm in the tracker frame.
 
@@ -111,6 +115,8 @@ def gravity_loads(
         Unit vector against gravity in the tracker frame.
     payload_kg : array, shape (n,), optional
         Payload at each configuration; ``bodies.payload_mass`` where it is NaN or not given.
+    payload_center_F : array, shape (n, 3), optional
+        Its centre in the flange frame [m]; ``bodies.payload_center`` where it is NaN or not given.
     """
     rotations, origins = frames
     n = origins.shape[1]
@@ -119,7 +125,11 @@ def gravity_loads(
         payload = np.where(np.isnan(payload_kg), payload, payload_kg)
     masses = np.concatenate([np.tile(bodies.masses[:, None], (1, n)), payload[None]])
     of_bodies = origins[1:] + np.einsum("inab,ib->ina", rotations[1:], bodies.centers)
-    of_payload = origins[-1] + rotations[-1] @ bodies.payload_center
+    if payload_center_F is None:
+        of_payload = origins[-1] + rotations[-1] @ bodies.payload_center
+    else:
+        center = np.where(np.isnan(payload_center_F), bodies.payload_center, payload_center_F)
+        of_payload = origins[-1] + np.einsum("nab,nb->na", rotations[-1], center)
     centers = np.concatenate([of_bodies, of_payload[None]])
     return GravityLoads(rotations, origins, masses, centers, -STANDARD_GRAVITY * up_M)
 

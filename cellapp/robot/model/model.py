@@ -168,15 +168,14 @@ class ArmModel:
         Of the flange, if no orientation was ever measured. The network corrects positions only.
         """
         q = configurations(q, self.geometry.joints)
-        return self._turned(q, probe_rotations(self.geometry, self.true_joints(q, conditions=conditions)), conditions)
+        rotations = probe_rotations(self.geometry, self.true_joints(q, conditions=conditions))
+        return self.turns(q, conditions) @ rotations if self.effects else rotations
 
-    def _turned(self, q: Array, rotations: Array, conditions: MeasurementConditions | None = None) -> Array:
-        """Rotations (n, 3, 3) as links and base turn them that give way."""
-        if not self.effects:
-            return rotations
+    def turns(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
+        """Rotations (n, 3, 3) of the flange, in the tracker frame, by links, bearings and base that give way."""
         some = conditions or MeasurementConditions()
         moved = self.effect_displacement(q, conditions=replace(some, R_M_S=np.tile(np.eye(3), (len(q), 1, 1))))
-        return np.asarray(Rotation.from_rotvec(moved.shift_M).as_matrix() @ rotations)
+        return np.asarray(Rotation.from_rotvec(moved.shift_M).as_matrix())
 
     def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise of measuring.
@@ -207,9 +206,15 @@ class ArmModel:
             noise[np.isfinite(conditions.R_M_S[:, 0, 0])] = of_turns or 0.0
         return np.asarray(np.hypot(self.uncertainty(q, conditions), noise))
 
-    def flange(self, q: Array) -> tuple[Array, Array]:
-        """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame."""
-        return flange_poses(self.geometry, self.true_joints(q))
+    def flange(self, q: Array, conditions: MeasurementConditions | None = None) -> tuple[Array, Array]:
+        """Flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame.
+
+        The rotations include ``turns`` only where orientations were measured, which show whether the model has them.
+        """
+        rotations, origins = flange_poses(self.geometry, self.true_joints(q, conditions=conditions))
+        if self.geometry.probe is None or not self.effects:
+            return rotations, origins
+        return self.turns(q, conditions) @ rotations, origins
 
     def of_positions(self) -> ArmModel:
         """The arm as positions alone show it, without the rotation of a probe."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.collect import collect_run
@@ -22,10 +23,12 @@ from cellapp.commands.plan.run import new_planned_run
 from cellapp.estimation.motion.tracks import track_of
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
+from cellapp.ground.profile.collection import Collection
 from cellapp.robot.model.nominal import nominal_arm
 from cellapp.robot.paths.sweep import Sweep
 from drivers.arms.protocol import ArmError
 from drivers.arms.simulated import SimulatedArm
+from drivers.arms.ur_settings import UrSettings
 from drivers.clock import SimulatedClock
 from drivers.plant import Plant
 from drivers.trackers.imperfections import Imperfections
@@ -207,6 +210,30 @@ def test_a_cell_that_cannot_record_says_why(
         collect_run(run, opened=driven_cell())
         assert recording_states(run) == ()
         assert any(re.search(f"sweeps are left out: .*{words}", event.text) for event in run.events())
+
+
+def test_pulses_that_the_tracker_does_not_stamp_are_told(
+    planned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    end = SimulatedArm.end_recording
+    monkeypatch.setattr(
+        SimulatedArm, "end_recording", lambda arm: replace(end(arm), triggers_s=np.array([arm.state().time_s]))
+    )
+    with copied(planned, tmp_path) as run:
+        sweeps = [one for one in read_sweeps(run) if one.arm == "right"]
+        run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=tuple(sweeps)).model_dump_json())
+        collect_run(run, opened=driven_cell())
+        assert any("the tracker stamped none" in event.text for event in run.events())
+        assert len(read_recordings_of(run, "right")[0].joints.triggers_s) == 1
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("wrong", [0.0, 1001.0, "fast"])
+def test_rates_that_no_tracker_has_are_refused_by_the_profile(wrong: object) -> None:
+    with pytest.raises(ValidationError):
+        Collection.model_validate({"motion_rate": wrong})
+    with pytest.raises(ValidationError):
+        UrSettings.model_validate({"host": "127.0.0.2", "trigger_output": 8})
 
 
 @pytest.mark.fast

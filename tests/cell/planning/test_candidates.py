@@ -118,7 +118,6 @@ def test_each_joint_is_spread_like_plain_rejection(which: str) -> None:
         assert ks_2samp(found[:, i] + found[:, k], expected[:, i] + expected[:, k]).pvalue > 1e-3
 
 
-@pytest.mark.fast
 def test_small_incidence_is_preferred_and_no_joint_loses_its_range() -> None:
     cell, name = CELLS["UR10"]
     plain, pool = plain_rejection(cell, name, 120_000), pool_of(cell, name, count=4000)

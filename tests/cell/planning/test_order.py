@@ -149,6 +149,7 @@ def test_number_of_blocks(asked: int | None, stops: int, blocks: int) -> None:
     assert block_count(asked, stops) == blocks
 
 
+@pytest.mark.slow
 def test_pairs_stand_together_and_an_order_is_mended() -> None:
     """Three arms; a mended order has the same pairs, in the same blocks, with no more refused ways."""
     profile = three_arms(18)

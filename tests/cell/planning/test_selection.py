@@ -67,7 +67,6 @@ def model_of(profile: Profile, pools: Pools, name: str = "left") -> InformationM
     return information_model(profile, name, pools[name].q, conditions)
 
 
-@pytest.mark.fast
 def test_each_stop_is_chosen_once_and_the_seed_decides(
     twin: Profile, pools: Pools, chosen: Mapping[str, np.ndarray]
 ) -> None:

@@ -116,6 +116,7 @@ def test_an_edit_keeps_comments_and_other_lines() -> None:
     assert round_pillar == text.replace("shape: cylinder", "shape: sphere").replace("    length: 2.4\n", "")
 
 
+@pytest.mark.slow
 def test_obstacles_are_added_and_removed() -> None:
     text, draft = twin()
     more = draft_of(edited(replace(draft, obstacles=(*draft.obstacles, DRAFTS[2]))), PROFILES / "twin.yaml")

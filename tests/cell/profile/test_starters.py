@@ -11,19 +11,20 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_text
 from cellapp.cell.profile.starters import starter_profiles, write_starter
 from cellapp.ground.errors import InputError
-from cellapp.ground.starters import starters_folder
+from cellapp.ground.starters import offered_profiles, starters_folder
 
 pytestmark = pytest.mark.fast
 
-NAMES = [starter.name for starter in starter_profiles()]
+NAMES = [path.stem for path in offered_profiles(starters_folder())]
 
 
 def test_the_twin_is_first_and_each_has_a_sentence() -> None:
     starters = starter_profiles()
     assert starters[0].name == "twin"
+    assert [starter.name for starter in starters] == NAMES
     assert all(starter.sentence.endswith(".") for starter in starters)
     without_device = {starter.name for starter in starters if not starter.has_device}
-    assert without_device == {"panda-sockets", "ur10-real", "ur10-real-d", "ur5-real"}
+    assert without_device == {"panda-sockets", "ur10-6d", "ur10-real", "ur10-real-d", "ur5-real"}
 
 
 def test_the_small_twin_is_the_twin_with_fewer_stops() -> None:

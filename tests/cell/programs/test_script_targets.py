@@ -150,6 +150,7 @@ LINES = ["# movel(p[1,2,3,4,5,6])", 'textmsg("end")', "x = x + 1", "", "  sleep(
 NOISE = st.lists(st.sampled_from(LINES))
 
 
+@pytest.mark.slow
 @given(poses=st.lists(NUMBERS, min_size=1, max_size=5), noise=NOISE, ends=st.sampled_from(["\n", "\r\n"]))
 def test_programs_come_back_byte_for_byte(poses: list[list[float]], noise: list[str], ends: str) -> None:
     lines = [*noise]

@@ -84,6 +84,7 @@ class Waves:
 MODELS = [arm_model(), arm_model(2, COMPLIANCE, ECCENTRICITY), arm_model(3, COMPLIANCE, network=Waves())]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", MODELS)
 def test_the_model_puts_the_flange_where_the_program_means(arm: ArmModel) -> None:
     q = HOME + np.random.default_rng(0).uniform(-0.5, 0.5, (20, 6))

@@ -151,6 +151,7 @@ def test_conditions_have_the_order_in_stops_and_no_made_up_time() -> None:
     np.testing.assert_array_equal(measurement_conditions(timed).order, [1, 0])
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     q=hnp.arrays(np.float64, st.tuples(st.integers(1, 6), st.just(2)), elements=st.floats(-3.0, 3.0)), data=st.data()

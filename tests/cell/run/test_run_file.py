@@ -87,7 +87,6 @@ def test_reading_does_not_change_the_file(profile: Profile, folder: Path) -> Non
     assert files(folder) == before
 
 
-@pytest.mark.fast
 @settings(max_examples=50, deadline=None)
 @given(data=st.data())
 def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -190,3 +190,4 @@ class RunMachine(RuleBasedStateMachine):
 
 RunMachine.TestCase.settings = settings(max_examples=25, stateful_step_count=20, deadline=None, derandomize=True)
 TestRunMachine = RunMachine.TestCase
+TestRunMachine.pytestmark = [pytest.mark.slow]  # type: ignore[attr-defined]

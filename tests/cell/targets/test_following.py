@@ -82,7 +82,18 @@ def test_a_followed_path_is_as_good_as_one_measured_at_rest(run: RunFile, cells:
     for name, home in home_positions(run.profile).items():
         np.testing.assert_array_equal(plant_of(cell).q(name), home)
     assert heard[-1].job == "follow"
-    assert [table.title for table in path_tables(result)][-1] == "Distance of measured points from the path"
+    in_time = driven.in_time
+    assert in_time is not None
+    # the encoders' delay, and the way of the stamps: the quickest packet
+    assert -1.0 < in_time.delay_ms - driven.lag.delay_ms < 45.0
+    assert in_time.mean_mm_s is not None
+    assert in_time.expanded_mm_s is not None
+    assert in_time.speed_mm_s == 100.0
+    assert abs(in_time.mean_mm_s - 100.0) < in_time.expanded_mm_s + 0.5
+    assert [table.title for table in path_tables(result)][-2:] == [
+        "Distance of measured points from the path",
+        "In time: delay, which is taken out, and speed",
+    ]
     assert any("ms late" in line for line in path_sentences(result))
     assert result.complaints() == []
     planned = follow_run(run, [spec()])

@@ -98,6 +98,7 @@ def test_the_nominal_goal_is_that_of_the_nominal_base(T_M_S: Array, T_M_W: Array
     np.testing.assert_allclose(goals.nominal_rotation_M, np.array(expected)[:, :3, :3], atol=_AT_M)
 
 
+@pytest.mark.slow
 @given(poses, poses, poses)
 def test_the_partner_is_seen_from_the_first_arm(T_M_S: Array, T_M_W: Array, T_S_P: Array) -> None:
     yaw, pitch, roll = zyx_angles(T_S_P[:3, :3])

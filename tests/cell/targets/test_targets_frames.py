@@ -324,6 +324,7 @@ def targets(draw: st.DrawFn, name: str) -> Target:
     )
 
 
+@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(listed=st.integers(1, 3).flatmap(lambda n: st.tuples(*[targets(f"t{k}") for k in range(n)])))
 def test_every_list_is_written_and_read_bit_for_bit(path: Path, listed: tuple[Target, ...]) -> None:

@@ -312,6 +312,7 @@ def test_two_arms_at_one_address_are_refused(real: Profile) -> None:
     assert "arm right" in found["arm left: address"].text
 
 
+@pytest.mark.slow
 def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     code = (
         "import sys; from pathlib import Path; from cellapp.commands.doctor.run import examine;"

@@ -207,4 +207,6 @@ MODEST = settings(max_examples=60, stateful_step_count=20, deadline=None, derand
 ControllerMachine.TestCase.settings = MODEST
 Cb3Machine.TestCase.settings = MODEST
 TestControllerMachine = ControllerMachine.TestCase
+TestControllerMachine.pytestmark = [pytest.mark.slow]  # type: ignore[attr-defined]
 TestCb3Machine = Cb3Machine.TestCase
+TestCb3Machine.pytestmark = [pytest.mark.slow]  # type: ignore[attr-defined]

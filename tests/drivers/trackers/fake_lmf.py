@@ -128,6 +128,7 @@ class Scene:
     search_m: float = 0.1
     tilt_rad: tuple[float, float] = (0.0, 0.0)
     flags: str = "AllOk"
+    continuous: bool = True
     network: tuple[tuple[str, str, str], ...] = ()
     release: threading.Event = field(default_factory=threading.Event)
     entered: threading.Event = field(default_factory=threading.Event)
@@ -355,7 +356,11 @@ class CustomStationaryMeasurementProfile(Profile):
 
 
 class ContinuousTimeProfile(Profile):
-    pass
+    def __init__(self, tracker: Tracker) -> None:
+        super().__init__(tracker, "Continuous Time")
+        self.TimeSeparation = Value(500.0, span=(1.0, 9e5), unit=lambda: "ms", changed=tracker.warn_of_property)
+        self.PacketRate = Value(5, span=(1, 50), scene=tracker.scene, name="PacketRate")
+        self.seal()
 
 
 class Collection(Net):
@@ -363,6 +368,7 @@ class Collection(Net):
         self._items = items
         self.Selected: Any = None
         self.PreSelected: Any = None
+        self.SelectedChanged: Any = None
         self.seal()
 
     @property
@@ -412,6 +418,7 @@ class Measurement(Net):
         self._tracker = tracker
         self.MeasurementInProgress = Value(tracker.scene.persistent.get("busy", False))
         self.Profiles = Collection([])
+        self.MeasurementArrived = Event("MeasurementArrived", tracker.scene, tracker.events)
         self.seal()
 
     @property
@@ -430,9 +437,28 @@ class Measurement(Net):
         self._tracker.scene.command("StopMeasurement")
         self.MeasurementInProgress.Value = False
 
+    def StartMeasurement(self) -> None:
+        self._tracker.scene.command("StartMeasurement")
+        if self.Status.Preconditions:
+            raise LmfException(301, "Not ready", "Preconditions are not met.")
+        self.MeasurementInProgress.Value = True
+
+    def send(self, first: int, count: int, error: Any = None) -> None:
+        """Let LMF deliver a packet of a continuous measurement, with the points from number ``first`` on."""
+        scene, profile = self._tracker.scene, self.Profiles.Selected
+        assert isinstance(profile, ContinuousTimeProfile)
+        points = [SingleShotMeasurement3D(self._tracker) for _ in range(count)]
+        for number, point in enumerate(points, start=first):
+            ticks = round(number * profile.TimeSeparation.Value * 10_000)
+            point.TimeStamp.Ticks = 621_355_968_000_000_000 + 10_000_000 + ticks
+        scene.measured += 1
+        self.MeasurementArrived.fire(self, Collection(points), error)
+
     def MeasureStationary(self) -> Any:
         tracker, scene = self._tracker, self._tracker.scene
         scene.command("MeasureStationary")
+        if isinstance(self.Profiles.Selected, ContinuousTimeProfile):
+            raise LmfException(302, "Wrong profile", "Select a stationary one.")
         if self.Status.Preconditions:
             raise LmfException(301, "Not ready", "Preconditions are not met.")
         if scene.beam_breaks:
@@ -480,6 +506,16 @@ class StationaryMeasurement3D(Net):
         self.Info.FlagsWithWarnings = getattr(E["EFlags"], scene.flags)
         self.TimeStamp = Net()
         self.TimeStamp.Ticks = 621_355_968_000_000_000 + scene.measured * 10_000_000
+
+
+class SingleShotMeasurement3D(StationaryMeasurement3D):
+    """A point of a continuous measurement: its coordinates have no precision."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        super().__init__(tracker)
+        for axis in (1, 2, 3):
+            with_precision = getattr(self.Position, f"Coordinate{axis}")
+            setattr(self.Position, f"Coordinate{axis}", ReadOnlyValue(with_precision._read, with_precision._unit))
 
 
 class Face(Net):
@@ -564,14 +600,14 @@ class Tracker(Net):
     def __init__(self, scene: Scene, address: str) -> None:
         self.scene, self.address = scene, address
         self.locked, self.face2 = "", False
-        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        threading.Thread(target=deliver, args=(self._events,), name="LMF events", daemon=True).start()
+        self.events: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        threading.Thread(target=deliver, args=(self.events,), name="LMF events", daemon=True).start()
         self.Name, self.ProductName, self.SerialNumber = "cell tracker", "AT960-LR", scene.serial
         self.InstalledFirmware, self.ExpectedFirmware = "2.3.0.1", "2.3"
         self.IsCompatibleWithInstalledFirmware = ReadOnlyValue(lambda: scene.compatible)
-        self.Disconnected = Event("Disconnected", scene, self._events)
-        self.ErrorArrived = Event("ErrorArrived", scene, self._events)
-        self.WarningArrived = Event("WarningArrived", scene, self._events)
+        self.Disconnected = Event("Disconnected", scene, self.events)
+        self.ErrorArrived = Event("ErrorArrived", scene, self.events)
+        self.WarningArrived = Event("WarningArrived", scene, self.events)
         self.Settings = Settings()
         self.Targets = Collection(
             [
@@ -581,10 +617,11 @@ class Tracker(Net):
             ]
         )
         self.Targets.PreSelected = self.Targets[1]
+        self.Targets.SelectedChanged = Event("SelectedChanged", scene, self.events)
         self.Measurement = Measurement(self)
         self.Measurement.Profiles = Collection(
             [
-                ContinuousTimeProfile(self, "Continuous Time"),
+                *([ContinuousTimeProfile(self)] if scene.continuous else []),
                 StationaryMeasurementProfile(self),
                 CustomStationaryMeasurementProfile(self),
             ]
@@ -621,6 +658,7 @@ class Tracker(Net):
     def lose_target(self) -> None:
         self.locked = ""
         self.Targets.Selected = None
+        self.Targets.SelectedChanged.fire(self.Targets, None)
 
     def Initialize(self) -> None:
         self.scene.command("Initialize")
@@ -649,7 +687,7 @@ class Tracker(Net):
         self.scene.command("Disconnect")
         if self.address in self.scene.connected:
             self.scene.connected.remove(self.address)
-        self._events.put(None)
+        self.events.put(None)
 
     def drop(self) -> None:
         """Simulate a network failure, which LMF reports."""

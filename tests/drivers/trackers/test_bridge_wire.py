@@ -69,6 +69,7 @@ def over_the_wire(fields):
     return wire.decode(wire.encode(7, "ok", fields)).fields
 
 
+@pytest.mark.slow
 @given(points(), points())
 def test_points_arrive_bit_for_bit(one, other):
     assert same_point(wire.read_point(over_the_wire(wire.point_fields(one))), one)

@@ -36,6 +36,7 @@ print({name: hashlib.sha256(np.round(q, 9).tobytes()).hexdigest() for name, q in
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "what", [pytest.param(CHOICE, marks=pytest.mark.fast, id="choice"), pytest.param(PLAN, id="plan")]
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.discovery.discover import discover_arm
@@ -58,7 +57,6 @@ def test_backlash_of_the_opposite_sign_is_said_and_unknown() -> None:
     assert accepted.meaning.check[0] == "Check the approach convention of the readings."
 
 
-@pytest.mark.fast
 def test_backlash_of_the_right_sign_is_named() -> None:
     arm = discovered(sign=1)
     assert [found.effect for found in arm.accepted] == ["backlash"]

@@ -18,7 +18,7 @@ READINGS, FOLDS, SEED = 60, 5, 3
 class Data(SimpleNamespace):
     """What the cross-validation needs of the data of an arm."""
 
-    points = None
+    points = reading = None
 
     def __len__(self) -> int:
         return READINGS

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.discovery.terms import (
+    Excess,
     ModelTerm,
     Smoothness,
     TermLayout,
@@ -50,5 +51,5 @@ def test_only_coefficients_of_the_curve_have_a_prior() -> None:
     sd = prior_sd([play, *columns])
     assert sd is not None
     assert sd[0] == np.inf
-    smooth = ModelTerm("transmission_error", CURVE.law(), names, Smoothness(1.0, 2, 1e-5))
+    smooth = ModelTerm("transmission_error", CURVE.law(), names, Smoothness(1.0, 2, Excess(1e-5)))
     assert smoothness_of((smooth,)) is smooth.smooth

@@ -35,7 +35,6 @@ def test_every_characteristic_grows_with_the_distance(characteristic: Characteri
     assert far == pytest.approx(2.0 * near, rel=0.1)
 
 
-@pytest.mark.fast
 def test_a_distance_that_would_do_is_named_and_does() -> None:
     tracker = instrument()
     limit = least_shown_mm("pose_repeatability", tracker, 2.0, 30)

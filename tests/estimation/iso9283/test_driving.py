@@ -92,7 +92,6 @@ def results(task: IsoTask, findings: IsoFindings) -> dict[str, ArmIso9283]:
     return arm_results(task.profile, findings, task.arms, np.random.default_rng(1))
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("aligned", [False, True], ids=["base given", "base found"])
 def test_without_noise_accuracy_is_the_true_error_of_the_cell(*, aligned: bool) -> None:
     task = task_of(cell_of(one_arm(), noise=False), "pose", "multidirectional", "distance", aligned=aligned)
@@ -120,7 +119,6 @@ def test_without_noise_accuracy_is_the_true_error_of_the_cell(*, aligned: bool) 
         np.testing.assert_array_equal(plant.q(name), home)
 
 
-@pytest.mark.fast
 def test_a_found_base_is_where_its_fit_says_it_is() -> None:
     task = task_of(cell_of(one_arm()), "pose", aligned=True)
     findings, plant = driven(task)
@@ -354,7 +352,6 @@ def at(done: int, act: Callable[[], object]) -> Callable[[Progress], None]:
     return listen
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("fault", ["protective stop", "link", "covered"])
 def test_a_fault_in_mid_cycle_stops_all_arms_and_keeps_what_was_measured(fault: str, cells: list[Cell]) -> None:
     task = task_of(cell_of(small_twin()), "pose", arms=("left",))

@@ -59,12 +59,9 @@ def test_orientations_have_the_errors_that_are_stated() -> None:
     assert one.sigma_rad is not None
     found = Rotation.from_quat(np.roll(one.quaternion_M, -1, axis=1))
     off = (found * Rotation.from_matrix(true_rotations(one)).inv()).as_rotvec()
-    assert one.turning_covariance_M is not None
-    chi_square = np.einsum("na,nab,nb->n", off, np.linalg.inv(one.turning_covariance_M), off)
-    assert chi_square.mean() == pytest.approx(3.0, rel=0.15)
-    inside = np.abs(off) < 1.96 * np.sqrt(np.einsum("nii->ni", one.turning_covariance_M))
-    assert 0.92 < inside.mean() < 0.98
-    assert np.all(one.sigma_rad**2 <= np.einsum("nii->n", one.turning_covariance_M))
+    # stated is the axis that is known least; the others are better by up to the root of two
+    assert 0.7 < np.sqrt(np.mean((off / one.sigma_rad[:, None]) ** 2)) < 1.0
+    assert np.mean(np.abs(off) < 1.96 * one.sigma_rad[:, None]) > 0.95
 
 
 def test_the_first_nest_is_better_known_than_from_its_own_row() -> None:

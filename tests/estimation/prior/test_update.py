@@ -133,6 +133,7 @@ def test_the_belief_has_no_say_in_base_and_tool(arm: SimulatedArm, earlier: Earl
     assert len(Measured(readings, measurement_conditions(readings), np.ones(20)).take(np.arange(5))) == 5
 
 
+@pytest.mark.slow
 def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: SimulatedArm, earlier: Earlier) -> None:
     law = EFFECTS["encoder_eccentricity"].forms[0].law()
     readings = arm.readings(70, seed=6, learn=40)

@@ -38,7 +38,6 @@ def test_the_true_arm_is_found(seed: int) -> None:
     assert any("fix the scale" in note for note in notes)
 
 
-@pytest.mark.fast
 def test_the_base_is_none_of_the_parameters() -> None:
     found, _ = calibrate_arm(panda(), "left", led(1, gauge_m=0.4).readings)
     assert not {"x0", "y0", "z0", "theta1", "d1"} & set(found.identification.names)
@@ -76,7 +75,6 @@ def test_a_bad_row_is_left_out_and_named() -> None:
     assert found.validate["geometry"].position_mm.mean < 0.1
 
 
-@pytest.mark.fast
 def test_a_loose_socket_is_named() -> None:
     arm = led(2, gauge_m=0.4)
     rng = np.random.default_rng(0)

@@ -76,6 +76,7 @@ def test_an_error_that_nobody_foresaw_names_its_place(tmp_path: Path) -> None:
         gathered_into(tmp_path / "store.sqlite", tmp_path / "nowhere", FOUR[0])
 
 
+@pytest.mark.slow
 def test_damaged_and_foreign_files_are_named(tmp_path: Path) -> None:
     text, other, damaged = (tmp_path / name for name in ("text", "other", "damaged"))
     text.write_text("no database, but long enough for a header " * 9, encoding="ascii")

@@ -24,11 +24,9 @@ class ToyRequest(Request):
     kind: Annotated[Literal["served", "refused", "json"], Asked("Which.", argument=True)]
 
 
-class ToyResult(Result):
+class ToyResult(Result, schema="cellapp-toy"):
     """What was asked for."""
 
-    schema_: Literal["cellapp-toy"] = "cellapp-toy"
-    version: Literal[1] = 1
     kind: str
 
 

@@ -36,6 +36,7 @@ def test_short_and_long_help_are_the_same(call: Any, verb: tuple[str, ...]) -> N
     assert short.out == long.out
 
 
+@pytest.mark.slow
 def test_the_list_of_commands_is_that_of_the_whole_program_and_loads_none_of_them() -> None:
     asked = "import sys; sys.argv = ['cellapp', '--help']; from cellapp.interfaces.cli{} import main; main()"
     loaded = "import atexit, sys; atexit.register(lambda: print({*sys.modules} & {'pydantic', 'numpy'} or 'light')); "

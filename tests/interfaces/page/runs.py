@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.commands.basis import basis_of
@@ -18,7 +17,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.no_driver import NoDriver
 from tests.arms import STATION, true_geometry
-from tests.twin import PROFILES
+from tests.twin import PROFILES, whole_twin
 
 LEFT = "<script>alert('left')</script>"
 RIGHT = '右"><img src=x onerror=alert(2)> & $x_'
@@ -34,7 +33,7 @@ SIGMA_M = 20e-6
 
 def twin_of(left: str, right: str, name: str) -> Profile:
     """The simulated cell with other names and few stops."""
-    twin = load_profile(PROFILES / "twin.yaml")
+    twin = whole_twin()
     assert twin.plant is not None
     names = dict(zip(twin.arms, (left, right)))
     effects = {names[arm]: hidden for arm, hidden in twin.plant.effects.items()}
@@ -53,7 +52,7 @@ def twin_of(left: str, right: str, name: str) -> Profile:
 
 def without_devices(*arms: str) -> Profile:
     """Some arms of the twin under other names, without devices and without a network."""
-    twin = load_profile(PROFILES / "twin.yaml")
+    twin = whole_twin()
     none = NoDriver()
     settings = [arm.model_copy(update={"driver": none}) for arm in twin.arms.values()]
     return twin.model_copy(
@@ -96,7 +95,7 @@ def fill(run: RunFile, *, sigma_m: float | None = SIGMA_M) -> None:
 
 def targets_of(left: str, right: str) -> tuple[Target, ...]:
     """Two targets of each arm, one of them with a hostile name, and one out of reach."""
-    twin = load_profile(PROFILES / "twin.yaml")
+    twin = whole_twin()
     listed = {target.name: target for target in load_targets(PROFILES / "targets" / "twin.yaml", twin)}
     return (
         listed["left-01"].model_copy(update={"arm": left, "name": TARGET}),

@@ -46,6 +46,7 @@ from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import point_at
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens.collect_state import headline
+from cellapp.interfaces.tui.widgets.arm_panel import residual_line
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
@@ -187,11 +188,25 @@ async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int])
             assert widget.size.height > 0, name
             assert app.screen.region.contains_region(widget.region), name
         assert app.screen.query_one(LogView).size.height >= 5
+        assert ("residuals left " in text) == (size == SMALL), "where no plot is shown"
         await see_plots(pilot, app)
         while not app.screen.has_class("log"):
             await pilot.press("t")
         assert app.focused is app.screen.query_one(LogView)
         await finished(pilot, app, held)
+
+
+@pytest.mark.parametrize("count", [1, 3, 90])
+def test_the_newest_residuals_fit_into_a_line(count: int) -> None:
+    stops = {
+        name: [StopReport(stop, name, size * (1 + stop % 7), 1.0, {}) for stop in range(count)]
+        for name, size in (("left", 0.1), ("right", 0.0))
+    }
+    line = residual_line(stops, SMALL[0])
+    assert len(line) <= SMALL[0]
+    assert line.startswith("residuals left ")
+    assert f"█ {0.1 * min(count, 7):.3f} mm  right ▁" in line
+    assert residual_line({"left": []}, SMALL[0]) == ""
 
 
 async def see_plots(pilot: Pilot[None], app: CellApp) -> None:
@@ -331,7 +346,7 @@ async def test_begin_asks_and_collects_the_planned_run(asked: list[tuple[HeldJob
         assert not app.jobs.running
         await pilot.press("b", "b")
         await begin_and_end(pilot, app, asked[-1][0])
-        assert asked[-1][1] == {"folder": run, "resume": False, "accept_drift": False}
+        assert asked[-1][1] == {"folder": run, "resume": False}
 
 
 async def test_an_interrupted_run_is_resumed(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
@@ -344,7 +359,7 @@ async def test_an_interrupted_run_is_resumed(asked: list[tuple[HeldJob, dict[str
         assert app.screen is app.day_screen
         await pilot.press("b", "enter")
         await begin_and_end(pilot, app, asked[0][0])
-        assert asked[0][1] == {"folder": run, "resume": True, "accept_drift": False}
+        assert asked[0][1] == {"folder": run, "resume": True}
 
 
 async def test_real_arms_ask_with_their_first_path_instead(
@@ -434,12 +449,20 @@ async def test_a_job_that_holds_for_a_drift_is_resumed_by_accepting_it() -> None
         await finished(pilot, app, held)
 
 
+async def show_tables(pilot: Pilot[None], app: CellApp, run: Path) -> None:
+    """What a run stores; it opens on the stops one by one."""
+    await show_collect(pilot, app, run)
+    await until(pilot, lambda: app.screen.has_class("stops"), "the stops")
+    await pilot.press("t")
+    await until(pilot, lambda: "Sessions of collecting" in shown_text(app), "the tables")
+
+
 async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> None:
     run = drifted_run(Path("logs/part"), 0.0)
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
-        await show_collect(pilot, app, run)
-        await until(pilot, lambda: "Sessions of collecting" in shown_text(app), "the tables")
+        await show_tables(pilot, app, run)
+        assert "Sessions of collecting" in shown_text(app)
         assert "failed" in shown_text(app)
         await pilot.press("t")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log")
@@ -460,8 +483,8 @@ async def test_missing_readings_are_listed_with_their_reasons() -> None:
     run = collected_run(Path("logs/part"), "stopped")
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
-        await show_collect(pilot, app, run)
-        await until(pilot, lambda: "Missing readings: 4" in shown_text(app), "the tables")
+        await show_tables(pilot, app, run)
+        assert "Missing readings: 4" in shown_text(app)
         assert "the session ended before" in shown_text(app)
 
 
@@ -588,7 +611,7 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         await show_stops(pilot, app, run)
         await pilot.press("s", "s", "f", "space")  # the gross error alone
         assert stops_of(app)[0][0] == "* 12"
-        assert "1 stop is marked: r measures them again." in " ".join(shown_text(app).split())
+        assert "1 stop is marked: r measures again." in " ".join(shown_text(app).split())
         await pilot.press("r")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
         assert isinstance(app.screen, Choice)

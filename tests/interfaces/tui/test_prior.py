@@ -14,7 +14,8 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.report.result import read_results
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, until
+from cellapp.interfaces.tui.dialogs.question import Choice
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
 
 DAY, EARLIER = Path("logs") / "day", Path("logs") / "earlier"
 
@@ -35,6 +36,11 @@ async def test_the_earlier_run_is_chosen_and_shown(finished_run: Path) -> None:
         await pilot.press("4")
         await until(pilot, lambda: app.day_screen.STEP == "calibrate", "the screen")
         await pilot.press("i")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question, as the calibration holds")
+        assert "Calibrate again, with a prior?" in shown_text(app)
+        await pilot.press("n", "i")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question again")
+        await pilot.press("b")
         await until(pilot, lambda: isinstance(app.screen, FilePicker), "the dialog")
         app.screen.query_one("#path", Input).value = str(EARLIER / "run.sqlite")
         await pilot.press("enter")

@@ -15,9 +15,10 @@ from textual.widgets import TabbedContent, TabPane
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.conclusions import stage_conclusions
+from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import append_stage, read_stages
-from cellapp.ground.progress import JobState, Progress, StateChange
+from cellapp.ground.progress import JobState
 from cellapp.ground.results import CALIBRATE
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
@@ -27,17 +28,29 @@ from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.collect import CollectScreen
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
-from tests.cell.run.small_runs import collected_run, planned_run
+from tests.cell.run.small_runs import planned_run
+from tests.handbook.declarations import with_declarations
 from tests.interfaces.tui.pilot import PROFILES, WAIT_S, HeldJob, ended, opened, shown_text, until
+from tests.interfaces.tui.states import (
+    RUN,
+    STATES,
+    broken,
+    complete,
+    events,
+    nothing,
+    part,
+    sentences,
+    state_and_record,
+    states_table,
+)
 
-RUN = Path("logs/day")
 SIZE = (120, 40)
 NO_RUN = ("No run is open", "NO RUN", "no run is open")
 NOTHING = ("Nothing was collected yet", "No readings yet", "ollect first", "Collect and calibrate first", "READY, ")
 UNCALIBRATED = ("Not calibrated yet",)
 RUNS = ("RUNNING", "PAUSED", "STOPPED", " Escape STOP", " esc STOP", " x Abort", "'collect' runs", "is PAUSED")
 COMPLETE = ("COMPLETE", "INTERRUPTED")
-COMMAND = re.compile(r"'cellapp |\bcellapp (?:plan|collect|calibrate|discover|push|report|check|iso9283|locate) ")
+COMMAND = re.compile(r"'cellapp |\bcellapp (?:plan|collect|calibrate|discover|push|report|check|iso9283|locate)\b")
 
 
 @dataclass(frozen=True)
@@ -51,10 +64,6 @@ class Case:
     attached: bool = False
 
 
-def nothing() -> None:
-    """No run."""
-
-
 def calibrated_out_of_date() -> None:
     with RunFile.open(RUN, write=True) as run:
         stored = read_stages(run).current[CALIBRATE]
@@ -64,15 +73,7 @@ def calibrated_out_of_date() -> None:
         append_stage(run, CALIBRATE, result, stored.basis.model_copy(update={"profile": "another"}), stored.model)
 
 
-def broken() -> None:
-    RUN.mkdir(parents=True)
-    (RUN / "run.sqlite").write_bytes(b"no run")
-
-
-def part() -> None:
-    collected_run(RUN, "stopped")
-
-
+BEGINS = ("b measures", "b begins", "b collect", "b calibrate", "b searches", "k measures", "m measures")
 OPEN = (*NO_RUN, *NOTHING)
 CASES = {
     "empty": Case(nothing, ("no run is open", "No run is open: plan one"), (*RUNS, *COMPLETE)),
@@ -81,22 +82,24 @@ CASES = {
     "paused": Case(part, ("PAUSED", "'collect' is PAUSED; 3 of 4 stops are measured"), (*OPEN, *COMPLETE), "paused"),
     "stopped": Case(part, ("STOPPED", "link lost"), (*OPEN, *COMPLETE, "PAUSED"), "stopped"),
     "part": Case(part, ("INTERRUPTED, 2 of 4", "3 Collect◐"), (*OPEN, *RUNS, "COMPLETE")),
-    "complete": Case(lambda: collected_run(RUN, "complete", 4), ("COMPLETE, 4 stops",), (*OPEN, *RUNS, "INTERRUPTED")),
+    "complete": Case(complete, ("COMPLETE, 4 stops",), (*OPEN, *RUNS, "INTERRUPTED")),
     "calibrated": Case(nothing, ("COMPLETE, ", "6 Targets"), (*OPEN, *RUNS, *UNCALIBRATED)),
     "out of date": Case(calibrated_out_of_date, ("OUT OF DATE", "4 Calibrate!"), (*OPEN, *RUNS, *UNCALIBRATED)),
     "broken": Case(broken, ("not a run file",), (*RUNS, *NOTHING, *COMPLETE)),
-    "read-only": Case(part, ("READ-ONLY", "This folder cannot be written"), (*OPEN, *RUNS, " b Begin", "b measures")),
+    "read-only": Case(part, ("READ-ONLY", "This folder cannot be written"), (*OPEN, *RUNS, " b Begin", *BEGINS)),
     "attached": Case(part, ("ATTACHED", "3 of 4 stops are measured"), (*OPEN, *COMPLETE), "running", attached=True),
 }
 FINISHED = ("calibrated", "out of date")
 
 
 async def texts_of(pilot: Pilot[None], app: CellApp) -> dict[str, str]:
-    """Screen and tab -> the words that are shown."""
+    """Screen and tab -> the words that are shown, once the screen says what the table of states says."""
     texts: dict[str, str] = {}
     for entry in SCREENS:
         await pilot.press(entry.key)
         await settle(pilot)
+        for sentence in due(app, entry.step):
+            await until(pilot, lambda sentence=sentence: sentence in words(app), f"{entry.step}: {sentence}")  # type: ignore[misc]
         texts[entry.step] = words(app)
         for tab in app.screen.query(TabPane).results():
             app.screen.query_one(TabbedContent).active = tab.id or ""
@@ -108,6 +111,16 @@ async def texts_of(pilot: Pilot[None], app: CellApp) -> dict[str, str]:
                 await pilot.pause()
                 texts[entry.step] += words(app)
     return texts
+
+
+def due(app: CellApp, step: str) -> list[str]:
+    """What the table of states says on a screen in the present state."""
+    said = sentences(app.state, app.record)
+    word, _, sentence = said["Collect"].partition(": ")
+    empty = [said["Calibrate"]] if app.state.nothing("calibrate", "") else []
+    places = {"cell": [said["first line"]], "collect": [word, sentence]}
+    places |= dict.fromkeys(("calibrate", "discover", "accept"), empty)
+    return [" ".join(text.split()) for text in places.get(step, [])]
 
 
 def words(app: CellApp) -> str:
@@ -126,9 +139,7 @@ async def test_no_sentence_contradicts_the_state(
         monkeypatch.setattr("cellapp.interfaces.tui.workspace.os.access", lambda path, mode: False)
     case.make()
     app = CellApp(PROFILES)
-    held = HeldJob((Progress("collect", 3, 4, "stop 4", 60.0),), patience_s=10 * WAIT_S)
-    if case.job not in (None, "running"):
-        held.events += (Progress("collect", 3, 4, detail=StateChange(case.job, "link lost")),)
+    held = HeldJob(() if case.job is None else events(case.job), patience_s=10 * WAIT_S)
     async with app.run_test(size=SIZE) as pilot:
         await opened(pilot, app)
         if RUN.exists():
@@ -151,7 +162,25 @@ async def test_no_sentence_contradicts_the_state(
             held.go_on.set()
             await ended(pilot, app)
             await pilot.pause()
-            assert not [word for word in RUNS if word in words(app)], "what the footer and the screen say afterwards"
+            await until(pilot, lambda: not [word for word in RUNS if word in words(app)], "a screen without the job")
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("name", STATES)
+def test_the_table_of_states_says_what_the_cases_ask_and_nothing_that_contradicts(name: str, tmp_path: Path) -> None:
+    said = " ".join(sentences(*state_and_record(name)).values())
+    wrong = [phrase for phrase in CASES[name].never if phrase in said and phrase not in OPEN * (name in FINISHED)]
+    assert not wrong, said
+    assert not COMMAND.search(said)
+
+
+@pytest.mark.fast
+def test_the_table_has_every_state_and_stands_in_the_handbook() -> None:
+    assert list(STATES) == list(CASES)
+    table = states_table()
+    assert [row[0] for row in table[1:]] == list(CASES)
+    text = chapter_text("terminal")
+    assert with_declarations(text) == text, "renew it: python -m tests.handbook"
 
 
 async def test_a_screen_that_is_drawn_while_it_is_being_made_says_the_state() -> None:

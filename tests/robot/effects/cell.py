@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.profile import load_profile
 from cellapp.robot.effects import EffectColumn, EffectContext, MeasurementConditions, TemperatureRecord
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from tests.arms import Array, true_geometry
+from tests.twin import whole_twin
 
-TWIN = Path(__file__).parents[3] / "profiles" / "twin.yaml"
 NOTHING = MeasurementConditions()
 NORMAL = np.array([0.6, 0.0, 0.8])
 EYE = np.eye(3)
@@ -46,7 +44,7 @@ def context_of(
     n: int = 40, seed: int = 0, arm: str = "left", conditions: MeasurementConditions | None = None
 ) -> EffectContext:
     """An arm of the twin with geometric errors (Hayati angles too) and a tilted base, at n random stops."""
-    profile = load_profile(TWIN)
+    profile = whole_twin()
     owner = profile.arms[arm]
     assert profile.tracker.pose is not None
     assert owner.base is not None

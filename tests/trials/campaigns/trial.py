@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -28,7 +27,7 @@ class FailedCampaign(Record):
     failures: tuple[str, ...]
 
 
-class CampaignsResult(Result):
+class CampaignsResult(Result, schema="cellapp-trials-campaigns"):
     """``trials campaigns``: what became of ``n`` campaigns of the seeds from ``seed`` on.
 
     Attributes
@@ -52,8 +51,6 @@ class CampaignsResult(Result):
         Campaigns that could not be run to their end, and why.
     """
 
-    schema_: Literal["cellapp-trials-campaigns"] = "cellapp-trials-campaigns"
-    version: Literal[1] = 1
     n: int
     seed: int
     stops: int

@@ -166,7 +166,9 @@ class PathTests:
             self.mover.go_home_unless_clear(name, q)
             self.mover.move({name: q})
         start_M = path.positions(np.zeros(1))[0]
-        track, _ = follow_and_track(self.cell, self.mover, self.reaction, name, trajectory, start_M, self._interval_s)
+        track, _, _ = follow_and_track(
+            self.cell, self.mover, self.reaction, name, trajectory, start_M, self._interval_s
+        )
         assert track is not None
         return PathTrack(track.time_s, track.p_M)
 

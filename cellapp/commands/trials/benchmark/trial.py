@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED
@@ -40,14 +39,12 @@ class MethodScore(Record):
     total: SetScore
 
 
-class BenchmarkResult(Result):
+class BenchmarkResult(Result, schema="cellapp-trials-benchmark"):
     """``trials benchmark``: the scores of the first method, those of further ones beside it, and every answer.
 
     ``failed`` names problems that a method could not answer, and why.
     """
 
-    schema_: Literal["cellapp-trials-benchmark"] = "cellapp-trials-benchmark"
-    version: Literal[1] = 1
     date: str
     program: str
     folder: str

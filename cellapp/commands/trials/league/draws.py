@@ -10,13 +10,25 @@ import numpy as np
 from cellapp.commands.trials.league.series import Entrant, Group, Rows, SeriesTexts, draw_rows, parse_entrants
 from cellapp.estimation.calibration.calibrate import calibrate_arm, train_arm
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.readings import Readings
 from cellapp.ground.results import Record
 from cellapp.ground.scale.task import TaskKind
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
 
 _TWO_SIDED_95 = 1.959964
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
+
+
+class TurnScore(Record):
+    """Mean errors of orientations on held-out rows, and the share of their components within the stated 95 %."""
+
+    geometry_mrad: float
+    discovery_mrad: float
+    within_95: float
 
 
 class HeldOutScore(Record):
@@ -31,6 +43,8 @@ class HeldOutScore(Record):
         alone where its folds chose no network.
     within_95 : float
         Share of the measured coordinates within the 95 % interval that discovery states for them.
+    turned : TurnScore, optional
+        Of orientations, where they were measured.
     """
 
     n: int
@@ -38,6 +52,8 @@ class HeldOutScore(Record):
     network_mm: float | None
     discovery_mm: float
     within_95: float
+    turned: TurnScore | None = None
+    omitted_when_none = frozenset({"turned"})
 
 
 class LeagueDraw(Record):
@@ -98,7 +114,9 @@ def run_draw(entrant: Entrant, task: DrawTask) -> LeagueDraw:
         seed=task.seed,
         learned=len(rows.learned),
         scores={
-            group: _score({name: off[some] for name, off in left.items()}, sd[some])
+            group: _score({name: off[some] for name, off in left.items()}, sd[some]).model_copy(
+                update={"turned": _turn_score(readings.take(some), conditions.take(some), arm.model, found.model)}
+            )
             for group, some in rows.held_out.items()
         },
         names=tuple(effect.effect for effect in found.result.accepted),
@@ -117,6 +135,22 @@ def _score(left: Mapping[str, Array], sd: Array) -> HeldOutScore:
         discovery_mm=means["discovery"],
         within_95=float(np.mean(np.abs(left["discovery"]) <= _TWO_SIDED_95 * sd[:, np.newaxis])),
     )
+
+
+def _turn_score(
+    readings: Readings, conditions: MeasurementConditions, geometry: ArmModel, discovery: ArmModel
+) -> TurnScore | None:
+    """Score of the orientations at held-out rows; None where none was measured."""
+    its = measured_quantities(readings, conditions)
+    if its.turned is None:
+        return None
+    rows = np.flatnonzero(its.turned)
+    q, then = its.readings.q[rows], its.conditions.take(rows)
+    off = [model.predict(q, conditions=then) for model in (geometry, discovery)]
+    means = [float(np.linalg.norm(one, axis=1).mean()) * 1e3 for one in off]
+    sd = discovery.measured_uncertainty(q, then)
+    within = float(np.mean(np.abs(off[1]) <= _TWO_SIDED_95 * sd[:, np.newaxis]))
+    return TurnScore(geometry_mrad=means[0], discovery_mrad=means[1], within_95=within)
 
 
 def _draw(entrants: Mapping[str, Entrant], task: DrawTask) -> LeagueDraw:

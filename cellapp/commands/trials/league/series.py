@@ -42,6 +42,8 @@ class Series:
         Its folder below the data, and the stem of its profile.
     bars_mm : mapping
         Number of rows learned from -> largest allowed mean over draws of the mean held-out position error of discovery.
+    bars_mrad : mapping
+        The same of the mean held-out orientation error [mrad].
     published_mm : float, optional
         Mean position error that the authors of the data published for the rows that they held out.
     published_how : str
@@ -53,6 +55,7 @@ class Series:
     bars_mm: Mapping[Rows, float] = field(default_factory=dict)
     published_mm: float | None = None
     published_how: str = ""
+    bars_mrad: Mapping[Rows, float] = field(default_factory=dict)
 
 
 _JACOBI = "20 random poses, D-H calibration and a graph neural network learned from all 1000 poses on the grid"
@@ -61,6 +64,7 @@ SERIES: Mapping[str, Series] = {
     "C": Series("UR10, series C", "ur10-real", {300: 0.091}),
     "D": Series("UR10, series D", "ur10-real-d", {300: 0.101}),
     "UR5": Series("UR5", "ur5-real", {300: 0.053, "all": 0.055}, 0.155, _JACOBI),
+    "D6": Series("UR10, series D with orientations", "ur10-6d", {300: 0.100}, bars_mrad={300: 0.225}),
 }
 
 

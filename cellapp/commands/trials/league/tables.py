@@ -15,7 +15,9 @@ _MM = ".4f"
 def league_tables(result: LeagueResult) -> list[Table]:
     """Errors, names and times, bars; and the learning curve where it was asked for."""
     title = "League of real robots: mean held-out position error [mm]"
-    tables = [_error_table(title, result.lines), _name_table(result.lines), _bar_table(result)]
+    turned = [line for line in result.lines if line.turned is not None]
+    tables = [_error_table(title, result.lines), *([_turn_table(turned)] if turned else [])]
+    tables += [_name_table(result.lines), _bar_table(result)]
     if result.curve:
         title = f"Learning curve of series {CURVE_SERIES}, the same rows held out: mean position error [mm]"
         tables += [_error_table(title, result.curve), _name_table(result.curve)]
@@ -52,6 +54,23 @@ def _error_table(title: str, lines: Sequence[LeagueLine]) -> Table:
         ("worst", "worst_to_mean", ".2f"),
         ("in 95 %", "within_95", ".3f"),
         *([("published", "published_mm", ".3f")] if published else []),
+    )
+
+
+def _turn_table(lines: Sequence[LeagueLine]) -> Table:
+    """Errors of orientations."""
+
+    def of(line: LeagueLine, name: str) -> float | None:
+        return None if line.turned is None else getattr(line.turned, name)
+
+    return table_of(
+        "Mean held-out orientation error [mrad]",
+        lines,
+        ("series", "series"),
+        ("rows", "learned", "d"),
+        ("geometry", lambda line: of(line, "geometry_mrad"), _MM),
+        ("discovery", lambda line: of(line, "discovery_mrad"), _MM),
+        ("in 95 %", lambda line: of(line, "within_95"), ".3f"),
     )
 
 

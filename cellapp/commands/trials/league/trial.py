@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.commands.trials.league.draws import DRAWS, DrawTask, LeagueDraw
+from cellapp.commands.trials.league.draws import DRAWS, DrawTask, LeagueDraw, TurnScore
 from cellapp.commands.trials.league.series import SERIES, Group, Rows, draw_rows, parse_entrants, series_texts
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.ground.errors import InputError
@@ -29,7 +29,9 @@ _WITHIN_95 = (0.90, 0.98)
 """Share of measured coordinates that stated 95 % intervals must hold."""
 
 
-BarKind = Literal["held-out error [mm]", "worst draw to mean", "within 95 %"]
+BarKind = Literal[
+    "held-out error [mm]", "orientation error [mrad]", "worst draw to mean", "within 95 %", "orientations within 95 %"
+]
 
 
 class LeagueLine(Record):
@@ -53,6 +55,8 @@ class LeagueLine(Record):
         Wall time of discovery [s].
     published_mm : float or None
         Mean position error that the authors of the data published for these held-out rows, learned from all others.
+    turned : TurnScore, optional
+        Means over the draws of the scores of orientations, where they were measured.
     """
 
     series: str
@@ -71,6 +75,8 @@ class LeagueLine(Record):
     seconds_median: float
     seconds_worst: float
     published_mm: float | None
+    turned: TurnScore | None = None
+    omitted_when_none = frozenset({"turned"})
 
 
 class LeagueBar(Record):
@@ -85,15 +91,13 @@ class LeagueBar(Record):
     met: bool
 
 
-class LeagueResult(Result):
+class LeagueResult(Result, schema="cellapp-trials-league"):
     """``trials league``: a line for each series, size and group of held-out rows, the bars, and every draw.
 
     ``curve`` and ``curve_draws`` are those of the learning curve, empty where it was not asked for; ``failed`` names
     the draws that failed, and why.
     """
 
-    schema_: Literal["cellapp-trials-league"] = "cellapp-trials-league"
-    version: Literal[1] = 1
     date: str
     program: str
     jobs: int
@@ -231,7 +235,16 @@ def _line(draws: Sequence[LeagueDraw], group: Group) -> LeagueLine:
         seconds_median=float(np.median(seconds)),
         seconds_worst=max(seconds),
         published_mm=SERIES[first.series].published_mm if group == "published" else None,
+        turned=_mean_turns([score.turned for score in scores if score.turned is not None]),
     )
+
+
+def _mean_turns(scores: Sequence[TurnScore]) -> TurnScore | None:
+    """Means over draws; None where no orientation was measured."""
+    if not scores:
+        return None
+    means = {name: float(np.mean([getattr(one, name) for one in scores])) for name in TurnScore.model_fields}
+    return TurnScore(**means)
 
 
 def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
@@ -247,6 +260,11 @@ def _bars(lines: Sequence[LeagueLine]) -> tuple[LeagueBar, ...]:
         if line.rows == _BAR_ROWS and line.draws > 1:
             bars.append(_bar(line, "worst draw to mean", None, _MOST_ABOVE_MEAN, line.worst_to_mean))
         bars.append(_bar(line, "within 95 %", *_WITHIN_95, line.within_95))
+        if line.turned is not None:
+            most = SERIES[line.series].bars_mrad.get(line.rows)
+            if most is not None:
+                bars.append(_bar(line, "orientation error [mrad]", None, most, line.turned.discovery_mrad))
+            bars.append(_bar(line, "orientations within 95 %", *_WITHIN_95, line.turned.within_95))
     return tuple(bars)
 
 

@@ -92,7 +92,7 @@ class WeakChange(Record):
     unit: str
 
 
-class CheckResult(Result):
+class CheckResult(Result, schema="cellapp-check"):
     """``check``: the verdict with its evidence.
 
     Attributes
@@ -131,8 +131,6 @@ class CheckResult(Result):
     notes : tuple of str
     """
 
-    schema_: Literal["cellapp-check"] = "cellapp-check"
-    version: Literal[1] = 1
     verdict: CheckVerdict
     model: StageName | None = None
     planned: int

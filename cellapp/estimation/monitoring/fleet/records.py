@@ -238,7 +238,7 @@ class FleetRun(Record):
     notes: tuple[str, ...] = ()
 
 
-class FleetResult(Result):
+class FleetResult(Result, schema="cellapp-fleet"):
     """``fleet``, and ``compare`` of more than two runs: the history of each arm, the worst condition first.
 
     Keys of ``arms`` are serial numbers or, where none is known, the names of profile and arm with its type.
@@ -246,8 +246,6 @@ class FleetResult(Result):
     ``comparisons`` and ``trends_tested`` are the numbers of tests that it is shared by.
     """
 
-    schema_: Literal["cellapp-fleet"] = "cellapp-fleet"
-    version: Literal[1] = 1
     arms: Mapping[str, ArmHistory]
     folders: tuple[str, ...] = ()
     runs: tuple[FleetRun, ...] = ()

@@ -10,10 +10,10 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.widgets import Static, TabbedContent, TabPane
 
-from cellapp.commands.fleet.charts import effect_chart, pair_chart, parameter_charts, trend_charts
+from cellapp.commands.fleet.sections import arm_section, pair_section
 from cellapp.commands.fleet.view import arm_sentences, fleet_sentences, fleet_tables
 from cellapp.commands.view.charts import Chart
-from cellapp.estimation.monitoring.fleet.records import ArmHistory, FleetResult
+from cellapp.estimation.monitoring.fleet.records import FleetResult
 from cellapp.ground.errors import CellappError
 from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.tui.dialogs.question import Question
@@ -105,11 +105,7 @@ class FleetHistory(Question[None]):
             return
         name = names[self._arm % len(names)]
         arm = self._result.arms[name]
-        pairs = [pair_chart(pair) for pair in self._result.pairs if name in pair.arms]
-        charts = [*_charts(arm), *(chart for chart in pairs if chart is not None)]
+        pairs = [pair_section("", pair) for pair in self._result.pairs if name in pair.arms]
+        parts = [part for section in (arm_section("", name, arm), *pairs) for part in section.parts]
+        charts = [part for part in parts if isinstance(part, Chart)]
         await self.query_one("#fleet-charts", ChartsView).show(charts, (), arm_sentences(name, arm))
-
-
-def _charts(arm: ArmHistory) -> list[Chart]:
-    effects = effect_chart(arm)
-    return [*trend_charts(arm), *([] if effects is None else [effects]), *parameter_charts(arm)]

@@ -24,7 +24,7 @@ from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, Result, StageNam
 from cellapp.interfaces.tui import work_acceptance
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
-from cellapp.interfaces.tui.run_state import RunState
+from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens import accept_jobs
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables
@@ -176,7 +176,8 @@ The check and the tests ask first, and real arms ask again with the first path. 
         for place, empty in (("check", _NOT_CHECKED), ("iso9283", _NOT_TESTED), ("certificate", _NO_CERTIFICATE)):
             needs = state.no_run if place == "certificate" else state.not_calibrated if place == "check" else ""
             busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
-            self.query_one(f"#{place}-tables", TablesView).say_empty(busy or needs or empty)
+            locked = COPY_IT if state.read_only else ""
+            self.query_one(f"#{place}-tables", TablesView).say_empty(busy or needs or locked or empty)
         if state.no_run:
             self._draw_verdict(None, state.no_run)
         elif state.not_calibrated:

@@ -9,7 +9,7 @@ from typing import ClassVar
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.containers import Horizontal
+from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import TabbedContent, TabPane
 
@@ -28,6 +28,7 @@ from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.record import Request
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
+from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
@@ -97,7 +98,10 @@ tables; chapter *exports*.
         with TabbedContent(id="calibration"):
             with TabPane("Stages", id="stages"):
                 yield TablesView(id="stage-tables")
-                yield ChartPlot(id="stage-plot")
+                with Vertical(id="beside-stages"):
+                    yield ChartPlot(id="stage-plot")
+                    yield ChartPlot(id="stage-errors")
+                    yield ChartPlot(id="stage-space")
             with TabPane("Errors", id="errors"), Horizontal():
                 yield ChartPlot(id="arm-errors")
                 yield ChartPlot(id="pair-errors")
@@ -112,11 +116,9 @@ tables; chapter *exports*.
 
     def action_begin(self) -> None:
         """Calibrate the run that is open."""
-        folder, results = self.open_folder(), self.workspace.results
-        if folder is not None:
-            found = None if results is None else results.calibrate
+        if folder := self.open_folder():
             job = work.job_of(request.VERB, folder=folder)
-            offer_again(self, "Calibrate again?", found, CALIBRATE, partial(self.start, job))
+            offer_again(self, "Calibrate again?", self._result, CALIBRATE, partial(self.start, job))
 
     def action_begin_in_batches(self) -> None:
         """Calibrate the run that is open with a residual network from all readings and recordings."""
@@ -134,7 +136,12 @@ tables; chapter *exports*.
                 self.start(work.job_of(request.VERB, folder=folder, prior=path.parent))
 
         title = f"{FILE_NAME} of the earlier run of the same arms"
-        self.app.push_screen(FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME), begin)
+        picker = FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME)
+
+        def ask() -> None:
+            self.app.push_screen(picker, begin)
+
+        offer_again(self, "Calibrate again, with a prior?", self._result, CALIBRATE, ask)
 
     def action_other_arm(self) -> None:
         """Show the next arm."""
@@ -187,12 +194,17 @@ tables; chapter *exports*.
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
+    @property
+    def _result(self) -> CalibrateResult | None:
+        results = self.workspace.results
+        return None if results is None else results.calibrate
+
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the calibration of the run."""
         if workspace is self._drawn:
             return
         self._drawn = workspace
-        result = None if workspace.results is None else workspace.results.calibrate
+        result = self._result
         tables, parameters = (
             self.query_one("#stage-tables", TablesView),
             self.query_one("#parameter-tables", TablesView),
@@ -238,10 +250,12 @@ tables; chapter *exports*.
         stage = list(arm.errors_mm)[-1]
         charts: dict[str, Chart] = {
             "stage-plot": stage_chart(name, shown.arms[name]),
-            "arm-errors": error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm),
+            "arm-errors": (errors := error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm)),
             "pair-errors": pair_histogram_chart(shown),
             "joint-plot": residual_joint_chart(name, arm, joint),
-            "space-plot": residual_space_chart(name, arm, stage, "above" if self._from_above else "side"),
+            "space-plot": (space := residual_space_chart(name, arm, stage, "above" if self._from_above else "side")),
+            "stage-errors": errors,
+            "stage-space": space,
         }
         for place, chart in charts.items():
             self.query_one(f"#{place}", ChartPlot).chart = chart

@@ -42,7 +42,7 @@ from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.screens.collect_state import Headline, headline
-from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
+from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel, residual_line
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view_pane import LogPane
 from cellapp.interfaces.tui.widgets.log_view_rows import as_text
@@ -117,6 +117,10 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
     CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
     CollectScreen #suspicions.any { display: block; }
+    CollectScreen #residual-line { height: 1; padding: 0; display: none; }
+    CollectScreen.measured #residual-line { display: block; }
+    CollectScreen.measured.-wide #residual-line, CollectScreen.measured.plots #residual-line,
+    CollectScreen.measured.-tall #residual-line { display: none; }
     CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
     CollectScreen #log, CollectScreen #stops, CollectScreen #collected { height: 4fr; display: none; }
     CollectScreen.-low.-narrow #plots ChartPlot, CollectScreen.-low.-medium #plots ChartPlot { display: none; }
@@ -127,6 +131,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1;
     }
     CollectScreen.-wide #plots ChartPlot { display: block; }
+    CollectScreen.-wide #plots ChartPlot.empty { display: none; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
     CollectScreen.stops #stops { display: block; }
     CollectScreen.-wide.plots #plots { width: 65%; }
@@ -152,6 +157,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         yield Horizontal(id="arms")
         yield TrackerPanel()
         yield ProgressBars()
+        yield Static("", id="residual-line", markup=False)
         yield Static("", id="suspicions", markup=False)
         with Container(id="plots"):
             for name in _PLOTS:
@@ -330,7 +336,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             self.query_one(CollectedStops).show(state)
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
-            self.action_view("log" if workspace.collection is None else "collected")
+            self.action_view("log" if workspace.collection is None else "stops")
             if workspace.folder is not None:
                 self._read_log(workspace.folder)
 
@@ -353,12 +359,15 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.query_one(TrackerPanel).tracker = record.tracker
         self.query_one(ProgressBars).parts = parts_of(record)
         self._draw_suspicions(record)
+        line = residual_line(record.stops, self.size.width)
+        self.query_one("#residual-line", Static).update(line)
+        self.set_class(bool(line), "measured")
         self._draw_plots(record)
 
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:
         """A job was begun: its log is what people look at."""
         self.query_one(LogPane).show_session(record)
-        if self.has_class("collected"):
+        if self.has_class("collected") or self.has_class("stops"):
             self.action_view("log")
         self._job = job
         self._opened = job.folder or self._opened  # what it stores is heard already
@@ -417,8 +426,10 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
                 self._plot_waits = True
                 self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
                 break
-        empty = all(plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot))
-        self.set_class(empty, "unplotted")
+        empty = {plot: plot.chart is None or plot.chart.is_empty for plot in self.query(ChartPlot)}
+        for plot, nothing in empty.items():
+            plot.set_class(nothing, "empty")
+        self.set_class(all(empty.values()), "unplotted")
 
     @on(CollectedStops.Chosen)
     def mark_chosen(self) -> None:

@@ -11,7 +11,7 @@ from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.night import since_words
-from cellapp.interfaces.tui.run_state import RunState, holds_for_drift
+from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
 
 Look = Literal["idle", "running", "waiting", "halted", "replay", "done"]
 
@@ -76,7 +76,7 @@ def _of_run(state: RunState) -> Headline:
         return Headline("IN USE", f"by {state.in_use}. Shown is what was stored when it was opened.", "waiting")
     word, sentence, look = _of_stops(state)
     if state.read_only:
-        sentence = "This folder cannot be written: copy the run to go on with it."
+        sentence = COPY_IT
     elif state.drift and state.left:
         sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
     return Headline(word, sentence, look)

@@ -16,7 +16,7 @@ from cellapp.commands.discover.charts import candidates_chart, gap_chart, pictur
 from cellapp.commands.discover.proposal_view import proposal_lines
 from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.discover.view import explanation_text
-from cellapp.commands.discover.words import verdict_sentence
+from cellapp.commands.discover.words import verdict_lines, verdict_sentence
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
@@ -100,7 +100,9 @@ The handbook explains each effect.
     def action_propose(self) -> None:
         """Search, then plan further stops."""
         if folder := self.open_folder():
-            self.start(work.job_of(request.VERB, folder=folder, propose=_PROPOSED))
+            job = work.job_of(request.VERB, folder=folder, propose=_PROPOSED)
+            title = "Search again, then propose stops?"
+            offer_again(self, title, self._result, DISCOVER, partial(self.start, job))
 
     def action_collect(self) -> None:
         """Ask, then measure what is planned and not measured yet."""
@@ -158,7 +160,7 @@ The handbook explains each effect.
         else:
             reason = workspace.results.out_of_date.get(DISCOVER)
             outdated = [] if reason is None else [f"! out of date: {reason}; {SHOWN['go']} searches again"]
-            tables.show(discovery_tables(found), outdated, [arm.sentence for arm in found.arms.values()])
+            tables.show(discovery_tables(found), outdated, verdict_lines(found))
             self.query_one("#meaning", Static).update(with_keys(explanation_text(found)))
             proposal = _NO_PROPOSAL if found.proposal is None else with_keys("\n".join(proposal_lines(found.proposal)))
             self.query_one("#proposal", Static).update(proposal)

@@ -156,7 +156,7 @@ class PlanScreen(PlanEdits):
         """Ask for the folder, then make a new run."""
         profile, path = self.workspace.file_profile, self.workspace.profile_path
         if profile is None or path is None:
-            self.say(self.state.no_run, "warning")
+            self.say(self.state.no_profile, "warning")
             return
         if self.cell_app.jobs.running:
             self.say("A job is running; plan when it has ended.", "warning")
@@ -176,7 +176,7 @@ class PlanScreen(PlanEdits):
     def action_view(self) -> None:
         """Look at what the tracker sees."""
         if self.workspace.file_profile is None or self.workspace.profile_path is None:
-            self.say(self.state.no_run, "warning")
+            self.say(self.state.no_profile, "warning")
             return
         self.start(verbs.job_of(PLAN, profile=self.workspace.profile_path, view=True))
 
@@ -288,11 +288,13 @@ class PlanScreen(PlanEdits):
     def _make_charts(self, workspace: Workspace) -> None:
         """Draw the design: the mathematics that this needs takes half a second to load."""
         from cellapp.commands.plan.section import design_charts_of, design_tables_of
+        from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
 
         profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
         if profile is not None and ways is not None and stops is not None and stops.stops:
             charts = design_charts_of(profile, stops.stops, ways, design)
-            self.post_message(Drawn(stops, charts, design_tables_of(design), ()))
+            tables = (*design_tables_of(design), *sweep_tables(stops.sweeps))
+            self.post_message(Drawn(stops, charts, tables, sweep_sentences(stops.sweeps)))
 
     @work(thread=True, exclusive=True, group="view")
     def _make_view(self, profile: Profile, view: ViewResult) -> None:

@@ -92,7 +92,7 @@ class PlanEdits(DayScreen):
         """Ask for an edited plan, and check it."""
         profile = self.workspace.profile_path
         if self.workspace.file_profile is None or profile is None:
-            self.say(self.state.no_run, "warning")
+            self.say(self.state.no_profile, "warning")
             return
 
         def begin(path: Path | None) -> None:

@@ -11,7 +11,7 @@ from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal
+from textual.containers import Horizontal, Vertical
 from textual.events import Resize
 from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
@@ -129,6 +129,9 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
     TargetsScreen TargetGrid { height: 1fr; }
     TargetsScreen #about-target { height: auto; max-height: 4; }
     TargetsScreen.-narrow #second-plot { display: none; }
+    TargetsScreen #list { layout: horizontal; }
+    TargetsScreen #beside-list { width: 35%; display: none; padding-left: 2; }
+    TargetsScreen.-wide.charted #beside-list { display: block; }
     """
 
     def __init__(self) -> None:
@@ -144,13 +147,17 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
     def body(self) -> ComposeResult:
         with TabbedContent(id="targets"):
             with TabPane("List", id="list"):
-                yield Static("", id="about-list", markup=False)
-                grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
-                grid.tooltip = "Enter edits, {add} adds, {remove} removes, {undo} undoes, {save} saves".format_map(
-                    SHOWN
-                )
-                yield grid
-                yield Static("", id="about-target", classes="muted", markup=False)
+                with Vertical():
+                    yield Static("", id="about-list", markup=False)
+                    grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
+                    grid.tooltip = "Enter edits, {add} adds, {remove} removes, {undo} undoes, {save} saves".format_map(
+                        SHOWN
+                    )
+                    yield grid
+                    yield Static("", id="about-target", classes="muted", markup=False)
+                with Vertical(id="beside-list"):
+                    yield ChartPlot()
+                    yield ChartPlot()
             with TabPane("Target", id="target"):
                 yield ChartsView(_NO_TARGET, id="details")
             with TabPane("Measured", id="measured"), Horizontal():
@@ -389,8 +396,8 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         results, edits = self._results, self._edits
         outdated = [] if results is None else [results.out_of_date.get(name, "") for name in ("compensate", "verify")]
         reasons = "; ".join(dict.fromkeys(filter(None, outdated)))
-        mark = f"\n! results are out of date: {reasons}; b compensates again" if reasons else ""
-        only = "\nonly targets that need attention; s shows all" if self._attention else ""
+        mark = f"\n! results are out of date: {reasons}; {SHOWN['go']} compensates again" if reasons else ""
+        only = f"\nonly targets that need attention; {SHOWN['filter']} shows all" if self._attention else ""
         self.query_one("#about-list", Static).update(edits.heading + mark + only)
         table, grid = target_list(edits.targets, results), self._grid
         row = grid.cursor_row
@@ -456,8 +463,10 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         if results is not None and calibrated is not None and profile is not None:
             known = {name: arm.tracker_mm for name, arm in calibrated.arms.items()}
             charts = target_charts(results.verify, {name: known.get(name) for name in profile.arms})
-        for place, plot in enumerate(self.query(ChartPlot).filter("#measured ChartPlot")):
-            plot.chart = charts[(self._chart + place) % len(charts)] if place < len(charts) else None
+        self.set_class(bool(charts), "charted")
+        for pane in ("#measured", "#beside-list"):
+            for place, plot in enumerate(self.query(ChartPlot).filter(f"{pane} ChartPlot")):
+                plot.chart = charts[(self._chart + place) % len(charts)] if place < len(charts) else None
 
 
 def _fitting(widths: Sequence[int], room: int) -> int:

@@ -9,6 +9,7 @@ from textual.content import Content
 from textual.reactive import reactive
 from textual.widget import Widget
 
+from cellapp.ground.progress import StopReport
 from cellapp.interfaces.tui.job_record import Activity, ArmRecord, TrackerRecord
 from cellapp.interfaces.tui.live_words import HALT_WORDS
 
@@ -27,6 +28,8 @@ _STYLES: Mapping[Activity, str] = {
     "not seen at rest": "bold white on $error",
 }
 _UNKNOWN = "not reported yet"
+_BARS = "▁▂▃▄▅▆▇█"
+"""From the smallest to the largest residual of those that are shown."""
 
 
 class ArmPanel(Widget):
@@ -90,6 +93,23 @@ def _numbers(values: Sequence[float] | None, unit: str, width: int) -> str:
         return _UNKNOWN
     with_decimal = " ".join(f"{value:6.1f}" for value in values) + f" {unit}"
     return with_decimal if len(with_decimal) <= width else " ".join(f"{value:4.0f}" for value in values) + f" {unit}"
+
+
+def residual_line(stops: Mapping[str, Sequence[StopReport]], width: int) -> str:
+    """The newest residuals of each arm as bars in one line of ``width`` characters, with the length of the full bar."""
+    shown = {name: reports for name, reports in stops.items() if reports}
+    if not shown:
+        return ""
+    each = max((width - len("residuals")) // len(shown) - max(map(len, shown)) - len("  , 0.000 mm "), 1)
+    parts = []
+    for name, reports in shown.items():
+        lengths = [report.residual_mm for report in reports[-each:]]
+        most = max(lengths)
+        bars = "".join(
+            _BARS[min(int(len(_BARS) * one / most), len(_BARS) - 1)] if most else _BARS[0] for one in lengths
+        )
+        parts.append(f"{name} {bars} █ {most:.3f} mm")
+    return f"residuals {'  '.join(parts)}"
 
 
 class TrackerPanel(Widget):

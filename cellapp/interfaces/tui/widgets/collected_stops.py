@@ -195,9 +195,7 @@ class CollectedStops(Vertical):
         if self._stops:
             count = f"{len(self._shown)} of {len(self._stops)}, suspicious only" if self._only_suspicious else ""
             shown = count and f"Shown: {count} ({SHOWN['filter']}: all)."
-            marked = (
-                f"{counted(len(self._marked), 'stop is', 'stops are')} marked: {SHOWN['again']} measures them again."
-            )
+            marked = f"{counted(len(self._marked), 'stop is', 'stops are')} marked: {SHOWN['again']} measures again."
             words = " ".join(filter(None, (self._range, shown, marked if self._marked else "")))
         self.query_one(Static).update(words)
 

@@ -12,7 +12,7 @@ from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Parts, Section, printed
 from cellapp.commands.view.table import Table
 from cellapp.interfaces.render.terminal import rich_table
-from cellapp.interfaces.tui.keys import with_keys
+from cellapp.interfaces.tui.keys import table_with_keys, with_keys
 from cellapp.interfaces.tui.widgets.charts_view import LEAST_COLUMNS, ScrolledPlot
 from cellapp.interfaces.tui.widgets.tables import TablesView
 
@@ -36,9 +36,7 @@ class PartsView(TablesView):
         if drawn == (self._tables, self._sentences):
             return
         self._tables, self._sentences = drawn
-        self.remove_children()
-        self.mount(*(widgets_of(shown) if shown else [Static(self._empty, classes="muted", markup=False)]))
-        self.scroll_home(animate=False)
+        self.put(lambda: widgets_of(shown))
 
 
 def widgets_of(parts: Parts) -> Iterator[Widget]:
@@ -50,7 +48,7 @@ def widgets_of(parts: Parts) -> Iterator[Widget]:
             yield Static("\n".join(map(str, printed((part,)))), markup=False)
     if charts := [part for part in parts if isinstance(part, Chart)]:
         yield ItemGrid(*map(ScrolledPlot, charts), min_column_width=LEAST_COLUMNS)
-    yield from (Static(rich_table(part), classes="table") for part in parts if isinstance(part, Table))
+    yield from (Static(rich_table(table_with_keys(part)), classes="table") for part in parts if isinstance(part, Table))
     for part in parts:
         if isinstance(part, Section):
             yield Static(part.title, classes="title table", markup=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -16,7 +16,7 @@ from cellapp.commands.view.table import Table, markdown
 from cellapp.ground.counting import counted
 from cellapp.interfaces.render.terminal import rich_table
 from cellapp.interfaces.tui.dialogs.save_as import SaveAs
-from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
+from cellapp.interfaces.tui.keys import SHOWN, bind, table_with_keys, with_keys
 from cellapp.interfaces.tui.widgets.text_table import TextTable
 
 
@@ -42,6 +42,7 @@ class TablesView(VerticalScroll):
     def __init__(self, empty: str = "", *, id: str | None = None) -> None:
         super().__init__(Static(empty, classes="muted", markup=False), id=id)
         self._empty = empty
+        self._late: Callable[[], Iterable[Widget]] | None = None
         self._tables: tuple[Table, ...] = ()
         self._sentences: tuple[str, ...] = ()
         self.tooltip = f"up, down, Page Up, Page Down scroll; {SHOWN['copy']} copies, {SHOWN['save']} saves"
@@ -53,24 +54,36 @@ class TablesView(VerticalScroll):
         if drawn == (self._tables, self._sentences):
             return
         self._tables, self._sentences = drawn
-        self.remove_children()
-        if not tables and not self._sentences:
-            self.mount(Static(self._empty, classes="muted", markup=False))
-            return
-        self.mount(
-            *(Static(text, classes="before", markup=False) for text in before),
-            *map(self.draw, tables),
-            *(Static(text, classes="after", markup=False) for text in after),
+        self.put(
+            lambda: (
+                *(Static(text, classes="before", markup=False) for text in before),
+                *map(self.draw, tables),
+                *(Static(text, classes="after", markup=False) for text in after),
+            )
         )
-        self.scroll_home(animate=False)
 
     def say_empty(self, sentence: str) -> None:
         """What it says while there is nothing to show."""
         if sentence != self._empty:
             self._empty = sentence
             if not self._tables and not self._sentences:
-                self.remove_children()
-                self.mount(Static(sentence, classes="muted", markup=False))
+                self.put(tuple)
+
+    def put(self, make: Callable[[], Iterable[Widget]]) -> None:
+        """Draw what ``make`` gives in the place of what is there, the sentence where it gives nothing.
+
+        A screen may be drawn while it is being made: what is not attached yet draws it when it is mounted.
+        """
+        self._late = None if self.is_attached else make
+        if self.is_attached:
+            self.remove_children()
+            self.mount(*(tuple(make()) or (Static(self._empty, classes="muted", markup=False),)))
+            self.scroll_home(animate=False)
+
+    def on_mount(self) -> None:
+        """Draw what came before there was a place for it."""
+        if self._late is not None:
+            self.put(self._late)
 
     def draw(self, table: Table) -> Widget:
         """A widget for one table."""
@@ -96,7 +109,7 @@ class WrappedTables(TablesView):
 
     def draw(self, table: Table) -> Widget:
         """A table as the command line prints it."""
-        return Static(rich_table(table), classes="table")
+        return Static(rich_table(table_with_keys(table)), classes="table")
 
 
 def draw_table(table: Table) -> Vertical:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from cellapp.ground.results import Result
 
 
-class GreetResult(Result):
+class GreetResult(Result, schema="toy-greet"):
     """``greet``: whom it greeted, and how often."""
 
-    schema_: Literal["toy-greet"] = "toy-greet"
-    version: Literal[1] = 1
     arms: tuple[str, ...]
     times: int

@@ -71,7 +71,7 @@ def test_a_curve_of_two_joints_is_found_with_its_hyperparameters(stated):
     assert (data.stated is not None) == stated
     found = fit_process(data, fit_terms(data, ()), NEEDED)
     assert found is not None
-    process, scatter_m = found
+    process, scatter = found
     (one,) = process.components
     assert one.slug == "transmission_error"
     amplitudes = dict(zip(one.amplitude_keys, process.values.amplitudes[0], strict=True))
@@ -80,8 +80,8 @@ def test_a_curve_of_two_joints_is_found_with_its_hyperparameters(stated):
     assert max(amplitudes.values(), default=0.0) < 0.05 * AMPLITUDE
     assert process.values.lengths[0] == pytest.approx(LENGTH, rel=0.4)
     # all of the scatter where no uncertainty is stated, nearly nothing beyond it where it is
-    assert scatter_m < 0.5 * SIGMA_M if stated else scatter_m == pytest.approx(SIGMA_M, rel=0.1)
-    (term,) = process_terms(process, scatter_m)
+    assert scatter.m < 0.5 * SIGMA_M if stated else scatter.m == pytest.approx(SIGMA_M, rel=0.1)
+    (term,) = process_terms(process, scatter)
     assert term.smooth is not None
     assert term.smooth.evidence > NEEDED
     assert term.smooth.hyperparameters == len(one.amplitude_keys) + 1

@@ -105,6 +105,7 @@ def test_of_one_arm_a_moved_tracker_and_a_moved_base_are_the_same(single: Simula
     assert any("base of arm only" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_tracker_that_was_set_up_anew_is_no_change(pair: SimulatedCell) -> None:
     shift, turn = [0.02, -0.03, 0.01], [0.01, 0.02, -0.01]
     moved = {name: moved_base(true, shift, turn) for name, true in pair.true.items()}

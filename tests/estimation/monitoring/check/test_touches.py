@@ -50,6 +50,7 @@ def checked(cell: SimulatedCell, true: Geometry, seed: int, sockets: int = 1) ->
     return check_touches(cell.belief, {"only": touched(true, seed, sockets=sockets)})
 
 
+@pytest.mark.slow
 def test_touches_of_an_unchanged_arm_are_no_change(single: SimulatedCell) -> None:
     found = [checked(single, single.true["only"], seed).conclusion for seed in range(12)]
     assert all(one.verdict in ("valid", "cannot say") for one in found)

@@ -49,6 +49,7 @@ def test_base_and_tool_may_be_moved_by_people(name: str, base_or_tool: bool) -> 
     assert is_installation(name) == base_or_tool
 
 
+@pytest.mark.slow
 def test_unchanged_fleets_raise_no_alarm() -> None:
     fleets = [fleet_result(drawn(seed, 12)) for seed in range(120)]
     alarms = [only(one).condition for one in fleets]

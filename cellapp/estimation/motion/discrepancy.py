@@ -1,0 +1,237 @@
+"""What the model of an arm lacks, and what it does to clocks and intervals.
+
+Elastic joints and gears that do not turn evenly are functions of posture. A path comes by its postures again and again:
+they do not average out as noise does, and look like geometry and like delays. Here they are random effects: the
+residuals are
+
+    r = X b + Z u + B a + n
+
+with the fit's columns X and parameters b; laws Z of joints that the fit does not have (one to three cycles a turn, and
+compliance where masses are known), u_g ~ N(0, s_g) for each law; functions B of posture, orthonormal along the path,
+a_k ~ N(0, s S_k^2 + s_0) with the singular values S_k of a table of functions, smooth ones first; and noise n in bands
+of frequency, orthogonal to B. The variances are those of restricted maximum likelihood (Patterson, Thompson, Biometrika
+58 (1971) 545) under wide priors of their logarithms, as one run tells little of what its geometry has absorbed.
+
+The clocks are the generalised least squares estimate under this covariance. The arm stays the least squares estimate,
+which predicts best; its covariance is that under the same residuals ("sandwich").
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize
+
+from cellapp.estimation.calibration.linear import solve_psd
+from cellapp.estimation.motion.fit import Problem, Solution
+from cellapp.estimation.motion.noise import Bands, Modelled, NoiseModel, bands_of, noise_model
+from cellapp.estimation.motion.observe import stop_averages, track_averages
+from cellapp.estimation.motion.terms import JointTerm, Law
+from cellapp.robot.kinematics.transforms import Array
+
+_CYCLES = (1, 2, 3)
+"""Cycles a turn of the lines that an arm may have: faster ones are no more like geometry."""
+_USUAL = 0.15
+"""Centre of the prior of a law's size, in the standard deviation of its term: some 45 urad for lines."""
+_LOG_SD = 3.0
+"""Standard deviation of the prior of the logarithm of a variance: a factor of 4.5 in size."""
+_MOST_ROWS = 8000
+_SAME = 1e-4
+"""Singular value, over the largest, below which functions of posture are the same along a path."""
+_MOST_TRIED = 400
+_FEWEST_FREE = 4.0
+"""Least degrees of freedom of the variances of what lacks."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """All sources at the solution, by the columns (K) of all parameters and of the laws that the fit does not have.
+
+    ``X`` (3 f, K) and ``r`` (3 f,) are in the functions of posture, of the singular values ``size`` (3 f,) over the
+    largest; ``rest`` are the bands of each source without them. ``laws`` (K,) marks the laws, ``law`` and ``sd`` (L,)
+    are their number and the standard deviation of their terms.
+    """
+
+    laws: NDArray[np.bool_]
+    law: NDArray[np.intp]
+    sd: Array
+    X: Array
+    r: Array
+    size: Array
+    rest: tuple[Bands, ...]
+
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom that parameters leave the functions of posture."""
+        return max(len(self.r) - float(np.count_nonzero(~self.laws)), _FEWEST_FREE)
+
+    def normal(self, level: tuple[float, ...]) -> Array:
+        """Products of columns and residuals (K + 1, K + 1) of the rest, by the inverse of each source's level."""
+        parts = [bands.normal() / its for bands, its in zip(self.rest, level, strict=True)]
+        return np.asarray(np.sum(parts, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Missing:
+    """Sizes of what lacks: variances (3 f,) in the functions of posture and precisions (L,) of the laws."""
+
+    variance: Array
+    precision: Array
+
+
+def allow_for_missing(problem: Problem, solution: Solution) -> Solution:
+    """The solution with clocks that are free of what the model lacks, with the arm that belongs to them, and with a
+    covariance that allows for it."""
+    seen, layout = _seen(problem, solution), problem.layout
+    fitted = ~seen.laws
+    fit_bands = [bands.of(fitted) for bands in seen.rest]
+    still, ones = np.zeros(layout.size), [1.0] * len(fit_bands)
+    level = noise_model(fit_bands, ones, still, solution.precision, solution.information).level
+    towards_prior = solution.precision * (problem.mean - solution.values)
+    missing = _missing(seen, level, solution.precision, towards_prior)
+    arm = noise_model(fit_bands, ones, still, solution.precision, solution.information, _as_fitted(seen, missing))
+    step, of_clocks = _weighed(seen, missing, level, solution.precision, towards_prior)
+    clocks = np.concatenate([layout.clock(number) for number in range(len(problem.tracks))])
+    values, change, of_arm = solution.values.copy(), step[fitted][clocks], np.arange(layout.arm)
+    values[clocks] += change
+    normal = solution.information + np.diag(solution.precision)
+    values[of_arm] -= solve_psd(normal[np.ix_(of_arm, of_arm)], normal[np.ix_(of_arm, clocks)] @ change)
+    return replace(solution, values=values, noise=_with_clocks(arm, of_clocks, clocks, np.flatnonzero(fitted)[clocks]))
+
+
+def _with_clocks(
+    noise: NoiseModel, of_clocks: NoiseModel, places: NDArray[np.intp], theirs: NDArray[np.intp]
+) -> NoiseModel:
+    """The noise model with the variances of the clocks from another one, where they stand at ``theirs``."""
+    covariance, freedom = noise.covariance.copy(), noise.freedom.copy()
+    covariance[places] = covariance[:, places] = 0.0
+    covariance[np.ix_(places, places)] = of_clocks.covariance[np.ix_(theirs, theirs)]
+    freedom[places] = of_clocks.freedom[theirs]
+    return replace(noise, covariance=covariance, freedom=freedom)
+
+
+def _seen(problem: Problem, solution: Solution) -> _Seen:
+    layout = problem.layout
+    laws = _laws(problem)
+    wide = problem.with_terms(laws)
+    model = wide.model(np.insert(solution.values, layout.arm, np.zeros(len(laws))))
+    most = max(_MOST_ROWS // len(problem.tracks), 200)
+    averages = [
+        track_averages(model, track, number, source.rows, source.root(), most)
+        for number, (track, source) in enumerate(zip(problem.tracks, solution.sources))
+    ]
+    if problem.stops is not None and len(solution.sources[-1].rows):
+        at_rest = solution.sources[-1]
+        averages.append(stop_averages(model, problem.stops, at_rest.rows, at_rest.root()))
+    ends = np.cumsum([len(one.r) for one in averages])
+    X, r = np.zeros((ends[-1], 3, wide.layout.size)), np.concatenate([one.r for one in averages])
+    parts = [slice(end - len(one.r), end) for one, end in zip(averages, ends.tolist())]
+    for one, part in zip(averages, parts):
+        X[part, :, one.columns] = one.X
+    basis, size = _functions_of_posture(np.concatenate([one.q for one in averages]))
+    own_X, own_r = np.tensordot(basis, X, (0, 0)), basis.T @ r
+    X -= np.tensordot(basis, own_X, (1, 0))
+    r -= basis @ own_r
+    marked = np.zeros(wide.layout.size, dtype=bool)
+    marked[layout.arm : layout.arm + len(laws)] = True
+    kinds = {kind: n for n, kind in enumerate(dict.fromkeys((term.law, term.cycles) for term in laws))}
+    return _Seen(
+        marked,
+        np.array([kinds[term.law, term.cycles] for term in laws], dtype=np.intp),
+        np.array([term.prior_sd for term in laws]),
+        own_X.reshape(-1, wide.layout.size),
+        own_r.ravel(),
+        np.repeat(size, 3),
+        tuple(
+            _rest(X[part], r[part], basis[part], in_time=number < len(problem.tracks))
+            for number, part in enumerate(parts)
+        ),
+    )
+
+
+def _laws(problem: Problem) -> tuple[JointTerm, ...]:
+    """Laws of joints that an arm may have and the fit does not."""
+    joints, own = range(problem.layout.parameters.joints), set(problem.layout.terms)
+    lines = [JointTerm(Law.LINE, joint, c, sine) for c in _CYCLES for joint in joints for sine in (False, True)]
+    elastic = [JointTerm(Law.COMPLIANCE, joint) for joint in joints if problem.masses is not None]
+    return tuple(term for term in (*lines, *elastic) if term not in own)
+
+
+def _functions_of_posture(q: Array) -> tuple[Array, Array]:
+    """Orthonormal functions of posture (n, f), smooth ones first, and their sizes over the largest: one and two cycles
+    of each joint, of sums and differences of any two, and of sums along the arm. Gravity and gears are mostly one."""
+    joints = range(q.shape[1])
+    angles = [factor * q[:, joint] for joint in joints for factor in (1, 2)]
+    angles += [q[:, i] + sign * q[:, k] for i, k in combinations(joints, 2) for sign in (1, -1)]
+    angles += [q[:, first:last].sum(axis=1) for first in joints for last in range(first + 3, q.shape[1] + 1)]
+    table = np.stack(angles, axis=1)
+    table = np.concatenate([np.ones((len(q), 1)), np.sin(table), np.cos(table)], axis=1)
+    vectors, sizes, _ = np.linalg.svd(table, full_matrices=False)
+    kept = np.flatnonzero(sizes > _SAME * sizes[0])[: max(len(q) // 4, 1)]
+    return vectors[:, kept], sizes[kept] / sizes[0]
+
+
+def _rest(X: Array, r: Array, basis: Array, *, in_time: bool) -> Bands:
+    """Bands of one source without functions of posture, with so many fewer degrees of freedom."""
+    bands = bands_of(X, np.arange(X.shape[2]), r, in_time=in_time)
+    taken = bands_of(basis[:, None, :], np.arange(basis.shape[1]), np.zeros((len(r), 1)), in_time=in_time)
+    return replace(bands, count=np.maximum(bands.count - 3.0 * taken.gram.trace(axis1=1, axis2=2), 1.0))
+
+
+def _missing(seen: _Seen, level: tuple[float, ...], precision: Array, towards_prior: Array) -> _Missing:
+    """Sizes of what lacks by restricted maximum likelihood."""
+    both = np.column_stack([seen.X, seen.r])
+    rest = seen.normal(level)
+    laws, pull = np.flatnonzero(seen.laws), np.zeros(seen.X.shape[1])
+    pull[~seen.laws] = towards_prior
+    noise = math.log(float(np.mean(level)))
+    centre = np.concatenate([[noise, noise], np.full(seen.law.max(initial=-1) + 1, 2.0 * math.log(_USUAL))])
+
+    def sizes(logs: Array) -> _Missing:
+        variance = np.exp(logs[0]) * seen.size**2 + np.exp(logs[1])
+        return _Missing(variance, np.exp(-logs[2:][seen.law]) / seen.sd**2)
+
+    def cost(logs: Array) -> float:
+        found = sizes(logs)
+        normal = rest + (both / found.variance[:, None]).T @ both
+        own = np.zeros(len(pull))
+        own[~seen.laws], own[laws] = precision, found.precision
+        unit = 1.0 / np.sqrt(np.diag(normal)[:-1] + own + 1e-300)
+        H = normal[:-1, :-1] * unit * unit[:, None] + np.diag(own * unit**2 + 1e-11)
+        L = np.linalg.cholesky(H)
+        y = solve_triangular(L, unit * (normal[:-1, -1] + pull), lower=True)
+        logarithms = np.log(found.variance).sum() - np.log(found.precision).sum()
+        logarithms += 2.0 * (np.log(np.diag(L)).sum() - np.log(unit).sum())
+        return float(logarithms + normal[-1, -1] - y @ y + np.sum((logs - centre) ** 2) / _LOG_SD**2) / 2.0
+
+    best = minimize(cost, centre, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.05, "maxfev": _MOST_TRIED})
+    return sizes(best.x)
+
+
+def _as_fitted(seen: _Seen, missing: _Missing) -> Modelled:
+    """What lacks, as the fit takes it in: the covariance of ``X^T r`` for the columns of the fit."""
+    fitted, X = ~seen.laws, seen.X[:, ~seen.laws]
+    everywhere = seen.X.T @ seen.X + sum(bands.gram.sum(axis=0) for bands in seen.rest)
+    by_law = everywhere[np.ix_(seen.laws, fitted)]
+    spread = (X * missing.variance[:, None]).T @ X + (by_law / missing.precision[:, None]).T @ by_law
+    return Modelled(X.T @ X, spread, seen.freedom)
+
+
+def _weighed(
+    seen: _Seen, missing: _Missing, level: tuple[float, ...], precision: Array, towards_prior: Array
+) -> tuple[Array, NoiseModel]:
+    """Step of the generalised least squares estimate of all columns from the solution, and its noise model."""
+    own, pull = np.zeros(len(seen.laws)), np.zeros(len(seen.laws))
+    own[~seen.laws], own[seen.laws], pull[~seen.laws] = precision, missing.precision, towards_prior
+    weighed = seen.X / missing.variance[:, None]
+    known = Modelled(weighed.T @ seen.X, weighed.T @ seen.X, seen.freedom)
+    rest = seen.normal(level)
+    A, b = known.information + rest[:-1, :-1], weighed.T @ seen.r + rest[:-1, -1] + pull
+    unit = 1.0 / np.sqrt(np.diag(A) + own + 1e-300)
+    step = unit * solve_psd(A * unit * unit[:, None] + np.diag(own * unit**2), unit * b)
+    return step, noise_model(seen.rest, [1.0 / its for its in level], step, own, A, known)

@@ -1,0 +1,141 @@
+"""What stops and sweeps will tell of an arm, before anything moves: errors of positions, smallest sizes of effects.
+
+Points of a motion are alike: one of each half second counts as a reading of its own, with the noise of the tracker and
+the scatter of the arm, as recordings of the twin have it (handbook, chapter "motion"). Information of stops and sweeps
+adds up. A law of joints is seen in a joint from the size on that is ``SHOWN`` standard errors of its parameter, with
+the geometry, the law of the other joints and, in motion, the delay between the clocks unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cellapp.estimation.calibration.linear import inverse_psd
+from cellapp.estimation.calibration.parameters import (
+    ParameterSet,
+    SetName,
+    estimated_parameters,
+    prior_sds,
+    typical_spreads,
+)
+from cellapp.estimation.discovery.arm_data import whitening
+from cellapp.estimation.discovery.plan_forecast import accuracy_of
+from cellapp.estimation.discovery.records import PlannedAccuracy
+from cellapp.estimation.motion.effects import DENSE, SHOWN
+from cellapp.estimation.motion.terms import JointState, JointTerm, Law
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian
+from cellapp.robot.kinematics.transforms import Array
+
+_CYCLES = (2, 40)
+"""Lines that are foreseen: slow ones of eccentric parts, dense ones of gears."""
+_DELAY_SD_S = 1.0
+"""What is known of the delay between the clocks before: nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """States (n) of an arm that will be measured, and the covariance (n, 3, 3) of each point [m^2]."""
+
+    state: JointState
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class LawForecast:
+    """A law of joints: its effect, its cycles a turn for a line, the unit of its parameters, and the smallest size of
+    each that is seen, by source; None where it is not seen however large arms have it."""
+
+    effect: str
+    cycles: int
+    unit: str
+    smallest: Mapping[str, Mapping[str, float | None]] = field(repr=False)
+
+
+def forecast_motion(
+    nominal: Geometry,
+    parameter_set: SetName,
+    stated: Mapping[str, float],
+    sources: Mapping[str, Expected],
+    at: Array,
+    scatter_m: float,
+) -> tuple[dict[str, PlannedAccuracy], tuple[LawForecast, ...]]:
+    """Expected errors of positions at ``at`` (n, N) [rad], and the smallest sizes of the laws, by source and for all
+    ``sources`` together ("both"). Raises ``ValueError`` if the parameter set is not for this arm."""
+    estimated, _ = estimated_parameters(parameter_set, nominal, stated)
+    priors = prior_sds(estimated, {**typical_spreads(nominal.joints), **stated})
+    laws = _laws(nominal.joints)
+    terms = tuple(term for its in laws for term in its)
+    told = {name: _information(nominal, estimated, terms, one) for name, one in sources.items()}
+    told["both"] = np.sum(list(told.values()), axis=0)
+    _, J = jacobian(nominal, JointAngles.of(at), estimated.columns)
+    k = len(estimated.columns)
+    accuracy = {name: accuracy_of(nominal, estimated, priors, its[:k, :k], J, scatter_m) for name, its in told.items()}
+    sizes = {name: _smallest(its, priors, laws) for name, its in told.items()}
+    forecasts = tuple(
+        LawForecast(
+            its[0].law.value,
+            its[0].cycles,
+            its[0].unit,
+            {name: dict(zip(_names(its), own[number], strict=True)) for name, own in sizes.items()},
+        )
+        for number, its in enumerate(laws)
+    )
+    return accuracy, tuple(_aliased(one) if one.cycles >= DENSE else one for one in forecasts)
+
+
+def _laws(joints: int) -> list[tuple[JointTerm, ...]]:
+    """Terms of all joints, law by law."""
+    plain = [tuple(JointTerm(law, joint) for joint in range(joints)) for law in Law if law is not Law.LINE]
+    lines = [
+        tuple(JointTerm(Law.LINE, joint, cycles, sine) for joint in range(joints) for sine in (False, True))
+        for cycles in _CYCLES
+    ]
+    return [*plain, *lines]
+
+
+def _names(terms: tuple[JointTerm, ...]) -> list[str]:
+    """One name a joint."""
+    return [f"joint {term.joint + 1}" for term in terms if not term.sine]
+
+
+def _information(nominal: Geometry, estimated: ParameterSet, terms: tuple[JointTerm, ...], expected: Expected) -> Array:
+    """Information on the geometry, the terms, and last the delay between the clocks."""
+    state, k = expected.state, len(estimated.columns)
+    thetas = tuple(6 + 5 * joint for joint in range(nominal.joints))
+    _, J = jacobian(nominal, JointAngles.of(state.q), (*estimated.columns, *thetas))
+    by_joint = J[:, k:]
+    of_terms = np.stack([by_joint[:, term.joint] * term.offset(state) for term in terms], axis=1)
+    delay = -np.einsum("ajn,nj->an", by_joint, state.qd)[:, None]
+    X = np.einsum("acn,ckn->kan", whitening(expected.covariance), np.concatenate([J[:, :k], of_terms, delay], axis=1))
+    flat = X.reshape(len(X), -1)
+    return np.asarray(flat @ flat.T)
+
+
+def _smallest(information: Array, priors: Array, laws: list[tuple[JointTerm, ...]]) -> list[list[float | None]]:
+    """Smallest size of each law in each joint that is seen."""
+    first, found = len(priors), []
+    for terms in laws:
+        places = np.array([*range(len(priors)), *range(first, first + len(terms)), len(information) - 1])
+        sds = np.concatenate([priors, [10.0 * term.prior_sd for term in terms], [_DELAY_SD_S]])
+        unit = np.where(np.isfinite(sds), sds, 1.0)
+        precision = (information[np.ix_(places, places)] + np.diag(sds**-2.0)) * unit * unit[:, None]
+        covariance = (inverse_psd(precision) * unit * unit[:, None])[len(priors) : -1, len(priors) : -1]
+        if terms[0].law is Law.LAG:
+            less_mean = np.eye(len(terms)) - 1.0 / len(terms)
+            covariance = less_mean @ covariance @ less_mean.T
+        variance = np.diag(covariance)
+        if terms[0].law is Law.LINE:
+            variance = np.maximum(variance[::2], variance[1::2])
+        sizes = SHOWN * np.sqrt(variance)
+        found.append([size if size < 10.0 * terms[0].prior_sd else None for size in sizes.tolist()])
+        first += len(terms)
+    return found
+
+
+def _aliased(one: LawForecast) -> LawForecast:
+    """Lines that stops cannot tell from others."""
+    smallest = {name: dict.fromkeys(its) if name == "stops" else its for name, its in one.smallest.items()}
+    return LawForecast(one.effect, one.cycles, one.unit, smallest)

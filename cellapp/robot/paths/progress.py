@@ -1,0 +1,146 @@
+"""How a moving SMR followed a path in time: its delay, its speed, and how far it is from where it should be then.
+
+A point at time t is compared with the place of the path that was to be reached at ``t - d``; the delay d, that of the
+controller and of the stamps, is the one with the least squares of what is left along the path. Neighbouring points are
+alike: uncertainties count them by their first autocorrelation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.paths.cartesian import CartesianPath
+from cellapp.robot.paths.timing import Trajectory
+
+_DELAYS_S = (-0.1, 0.5)
+"""Delays that are tried: no controller is later with a stream of positions, no stamp earlier."""
+_STEP_S = 0.02
+_FEWEST = 20
+_WINDOW_S = 0.2
+"""Time over which a speed is taken, and time at either end of a stretch at the wanted speed that is left out."""
+_AT_SPEED = 0.99
+_CLOCKS = 50e-6
+"""Relative standard uncertainty of a speed by clocks that run apart."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Speeds [m/s] where the path has its wanted speed: that, the mean, its standard uncertainty, and the range from
+    the slowest to the fastest stretch of 0.2 s; ``time_s`` is the time at that speed."""
+
+    wanted: float
+    mean: float
+    standard_error: float
+    fluctuation: float
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Delay with its standard error [s]; rms and largest distance from where the path wants the SMR at the delayed time
+    [m]; the speed where the wanted one is reached, or None."""
+
+    delay_s: float
+    delay_error_s: float
+    rms_m: float
+    largest_m: float
+    speed: Speed | None
+
+
+def followed(path: CartesianPath, sent: Trajectory, time_s: Array, p_M: Array) -> Followed | None:
+    """How points ``p_M`` (n, 3) [m] at times (n,) [s] since ``sent`` began followed; None for too few, or at rest."""
+    if len(time_s) < _FEWEST or sent.s[-1] <= 0.0:
+        return None
+    tried = np.arange(*_DELAYS_S, _STEP_S)
+    costs = [float(np.sum(_beside(path, sent, time_s - delay, p_M) ** 2)) for delay in tried.tolist()]
+    near = float(tried[int(np.argmin(costs))])
+    delay = float(
+        minimize_scalar(
+            lambda delay: float(np.sum(_beside(path, sent, time_s - delay, p_M) ** 2)),
+            bounds=(near - _STEP_S, near + _STEP_S),
+            method="bounded",
+            options={"xatol": 1e-6},
+        ).x
+    )
+    when = time_s - delay
+    within = (when > 0.0) & (when < sent.duration_s)
+    if np.count_nonzero(within) < _FEWEST:
+        return None
+    when, left = when[within], _beside(path, sent, when[within], p_M[within])
+    rate, tangent = _motion(path, sent, when)
+    along = np.einsum("na,na->n", left, tangent)
+    squares = float(np.sum(rate**2))
+    error = float(along.std()) * math.sqrt(_alike(along) / squares) if squares > 0.0 else math.nan
+    away = np.linalg.norm(left, axis=1)
+    speed = _speed(path, sent, when, np.interp(when, sent.time_s, sent.s) + along)
+    return Followed(delay, error, float(np.sqrt(np.mean(away**2))), float(away.max()), speed)
+
+
+def _beside(path: CartesianPath, sent: Trajectory, when: Array, p_M: Array) -> Array:
+    """Points less the places that were to be reached ``when`` (n,) [s], (n, 3) [m]."""
+    return np.asarray(p_M - path.positions(np.interp(when, sent.time_s, sent.s)))
+
+
+def _motion(path: CartesianPath, sent: Trajectory, when: Array) -> tuple[Array, Array]:
+    """Wanted speeds (n,) [m/s] and directions (n, 3), zero at rest."""
+    half = sent.period_s
+    way = np.diff([np.interp(when + sign * half, sent.time_s, sent.s) for sign in (-1.0, 1.0)], axis=0)[0]
+    ends = [path.positions(np.interp(when + sign * half, sent.time_s, sent.s)) for sign in (-1.0, 1.0)]
+    length = np.linalg.norm(ends[1] - ends[0], axis=1)
+    tangent = np.where(length[:, None] > 1e-9, (ends[1] - ends[0]) / np.maximum(length, 1e-12)[:, None], 0.0)
+    return way / (2.0 * half), tangent
+
+
+def _speed(path: CartesianPath, sent: Trajectory, when: Array, s: Array) -> Speed | None:
+    """The speed over all stretches at the first wanted speed, from arc lengths ``s`` (n,) [m] that were reached."""
+    wanted = float(path.speeds[0])
+    full = np.diff(sent.s, prepend=sent.s[0]) / sent.period_s > _AT_SPEED * wanted
+    same = path.wanted_speed(sent.s) == wanted
+    stretches = [
+        (first, last)
+        for first, last in _runs(full & same, sent.time_s)
+        if np.count_nonzero((when >= first) & (when <= last)) >= _FEWEST
+    ]
+    slopes, weights, left, fastest, slowest = [], [], [], -math.inf, math.inf
+    for first, last in stretches:
+        rows = np.flatnonzero((when >= first) & (when <= last))
+        t = when[rows] - when[rows].mean()
+        slopes.append(float(t @ s[rows] / (t @ t)))
+        weights.append(float(t @ t))
+        left.append(s[rows] - s[rows].mean() - slopes[-1] * t)
+        each = max(2, round(_WINDOW_S / max(float(np.median(np.diff(when[rows]))), 1e-6)))
+        if len(rows) > each:
+            moved = (s[rows][each:] - s[rows][:-each]) / (when[rows][each:] - when[rows][:-each])
+            fastest, slowest = max(fastest, float(moved.max())), min(slowest, float(moved.min()))
+    if not slopes:
+        return None
+    mean = float(np.average(slopes, weights=weights))
+    scatter = np.concatenate(left)
+    noise = float(scatter.std()) * math.sqrt(_alike(scatter) / sum(weights))
+    fluctuation = fastest - slowest if fastest >= slowest else 0.0
+    return Speed(
+        wanted, mean, math.hypot(noise, _CLOCKS * wanted), fluctuation, sum(last - first for first, last in stretches)
+    )
+
+
+def _runs(inside: NDArray[np.bool_], time_s: Array) -> list[tuple[float, float]]:
+    """Begin and end [s] of stretches without what is left out at their ends."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]])))
+    ends = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    spans = [(float(time_s[first]) + _WINDOW_S, float(time_s[last - 1]) - _WINDOW_S) for first, last in ends]
+    return [(first, last) for first, last in spans if last > first]
+
+
+def _alike(values: Array) -> float:
+    """How many neighbouring values are worth one independent one, by their first autocorrelation."""
+    values = values - values.mean()
+    square = float(values @ values)
+    rho = float(values[1:] @ values[:-1]) / square if square > 0.0 else 0.0
+    rho = min(max(rho, 0.0), 0.999)
+    return (1.0 + rho) / (1.0 - rho)

@@ -1,0 +1,224 @@
+"""A Leica tracker through LMF that follows a moving SMR: LMF's continuous time measurement.
+
+LMF delivers packets, at most 50 a second, on a thread of its own and waits until the handler has returned: it stores
+the packet and the time, nothing else. Another thread of the driver reads the points from it. The stamps are those of
+the tracker's controller. A beam that breaks shows in ``Targets.Selected``, as LMF publishes no error number for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from drivers.trackers.lmf import LmfTracker, Vector
+from drivers.trackers.lmf_objects import describe, to_si, unwrap
+from drivers.trackers.lmf_results import tracker_time_s
+from drivers.trackers.lmf_setup import set_quantity, set_value
+from drivers.trackers.protocol import (
+    PACKETS_HZ,
+    Packet,
+    Point,
+    Preparation,
+    StreamLimits,
+    TargetLost,
+    Track,
+    TrackerError,
+    TwoFace,
+    checked_point,
+    no_packet,
+)
+
+LIMITS = StreamLimits(1e-3, 1.0)
+"""An AT960 measures 1000 points a second at most."""
+_PROFILE = "ContinuousTimeProfile"
+_ENDS_WITHIN_S = 5.0
+_LOST = "beam"
+
+
+class LmfStreamTracker(LmfTracker):
+    """One Leica tracker through LMF, see ``LmfTracker``; where LMF has continuous measurements, it streams."""
+
+    _follows: _Following | None = None
+
+    def stream_limits(self) -> StreamLimits | None:
+        """Return those of an AT960; None where this tracker has no continuous measurement."""
+        profile = self._call("reading the profiles", lambda its: _continuous(its) is not None)
+        return LIMITS if profile else None
+
+    def start_track(
+        self,
+        expected_M: Vector,
+        interval_s: float,
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Packet], None] = no_packet,
+    ) -> None:
+        """Lock the SMR, select the continuous measurement and start it."""
+        LIMITS.check(interval_s)
+        expected = checked_point(expected_M, interval_s)
+        self._leave()
+        self._clear_halt()
+        lock = partial(self._lock, expected=expected, averaging_s=interval_s)
+        self._call("pointing and searching", lock, haltable=True)
+        following = _Following(self._packet, lost, received)
+        try:
+            self._call("starting to follow", partial(self._begin, following=following, interval_s=interval_s))
+        except BaseException:
+            following.end()
+            raise
+        self._follows = following
+
+    def end_track(self) -> Track:
+        """Stop measuring, go back to stationary measurements and return all points."""
+        following, self._follows = self._follows, None
+        if following is None:
+            return Track.of([])
+        try:
+            self._call("ending the measurement", partial(self._stop, following=following))
+        finally:
+            packets = following.end()
+        return Track.of(packets)
+
+    def measure(self, expected_M: Vector, averaging_s: float) -> Point:
+        """Measure at rest; a track ends."""
+        self._leave()
+        return super().measure(expected_M, averaging_s)
+
+    def measure_two_face(self, expected_M: Vector, averaging_s: float) -> TwoFace:
+        """Measure at rest in both faces; a track ends."""
+        self._leave()
+        return super().measure_two_face(expected_M, averaging_s)
+
+    def prepare(self, settings: Preparation) -> None:
+        """Prepare; a track ends."""
+        self._leave()
+        super().prepare(settings)
+
+    def disconnect(self) -> None:
+        """Release the tracker; a track ends."""
+        with contextlib.suppress(TrackerError):
+            self._leave()
+        super().disconnect()
+
+    # -- on the thread that calls LMF ----------------------------------------------------------------------------------
+
+    def _begin(self, tracker: Any, following: _Following, interval_s: float) -> None:
+        profile = _continuous(tracker)
+        if profile is None:
+            raise TrackerError(f"tracker: this tracker has no {_PROFILE}")
+        with self._no_handlers(tracker):
+            profile.Select()
+            self._averaging_set_s = None
+            set_quantity(profile.TimeSeparation, "time", interval_s)
+            set_value(profile, "PacketRate", max(1, min(int(PACKETS_HZ), round(1.0 / interval_s))))
+        following.subscribe(tracker, wanted=True)
+        tracker.Measurement.StartMeasurement()
+        if tracker.Targets.Selected is None:
+            raise TargetLost("tracker: the beam to the SMR broke before it was followed")
+
+    def _stop(self, tracker: Any, following: _Following) -> None:
+        following.subscribe(tracker, wanted=False)
+        self._apply(tracker, self._preparation)  # stops the measurement and selects the stationary one
+
+    def _leave(self) -> None:
+        """End a track that nobody has ended."""
+        if self._follows is not None:
+            self.end_track()
+
+    # -- on the thread that reads packets ------------------------------------------------------------------------------
+
+    def _packet(self, points: Any, arrived_s: float) -> Packet:
+        """Read a packet of LMF. Raises ``TrackerError``."""
+        stamps, places = [], []
+        with self._translating_errors("reading points"):
+            for one in points:
+                position = one.Position
+                places.append([to_si(getattr(position, f"Coordinate{axis}"), "length") for axis in (1, 2, 3)])
+                stamps.append(tracker_time_s(one) or math.nan)
+        p_M = np.array(places, dtype=np.float64).reshape(-1, 3)
+        time_s = np.array(stamps, dtype=np.float64)
+        known = np.isfinite(time_s) & np.isfinite(p_M).all(axis=1)
+        p_M, time_s = p_M[known], time_s[known]
+        sigma_m = np.array([math.sqrt(np.trace(self._law.covariance(p)) / 3.0) for p in p_M], dtype=np.float64)
+        return Packet(time_s, p_M, sigma_m, arrived_s)
+
+
+class _Following:
+    """What LMF sends while it follows: handlers that only store it, and a thread that reads it."""
+
+    def __init__(
+        self,
+        read: Callable[[Any, float], Packet],
+        lost: Callable[[TrackerError], None],
+        received: Callable[[Packet], None],
+    ) -> None:
+        self._read, self._lost, self._received = read, lost, received
+        self._queue: queue.SimpleQueue[tuple[Any, float] | None] = queue.SimpleQueue()
+        self._packets: list[Packet] = []
+        self._over = False
+        # bound once: an event must be given the same object when the handler is removed
+        self._arrived_handler, self._selected_handler = self._arrived, self._selected
+        self._thread = threading.Thread(target=self._work, name="LMF points", daemon=True)
+        self._thread.start()
+
+    def subscribe(self, tracker: Any, *, wanted: bool) -> None:
+        """Add the handlers to LMF's events, or remove them."""
+        for owner, name, handler in (
+            (tracker.Measurement, "MeasurementArrived", self._arrived_handler),
+            (tracker.Targets, "SelectedChanged", self._selected_handler),
+        ):
+            event = getattr(owner, name)
+            if wanted:
+                event += handler
+            else:
+                event -= handler
+            setattr(owner, name, event)
+
+    def end(self) -> list[Packet]:
+        """Read what has come and return all packets."""
+        self._queue.put(None)
+        self._thread.join(_ENDS_WITHIN_S)
+        return self._packets
+
+    def _arrived(self, *arguments: Any) -> None:
+        """Keep what LMF sends: sender, points, error."""
+        self._queue.put((arguments[1:], time.monotonic()))
+
+    def _selected(self, *arguments: Any) -> None:
+        """Keep that the beam broke: the target is null then."""
+        if arguments and arguments[-1] is None:
+            self._queue.put((_LOST, time.monotonic()))
+
+    def _work(self) -> None:
+        while (item := self._queue.get()) is not None:
+            if not self._over:
+                self._take(*item)
+
+    def _take(self, what: Any, arrived_s: float) -> None:
+        """Read a packet, or tell that the track has ended."""
+        try:
+            if what == _LOST:
+                raise TargetLost("tracker: the beam to the SMR broke while it was followed")
+            points, error = what[0], what[1] if len(what) > 1 else None
+            if error is not None:
+                raise TrackerError(f"tracker: following the SMR failed: {describe(error)}")
+            packet = self._read(points, arrived_s)
+        except TrackerError as ended:
+            self._over = True
+            self._lost(ended)
+            return
+        if len(packet.device_time_s):
+            self._packets.append(packet)
+            self._received(packet)
+
+
+def _continuous(tracker: Any) -> Any:
+    """LMF's profile of a continuous measurement; None if this tracker has none."""
+    return next((one for one in unwrap(tracker.Measurement.Profiles) if type(one).__name__ == _PROFILE), None)

@@ -1,0 +1,66 @@
+"""The emulated cell of a profile in a process of its own, for tests over the wire."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+
+import pytest
+
+from cellapp.cell.profile import profile_from_json, profile_to_json
+from cellapp.commands.emulate.result import EmulatedTracker
+from cellapp.commands.emulate.run import emulate, emulated_arms
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken
+
+PATIENT_S = 60.0
+
+
+def _serve(profile_text: str, hosts: Mapping[str, str], pace: float, pipe: Connection) -> None:
+    """The emulators, in a process of their own because the real client holds the interpreter while it connects."""
+    profile = profile_from_json(profile_text)
+    arms = [arm.model_copy(update={"host": hosts[arm.arm]}) for arm in emulated_arms(profile)]
+    cancel = CancelToken()
+
+    def until_told() -> None:
+        pipe.poll(None)  # or until the other end is gone
+        cancel.cancel()
+
+    threading.Thread(target=until_told, daemon=True).start()
+    ports: list[int] = []
+    emulate(
+        profile,
+        cancel,
+        lambda _: pipe.send(ports[0]),
+        arms,
+        pace=pace,
+        tracker=EmulatedTracker(host="127.0.0.1", port=0),
+        announce_tracker=lambda where: ports.append(where.port),
+    )
+
+
+@contextmanager
+def emulated(profile: Profile, hosts: Mapping[str, str], pace: float) -> Iterator[int]:
+    """The emulators of a profile at ``hosts``, arm -> address; gives the port of the tracker's bridge."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(profile_to_json(profile), dict(hosts), pace, theirs), daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        assert ours.poll(PATIENT_S), "the emulators did not come up"
+        try:
+            port = ours.recv()
+        except EOFError:
+            pytest.fail("the emulators could not listen; is another test at their addresses?")
+        yield port
+    finally:
+        ours.close()
+        process.join(PATIENT_S)
+        if process.is_alive():
+            process.kill()
+            process.join()
+    assert process.exitcode == 0

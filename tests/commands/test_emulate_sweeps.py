@@ -1,0 +1,99 @@
+"""Sweeps over the wire: arms over ur_rtde, the tracker's stream over the bridge, both clocks and a trigger."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.driving.records import CollectResult
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweeps, read_sweeps
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.recordings import read_recordings_of, recording_states
+from cellapp.commands.plan.run import new_planned_run
+from cellapp.estimation.motion.tracks import track_of
+from cellapp.ground.errors import HardwareError
+from cellapp.robot.model.nominal import nominal_arm
+from drivers.arms.ur_settings import UrSettings
+from drivers.plant.sweep import recorder_of
+from drivers.trackers.bridge_settings import BridgeSettings
+from tests.commands.emulated_cell import emulated
+from tests.loopback import own_arms
+from tests.twin import small_twin
+
+HOSTS = own_arms(73)
+PERIOD_S, SHARE = 4.5, 0.2
+"""Of the sweeps: what is planned takes 16 s and more."""
+ARM, RATE_HZ = "left", 200.0
+
+
+def planned(folder: Path) -> Path:
+    """One stop, and a short sweep of one arm about it."""
+    twin = small_twin(1, plan={"method": "random"})
+    driver = BridgeSettings(url="socket://127.0.0.1:50960")
+    served = twin.model_copy(
+        update={
+            "arms": {
+                name: arm.model_copy(
+                    update={"driver": UrSettings(host=HOSTS[name], watchdog_hz=2.0, trigger_output=number)}
+                )
+                for number, (name, arm) in enumerate(twin.arms.items())
+            },
+            "tracker": twin.tracker.model_copy(update={"driver": driver}),
+            "collection": twin.collection.model_copy(update={"motion_rate": RATE_HZ}),
+        }
+    )
+    with new_planned_run(served, folder, sweeps=1) as run:
+        sweeps = tuple(
+            one.model_copy(
+                update={
+                    "period_s": PERIOD_S,
+                    **{
+                        which: tuple(tuple(SHARE * value for value in row) for row in getattr(one, which))
+                        for which in ("sine", "cosine")
+                    },
+                }
+            )
+            for one in read_sweeps(run)
+            if one.arm == ARM
+        )
+        assert len(sweeps) == 1
+        run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=sweeps).model_dump_json())
+    return folder
+
+
+def collected(run: RunFile) -> CollectResult:
+    """Collect; a computer that stalls stops the arms, and a person begins again."""
+    for attempt in range(3):
+        try:
+            return collect_run(run, resume=attempt > 0)
+        except HardwareError as error:
+            if "this program was silent" not in str(error) and "this computer was" not in str(error):
+                raise
+    pytest.fail("this computer stalls too often")
+
+
+def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = planned(tmp_path / "run")
+    with RunFile.open(folder, write=True) as run:
+        profile = run.profile
+        clocks = recorder_of(build_plant(profile))
+        with emulated(profile, HOSTS, 1.0) as port:
+            driver = BridgeSettings(url=f"socket://127.0.0.1:{port}")
+            tracker = profile.tracker.model_copy(update={"driver": driver})
+            monkeypatch.setattr(run, "profile", profile.model_copy(update={"tracker": tracker}))
+            assert collected(run).stops == 1
+        assert [state.arm for state in recording_states(run) if state.reached_s is None] == [ARM]
+        (recording,) = read_recordings_of(run, ARM)
+        joints, points = recording.joints, recording.points
+        assert np.median(np.diff(joints.time_s)) == pytest.approx(0.008, rel=1e-3)
+        assert np.median(np.diff(points.time_s)) == pytest.approx(1.0 / RATE_HZ, rel=1e-3)
+        assert joints.qd is not None
+        track = track_of(recording, nominal_arm(profile.arms[ARM]), tool_unknown=False, seed=1)
+        true_s = clocks.offset_s + 1e-6 * clocks.rate_ppm * float(joints.time_s[0])
+        assert track.start.offset_s == pytest.approx(true_s, abs=5e-3)
+        assert track.trigger is not None, "pulses of both recordings belong together"
+        assert track.trigger.offset_s == pytest.approx(true_s, abs=0.010)

@@ -1,0 +1,288 @@
+"""What each kind of reading is worth: errors of one simulated UR10 that is calibrated from each, and of a real one.
+
+    python -m tests.trials.kinds --stops 100 --seeds 3
+    python -m tests.trials.kinds --real profiles/ur10-real.yaml readings.csv
+
+The arm is elastic and encoder 1 is eccentric; errors are those of predictions at 300 other configurations against the
+truth. From sockets the base is not seen: these predictions are laid onto the truth first. "Further out" is a point
+200 mm beyond the SMR on the flange's axis. After the earlier calibration the zero of joint 3 changes by 0.5 mrad; what
+ten touches of one socket find of it is taken into the model. Of a real arm, held-out readings with orientation stand
+for the truth.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile, read_readings_csv
+from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.check.run import check_by_touches
+from cellapp.commands.discover.run import discover_run
+from cellapp.commands.stages import read_stages
+from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.estimation.readings import Distance, Readings, joined
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.smr import Smr
+from cellapp.robot.kinematics.transforms import register
+from cellapp.robot.model import ArmModel
+from drivers.plant import Plant
+from drivers.plant.changes import zero_shifted
+from drivers.plant.sockets import touches
+from tests.twin import small_twin
+
+Array = NDArray[np.float64]
+app = typer.Typer(add_completion=False)
+
+EFFECTS: dict[str, Any] = {
+    "joint_compliance": {"stiffness": [9.0e4, 6.0e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]},
+    "encoder_eccentricity": {"joints": [1], "eccentricity": [2.0e-6], "radius": [0.025], "phase": [0.3]},
+}
+OFFSET = (0.045, 0.020, 0.060)
+NESTS = {"B": {"offset": (-0.055, 0.020, 0.060)}, "C": {"offset": (-0.005, 0.110, 0.060)}}
+PROBE = {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}
+FURTHER_M = 0.2
+SEATING_M = 2e-5
+GAUGE_M = 0.3
+TOUCHES, CHANGED_JOINT, CHANGE_RAD = 10, 3, 5e-4
+_RANGE_RAD = 2.2
+_TRUE = 300
+_PLACES = np.array([[0.5, 0.5, 0.1], [0.5, -0.5, 0.2], [-0.5, 0.6, 0.4], [0.8, 0.0, 0.5], [-0.5, -0.5, 0.7]])
+"""Of sockets in the frame of the base [m]."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Mean errors of the SMR and of a point further out [mm], and of the orientation [mrad]; NaN where not known."""
+
+    smr_mm: float
+    further_mm: float
+    orientation_mrad: float
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Where SMRs really are, and how flanges are really turned, at joint positions ``q`` (n, N) [rad].
+
+    ``R_M_F`` (n, 3, 3) may be turned by a constant rotation on the right, as by how a probe is mounted.
+    """
+
+    q: Array
+    p_M: Array
+    R_M_F: Array
+
+    def errors(self, arm: ArmModel, *, lay: bool = False) -> Errors:
+        """Errors of a model; with ``lay`` its predictions are laid onto the truth first."""
+        p_M, R_M_F = arm.predict(self.q), arm.flange(self.q)[0]
+        if lay:
+            T = register(self.p_M, p_M)
+            p_M, R_M_F = p_M @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ R_M_F
+        found, true = Rotation.from_matrix(R_M_F), Rotation.from_matrix(self.R_M_F)
+        mounted = (true.inv() * found).mean()
+        turned = found * mounted.inv() * true.inv()
+        off_M = p_M - self.p_M
+        further_M = off_M + turned.apply(FURTHER_M * R_M_F[:, :, 2]) - FURTHER_M * R_M_F[:, :, 2]
+        return Errors(_mean_mm(off_M), _mean_mm(further_M), 1e3 * float(turned.magnitude().mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A simulated arm; readings of ``stops`` configurations."""
+
+    seed: int
+    stops: int
+
+    def profile(self, **smr: Any) -> Profile:
+        """The left arm of the twin alone, with further keys of its SMR."""
+        whole = small_twin(plant={"seed": self.seed, "effects": {"left": EFFECTS}})
+        arm = whole.arms["left"].model_copy(update={"smr": Smr.model_validate({"offset": OFFSET, **smr})})
+        share = self.stops // 4
+        sizes = {"identify": 2 * share, "train": share, "validate_": self.stops - 3 * share}
+        splits = whole.splits.model_copy(update=sizes)
+        return whole.model_copy(update={"arms": {"left": arm}, "splits": splits})
+
+    def q(self, count: int, stream: int) -> Array:
+        """Joint positions (count, 6) [rad]."""
+        return np.random.default_rng([self.seed, stream]).uniform(-_RANGE_RAD, _RANGE_RAD, (count, 6))
+
+    def truth(self, change_rad: float = 0.0) -> Truth:
+        """The true arm at configurations that no reading is of, with the changed zero of a joint."""
+        plant, q = build_plant(self.profile(probe=PROBE)), self.q(_TRUE, 9)
+        plant.change_mechanism("left", lambda one: zero_shifted(one, CHANGED_JOINT - 1, change_rad))
+        at_rest = np.zeros_like(q)
+        return Truth(
+            q,
+            plant.smr_positions("left", q, approach=at_rest),
+            plant.probe_rotations("left", q, approach=at_rest),
+        )
+
+    def measured(self, profile: Profile) -> Readings:
+        """What the tracker measures: the SMR, further nests, the orientation of a probe."""
+        plant, q, smr = build_plant(profile), self.q(self.stops, 1), profile.arms["left"].smr
+        rng, at_rest = np.random.default_rng([self.seed, 2]), np.zeros_like(q)
+        parts = []
+        for name in smr.names:
+            nest = "" if name == smr.name else name
+            exact = plant.smr_positions("left", q, approach=at_rest, nest=nest)
+            points, covariance = plant.measure_positions(exact, rng)
+            more: dict[str, Any] = {"smr": (name,) * len(q)} if smr.nests else {}
+            if smr.probe is not None:
+                turns = Rotation.from_matrix(plant.probe_rotations("left", q, approach=at_rest))
+                noise = Rotation.from_rotvec(smr.probe.sigma * rng.standard_normal((len(q), 3)))
+                more["quaternion_M"] = np.roll((noise * turns).as_quat(), 1, axis=1)
+                more["sigma_rad"] = np.full(len(q), smr.probe.sigma)
+            parts.append(rows(q, p_M=points, covariance_M=covariance, **more))
+        return joined(parts)
+
+    def touched(self, plant: Plant, places: Array, each: int) -> Readings:
+        """Touches of two sockets at each place, a known distance apart; the last place is held out."""
+        rng = np.random.default_rng([self.seed, 3])
+        parts, distances = [], []
+        T_M_B = plant.true_T_M_B("left")
+        for number, place in enumerate(places):
+            aside = rng.normal(size=3)
+            ends = place, place + GAUGE_M * aside / np.linalg.norm(aside)
+            for end, at_B in zip("ab", ends, strict=True):
+                starts = rng.uniform(-_RANGE_RAD, _RANGE_RAD, (4 * each, 6))
+                point_M = T_M_B[:3, :3] @ at_B + T_M_B[:3, 3]
+                q = touches(plant, "left", point_M, starts, seating_m=SEATING_M, rng=rng)[:each]
+                split = "validate" if number == len(places) - 1 else "identify"
+                name = f"place {number} {end}"
+                parts.append(rows(q, p_M=np.full((len(q), 3), np.nan), point=(name,) * len(q), split=(split,) * len(q)))
+            distances.append(Distance(f"place {number} a", f"place {number} b", GAUGE_M, 2e-5))
+        found = joined(parts)
+        return replace(found, configuration=np.arange(len(found)), distances=tuple(distances))
+
+
+def rows(q: Array, **quantities: Any) -> Readings:
+    """Readings at ``q`` (n, N) [rad], one a stop."""
+    n = len(q)
+    return Readings(
+        configuration=np.arange(n), time_s=np.full(n, np.nan), q=q, approach=np.zeros(q.shape, np.int8), **quantities
+    )
+
+
+def calibrated(profile: Profile, measured: Readings, *, discover: bool) -> ArmModel:
+    """The model of the arm that ``calibrate``, and ``discover`` if asked, make of readings."""
+    (name,) = profile.arms
+    with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
+        run.add_readings(name, measured)
+        if measured.distances:
+            run.write_result(DISTANCES_RESULT, distances_text({name: measured}))
+        calibrate_run(run)
+        if discover:
+            discover_run(run)
+        return model_of(run, stage_in_force(run, read_stages(run))).arms[name]
+
+
+def simulated(seed: int, stops: int, *, discover: bool) -> Iterator[tuple[str, Errors]]:
+    """Each kind with its errors, of one arm."""
+    bench = Bench(seed, stops)
+    truth = bench.truth()
+    kinds: dict[str, dict[str, Any]] = {"one SMR": {}, "three SMRs": {"nests": NESTS}, "6-D probe": {"probe": PROBE}}
+    for kind, smr in kinds.items():
+        profile = bench.profile(**smr)
+        yield kind, truth.errors(calibrated(profile, bench.measured(profile), discover=discover))
+    profile = bench.profile()
+    plant = build_plant(profile)
+    touched = bench.touched(plant, _PLACES, stops // (2 * len(_PLACES)))
+    yield "sockets only", truth.errors(calibrated(profile, touched, discover=discover), lay=True)
+    yield from after_a_change(bench, profile, discover=discover)
+
+
+def after_a_change(bench: Bench, profile: Profile, *, discover: bool) -> Iterator[tuple[str, Errors]]:
+    """An earlier calibration with one SMR after a joint's zero changed, as it is and as ten touches correct it."""
+    plant, now = build_plant(profile), bench.truth(CHANGE_RAD)
+    plant.change_mechanism("left", lambda one: zero_shifted(one, CHANGED_JOINT - 1, CHANGE_RAD))
+    with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
+        run.add_readings("left", bench.measured(profile))
+        calibrate_run(run)
+        if discover:
+            discover_run(run)
+        arm = model_of(run, stage_in_force(run, read_stages(run))).arms["left"]
+        yield "earlier calibration, joint 3 changed", now.errors(arm)
+        T_M_B, rng = plant.true_T_M_B("left"), np.random.default_rng([bench.seed, 5])
+        socket_M = T_M_B[:3, :3] @ _PLACES[0] + T_M_B[:3, 3]
+        q = touches(plant, "left", socket_M, bench.q(8 * TOUCHES, 6), seating_m=SEATING_M, rng=rng)[:TOUCHES]
+        path = Path(folder) / "touches.csv"
+        path.write_text("\n".join(csv_lines(q)), "utf-8")
+        found = check_by_touches(run, path)
+        by_name = dict(zip(arm.geometry.names, arm.geometry.vector().tolist(), strict=True))
+        for change in found.changes:
+            joint = re.fullmatch(r"zero of joint ([0-9])", change.what)
+            if joint is not None and change.value is not None:
+                by_name[f"theta{joint[1]}"] += change.value
+        corrected = replace(arm, geometry=arm.geometry.with_vector(np.array(list(by_name.values()))))
+        yield "the same after ten touches of a socket", now.errors(corrected)
+
+
+def csv_lines(q: Array) -> Iterator[str]:
+    """Touches ``q`` (n, N) [rad] of one socket as a file has them."""
+    yield ",".join(("configuration", "arm", *(f"q{joint}" for joint in range(1, q.shape[1] + 1)), "point"))
+    for number, one in enumerate(q.tolist()):
+        yield ",".join((str(number), "left", *map(repr, one), "socket"))
+
+
+def real(profile: Profile, measured: Readings, *, discover: bool) -> Iterator[tuple[str, Errors]]:
+    """The same of readings with orientation of a real arm: positions alone, and both; a quarter is the truth."""
+    assert measured.quaternion_M is not None
+    drawn = np.random.default_rng(profile.seed).permutation(len(measured))
+    held_out = measured.take(np.sort(drawn[: len(measured) // 4]))
+    learn = measured.take(np.sort(drawn[len(measured) // 4 :]))
+    assert held_out.quaternion_M is not None
+    turns = Rotation.from_quat(np.roll(held_out.quaternion_M, -1, axis=1)).as_matrix()
+    truth = Truth(held_out.q, held_out.p_M, turns)
+    for kind, its in {"one SMR": replace(learn, quaternion_M=None, sigma_rad=None), "6-D probe": learn}.items():
+        yield kind, truth.errors(calibrated(profile, replace(its, split=None), discover=discover))
+
+
+def lines(found: Mapping[str, list[Errors]]) -> Iterator[str]:
+    """The table, a line for each kind: medians over the arms."""
+    yield "kind | SMR [mm] | 200 mm further out [mm] | orientation [mrad] | arms"
+    for kind, errors in found.items():
+        smr, further, turned = np.median([(e.smr_mm, e.further_mm, e.orientation_mrad) for e in errors], axis=0)
+        yield f"{kind} | {smr:.3f} | {further:.3f} | {turned:.3f} | {len(errors)}"
+
+
+def _mean_mm(vectors: Array) -> float:
+    return 1e3 * float(np.linalg.norm(vectors, axis=1).mean())
+
+
+@app.command()
+def main(
+    stops: Annotated[int, typer.Option(min=40)] = 100,
+    seeds: Annotated[int, typer.Option(min=1)] = 3,
+    geometry: Annotated[bool, typer.Option("--geometry", help="without effects")] = False,
+    measured: Annotated[tuple[Path, Path] | None, typer.Option("--real", help="profile, readings with quat_*")] = None,
+) -> None:
+    """Print the table."""
+    found: dict[str, list[Errors]] = {}
+    each: Iterator[Iterator[tuple[str, Errors]]]
+    if measured is None:
+        each = (simulated(seed, stops, discover=not geometry) for seed in range(1, seeds + 1))
+    else:
+        profile = load_profile(measured[0])
+        (name,) = profile.arms
+        readings, _ = read_readings_csv(measured[1], {name: len(profile.arms[name].type.joints)})
+        each = iter([real(profile, readings[name], discover=not geometry)])
+    for kinds in each:
+        for kind, errors in kinds:
+            found.setdefault(kind, []).append(errors)
+            typer.echo(f"{kind}: {errors}", err=True)
+    typer.echo("\n".join(lines(found)))
+
+
+if __name__ == "__main__":
+    app()
