@@ -59,7 +59,8 @@ class Sight:
         found = []
         for target in self._plant.targets():
             owner = f"arm {target.arm}, nest {target.nest}" if target.nest else f"arm {target.arm}"
-            why = "something covers it" if {target.arm, owner} & self.covered else target.hidden
+            covered = target.arm in self.covered or owner in self.covered
+            why = "something covers it" if covered else target.hidden
             probe = (target.nest, target.R_M_S, target.sigma_rad)
             found.append(Smr(owner, target.arm, target.p_M, why, target.moving, *probe))
         for name, p_M in self._nests.items():
@@ -115,7 +116,7 @@ class Sight:
 
     def hidden(self, locked: Smr, p_M: Vector, normal_M: Vector) -> str:
         """Why an SMR at ``p_M`` (3,) is not seen now; empty if it is."""
-        if {locked.arm, locked.owner, locked.owner.removeprefix("nest ")} & self.covered:
+        if any(name in self.covered for name in (locked.arm, locked.owner, locked.owner.removeprefix("nest "))):
             return "something covers it"
         acceptance = math.pi
         if locked.arm is not None:

@@ -192,7 +192,7 @@ def test_a_locked_run_is_a_row_at_once(tmp_path: Path) -> None:
     [
         "INSERT INTO stage VALUES (1, 'calibrate', 'now', 'x', '{}', '{}', NULL)",
         "INSERT INTO stage VALUES (1, 'calibrate', 'now', 'x', 'text', 'text', 'text')",
-        "INSERT INTO session VALUES (9, 'now', 'now', 'as never before', '')",
+        "INSERT INTO session VALUES (9, 'now', 'now', 'as never before', '', '')",
         "INSERT INTO reading (arm, configuration, time_s, q, split) VALUES ('nobody', x'00', 'x', 'y', 7)",
         "UPDATE meta SET value = x'ff' WHERE key = 'created'",
         "DROP TABLE reading",

@@ -153,7 +153,9 @@ def _notify(profile: Profile) -> list[Finding]:
 
 def installed_plugins() -> tuple[Plugin, ...]:
     """Every entry point in a group of this program, also those that are not used."""
-    return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins)
+    from cellapp.commands.trials.benchmark.methods.registry import METHODS  # late: loads what discovery needs
+
+    return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins, *METHODS.plugins)
 
 
 def installed_findings() -> list[Finding]:

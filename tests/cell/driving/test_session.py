@@ -413,10 +413,10 @@ def test_a_full_disk_holds_the_reading_until_a_person_freed_it(bench: Bench, mon
     add_stop = RunFile.add_stop
     full = [True]
 
-    def refused(self: RunFile, stop: int, rows: dict[str, Reading], outcomes: Any = ()) -> None:
+    def refused(self: RunFile, stop: int, rows: dict[str, Reading], *others: Any) -> None:
         if stop == 3 and full[0]:
             raise InputError("run.sqlite: database or disk is full")
-        add_stop(self, stop, rows, outcomes)
+        add_stop(self, stop, rows, *others)
 
     def free(request: Request) -> None:
         full[0] = False

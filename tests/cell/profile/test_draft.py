@@ -51,10 +51,12 @@ def changed(name: str, **texts: str) -> ProfileDraft:
 
 
 def formed(profile: Profile) -> tuple[object, ...]:
-    """What a form fills of a profile, without settings of drivers that it does not have."""
+    """What a form fills of a profile, without settings of drivers, probes and further nests that it does not have."""
+    one_smr: dict[str, object] = {"probe": None, "name": "", "nests": {}}
     arms = [
-        (name, arm.type, arm.driver.kind, arm.base, arm.payload, arm.limits, arm.home, arm.speed_scale, arm.smr)
+        (name, arm.type, arm.driver.kind, arm.base, arm.payload, arm.limits, arm.home, arm.speed_scale, smr)
         for name, arm in profile.arms.items()
+        for smr in (arm.smr.model_copy(update=one_smr),)
     ]
     plan = (profile.plan.stops, profile.plan.clearance, profile.plan.floor)
     return profile.name, arms, profile.tracker.driver.kind, profile.tracker.pose, plan

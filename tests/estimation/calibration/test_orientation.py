@@ -167,6 +167,7 @@ def test_held_out_errors_and_an_offset_that_is_not_determined():
     readings = measured(geometry, 80, 0)
     arm, notes = calibrate_arm(twin(), "left", readings)
     errors = arm.validate["geometry"]
+    assert errors.orientation_mrad is not None
     assert errors.orientation_mrad.mean == pytest.approx(1.6e3 * SIGMA_RAD, rel=0.3)
     assert errors.orientation_mrad.n == errors.position_mm.n == 16
     assert not any("offset" in note for note in notes)
@@ -182,6 +183,7 @@ def test_a_real_arm_in_six_dimensions():
     arm, notes = calibrate_arm(entrant.profile, entrant.arm, readings)
     errors = arm.validate["geometry"]
     assert errors.position_mm.mean < 0.37
+    assert errors.orientation_mrad is not None
     assert errors.orientation_mrad.mean < 0.96
     assert arm.identification.excess_rad == pytest.approx(0.55e-3, rel=0.1)
     assert len([note for note in notes if "along (0.00, 0.00, 1.00) of the flange is not determined" in note]) == 1

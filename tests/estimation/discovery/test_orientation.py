@@ -94,10 +94,12 @@ def test_the_last_joint_shows_by_orientation_only(both):
 def test_stated_intervals_of_orientations_hold(both):
     readings, found = both
     its = measured_quantities(readings, measurement_conditions(readings))
+    assert its.turned is not None
     model, rows = found["both"].model, its.turned & np.isin(its.reading, readings.in_split("validate"))
     left = its.readings.p_M - model.predict(its.readings.q, conditions=its.conditions)
     sd = model.measured_uncertainty(its.readings.q, its.conditions)
     assert 0.90 < np.mean(np.abs(left[rows]) < 1.96 * sd[rows, None]) < 0.99
+    assert model.posterior is not None
     assert model.posterior.noise_rad == pytest.approx(SIGMA_RAD, rel=0.15)
 
 
@@ -123,8 +125,10 @@ def test_the_model_is_stored_with_its_probe(both):
     model = found["both"].model
     stored = CellModel.from_json(CellModel({"left": model}).to_json()).arms["left"]
     its = measured_quantities(readings, measurement_conditions(readings))
-    computed = [one.predict(its.readings.q, conditions=its.conditions) for one in (model, stored)]
-    np.testing.assert_array_equal(*computed)
+    computed, again = (one.predict(its.readings.q, conditions=its.conditions) for one in (model, stored))
+    np.testing.assert_array_equal(computed, again)
+    assert stored.posterior is not None
+    assert model.posterior is not None
     assert stored.posterior.noise_rad == model.posterior.noise_rad
     alone = stored.of_positions()
     assert set(stored.identified) - set(alone.identified) == {"rx", "ry", "rz"}

@@ -42,12 +42,17 @@ def test_every_column_turns_the_probe_as_it_moves_points_of_it(slug):
             if column.joint is not None:
                 np.testing.assert_array_equal(column.offset, here[name].offset)
                 continue
+            own = here[name].shift_M
+            assert own is not None
+            assert column.shift_M is not None
             if effect.of_reading:  # of the reading of a point: the probe itself does not turn
                 assert not column.shift_M.any()
                 continue
-            size = np.abs(here[name].shift_M).max()
+            size = np.abs(own).max()
             for axis, further in enumerate(levers):
-                moved = further[name].shift_M - here[name].shift_M
+                other = further[name].shift_M
+                assert other is not None
+                moved = other - own
                 np.testing.assert_allclose(moved, np.cross(column.shift_M, R_M_F[:, :, axis]), atol=1e-9 * size)
 
 

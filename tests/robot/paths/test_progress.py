@@ -21,13 +21,13 @@ def path():
 @pytest.fixture(scope="module")
 def sent(path):
     """From rest to rest on either line, with ramps of 0.1 m/s^2."""
-    s = []
+    parts = []
     for first, last in zip(path.stops, path.stops[1:], strict=False):
         ramp = SPEED**2 / 0.2
         t = np.arange(0.0, (last - first - 2 * ramp) / SPEED + 2.0, PERIOD_S)
         up, down = 0.05 * t**2, (last - first) - 0.05 * (t[-1] - t) ** 2
-        s.append(first + np.where(t < 1.0, up, np.where(t > t[-1] - 1.0, down, ramp + SPEED * (t - 1.0))))
-    s = np.concatenate(s)
+        parts.append(first + np.where(t < 1.0, up, np.where(t > t[-1] - 1.0, down, ramp + SPEED * (t - 1.0))))
+    s = np.concatenate(parts)
     return Trajectory(np.zeros((len(s), 6)), s, PERIOD_S, "", 0.9)
 
 

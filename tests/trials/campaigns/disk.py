@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 from cellapp.cell.run import Outcome, RunFile
@@ -82,9 +83,15 @@ class CampaignRun(RunFile):
             self.disk.reach("before its commit")
         self.disk.reach("after its commit")
 
-    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+    def add_stop(
+        self,
+        configuration: int,
+        rows: Mapping[str, Reading],
+        outcomes: Sequence[Outcome] = (),
+        further: Mapping[str, Sequence[Reading]] = MappingProxyType({}),
+    ) -> None:
         """Store a stop, and record that it was reported as stored."""
-        super().add_stop(configuration, rows, outcomes)
+        super().add_stop(configuration, rows, outcomes, further)
         if self.disk is not None:
             self.disk.monitor.reported(configuration, {name: reading.p_M for name, reading in rows.items()})
 

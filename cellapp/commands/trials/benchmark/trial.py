@@ -72,7 +72,7 @@ class _Question(Record):
 def _answered(shared: _Shared, asked: _Question) -> ScoredAnswer:
     """Let the method answer, then open the truth."""
     folder = Path(asked.folder)
-    problem, measured = _problem(folder, asked.run, asked.arm)
+    problem, measured = sealed_problem(folder, asked.run, asked.arm)
     method = METHODS[asked.method]
     began_s = time.process_time()
     with one_blas_thread():
@@ -157,6 +157,17 @@ def benchmark_table(result: BenchmarkResult) -> Table:
     )
 
 
+def sealed_problem(folder: Path, run: str, arm: str) -> tuple[Problem, Array]:
+    """An arm of a sealed run as a problem, and the points (m, 3) [m] that are held out."""
+    with RunFile.open(folder / run) as file:
+        profile, readings = file.profile, {name: file.readings(name) for name in file.profile.arms}
+    models = {name: registered_model(profile, name, own.q, own.p_M) for name, own in readings.items()}
+    own = readings[arm]
+    conditions = conditions_of_arms(models, readings)[arm]
+    name = f"{folder.name}/{run}/{arm}"
+    return Problem.of(name, profile, arm, own, conditions), own.p_M[own.in_split("validate")]
+
+
 def refused(result: BenchmarkResult) -> str:
     """What could not be answered, in words; empty if all was."""
     said = not_computed(result.failed)
@@ -177,17 +188,6 @@ def _known(methods: Sequence[str]) -> list[str]:
         if package is not None and importlib.util.find_spec(package) is None:
             raise InputError(f"method '{name}' needs {package}: pip install 'cellapp[benchmark]', or leave it out")
     return list(dict.fromkeys(names))
-
-
-def _problem(folder: Path, run: str, arm: str) -> tuple[Problem, Array]:
-    """An arm of a sealed run as a problem, and the points (m, 3) [m] that are held out."""
-    with RunFile.open(folder / run) as file:
-        profile, readings = file.profile, {name: file.readings(name) for name in file.profile.arms}
-    models = {name: registered_model(profile, name, own.q, own.p_M) for name, own in readings.items()}
-    own = readings[arm]
-    conditions = conditions_of_arms(models, readings)[arm]
-    name = f"{folder.name}/{run}/{arm}"
-    return Problem.of(name, profile, arm, own, conditions), own.p_M[own.in_split("validate")]
 
 
 def _result(

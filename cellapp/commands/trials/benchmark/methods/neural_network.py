@@ -49,7 +49,7 @@ def _trained(table: Array, y: Array, asked: Array) -> Array:
     best, found, since = float((target[tested] ** 2).mean()), np.zeros((len(asked), y.shape[1])), 0
     for _ in range(_STEPS):
         optimizer.zero_grad()
-        ((output(x[~tested]) - target[~tested]) ** 2).mean().backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward(((output(x[~tested]) - target[~tested]) ** 2).mean())
         optimizer.step()
         with torch.no_grad():
             left, since = float(((output(x[tested]) - target[tested]) ** 2).mean()), since + 1

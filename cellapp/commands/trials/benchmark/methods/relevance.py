@@ -2,23 +2,24 @@
 
 Each coefficient has a prior of its own precision, found by evidence (MacKay, Neural Comput. 4 (1992) 415; Tipping,
 J. Mach. Learn. Res. 1 (2001) 211); most grow without bound and their columns go. An effect is named where the columns
-that are left gain of the Bayesian information criterion beside all others.
+that are left gain of the extended Bayesian information criterion beside all others.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.commands.trials.benchmark.methods.forward_selection import candidate_laws, even_odds
+from cellapp.commands.trials.benchmark.methods.forward_selection import even_odds, library_laws
 from cellapp.commands.trials.benchmark.problem import Answer, Problem
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
-from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
+from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.ground.grouping import grouped
-from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.transforms import Array
 
 _ROUNDS = 60
@@ -46,8 +47,7 @@ def relevant_rows(rows: Array, y: Array) -> NDArray[np.intp]:
 def ard(problem: Problem) -> Answer:
     """Name the effects whose relevant columns gain beside all others."""
     fit = problem.geometry_fit
-    every = candidate_laws(problem, fit, [slug for slug in EFFECTS if slug != UNKNOWN])
-    laws = [own[0] for own in grouped((one.slug, one) for one in every).values()]
+    laws = [own[0] for own in grouped((one.slug, one) for one in library_laws(problem, fit)).values()]
     owner = [(one, place) for one in laws for place in range(len(one.columns))]
     if not owner:
         return Answer(problem.predicted(fit.model))
@@ -57,11 +57,11 @@ def ard(problem: Problem) -> Answer:
     seen = np.flatnonzero(length > 1e-6 * np.linalg.norm(rows, axis=1).clip(1e-300))
     kept = seen[relevant_rows(projected[seen] / length[seen, None], fit.projected_residual.projected)]
     best = grouped((owner[k][0].slug, int(k)) for k in kept)
-    names, terms = dict[str, float](), []
+    names, terms, price = dict[str, float](), [], 2.0 * math.log(len(rows))
     for slug, places in best.items():
         others = np.concatenate([fit.rows, *(rows[those] for other, those in best.items() if other != slug)])
         beside = ProjectedResidual(NuisanceProjector.of(others, np.zeros(len(others))), fit.residual)
-        gain = beside.bic_gain(rows[places])
+        gain = beside.bic_gain(rows[places]) - price
         if gain > 0.0:
             names[slug] = even_odds(gain)
             law = owner[places[0]][0]

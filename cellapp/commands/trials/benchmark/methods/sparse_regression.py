@@ -7,6 +7,7 @@ threshold of each joint is that of the least Bayesian information criterion.
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 
@@ -46,7 +47,9 @@ def _thresholded(table: Array, y: Array) -> tuple[Array, float]:
     best, least = np.zeros(table.shape[1]), none
     for threshold in _THRESHOLDS:
         optimizer = STLSQ(threshold=threshold, alpha=1e-6)
-        optimizer.fit(table, y[:, None])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that a threshold leaves nothing: then it is not chosen
+            optimizer.fit(table, y[:, None])
         found = np.asarray(optimizer.coef_)[0]
         left = float(np.mean((y - table @ found) ** 2))
         criterion = len(y) * math.log(max(left, 1e-300)) + np.count_nonzero(found) * math.log(len(y))

@@ -1,0 +1,160 @@
+"""The benchmark: a method never sees what is held out, scores are right, methods of strangers take part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.commands.trials.benchmark.methods.registry import METHODS
+from cellapp.commands.trials.benchmark.methods.relevance import relevant_rows
+from cellapp.commands.trials.benchmark.problem import Answer
+from cellapp.commands.trials.benchmark.scoring import scored, set_score
+from cellapp.commands.trials.benchmark.trial import BenchmarkResult, benchmark_table, benchmark_trials, sealed_problem
+from cellapp.commands.trials.sealed import GroundTruth, HiddenLaw
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import EFFECTS
+from tests.interfaces.plugins.installed import add_distribution, installed
+from tests.twin import small_twin
+
+STOPS, SEED = 60, 3
+ROWS = {"identify": 20, "train": 20, "validate_": 20, "pair_identify": 10, "pair_validate": 10}
+STRANGER = """
+SEEN = []
+
+def guess(problem):
+    from cellapp.commands.trials.benchmark.problem import Answer
+    SEEN.append(problem)
+    return Answer(problem.predicted(problem.geometry_fit.model), {"backlash": 0.5})
+
+def half(problem):
+    from cellapp.commands.trials.benchmark.problem import Answer
+    return Answer(problem.predicted(problem.geometry_fit.model)[:1])
+"""
+
+
+def small() -> Profile:
+    """The twin with few stops."""
+    profile = small_twin(STOPS)
+    return profile.model_copy(update={"splits": profile.splits.model_copy(update=ROWS)})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sealed problems: one run of each kind."""
+    found = tmp_path_factory.mktemp("benchmark") / "problems"
+    benchmark_trials(small(), found, ["geometry"], 1, SEED)
+    return found
+
+
+@pytest.fixture
+def stranger(tmp_path: Path) -> Iterator[None]:
+    """Two methods of a distribution that is not ours."""
+    entries = {"guess": "stranger:guess", "half": "stranger:half", "text": "stranger:STRANGER"}
+    added = add_distribution(
+        tmp_path,
+        "stranger",
+        {"cellapp.trials.methods": entries},
+        {"stranger.py": STRANGER + "STRANGER = 'no function'\n"},
+    )
+    with installed(added):
+        yield
+
+
+def test_a_stranger_s_method_sees_no_held_out_point_and_is_scored(folder: Path, stranger: None) -> None:
+    import stranger as module  # type: ignore[import-not-found]
+
+    result = benchmark_trials(small(), folder, ["guess", "geometry"], 1, None)
+    for problem in module.SEEN:
+        assert np.isnan(problem.held_out.p_M).all()
+        assert len(problem.learn) == STOPS - ROWS["validate_"]
+        assert not problem.learn.in_split("validate").size
+        assert problem.profile.plant is None
+    assert result.method == "guess"
+    assert result.total.n == 6
+    assert set(result.sets) == {"clean", "one", "pair", "outside"}
+    assert result.sets["clean"].exact == 0.0
+    assert result.sets["clean"].false_names == 1.0
+    assert result.compared["geometry"].sets["clean"].exact == 1.0
+    assert result.compared["geometry"].total.brier is None
+    again = BenchmarkResult.from_json(result.to_json(), "result")
+    assert again == result
+    assert len(benchmark_table(result).rows) == 10
+
+
+def test_a_method_that_cannot_be_used_is_named(folder: Path, stranger: None) -> None:
+    with pytest.raises(
+        InputError, match=r"'text' is not known; plug-in stranger 1\.0.*expected a function of a Problem"
+    ):
+        benchmark_trials(small(), folder, ["text"], 1, None)
+    with pytest.raises(InputError, match=r"'nobody' is not known; methods are cellapp, geometry"):
+        benchmark_trials(small(), folder, ["nobody"], 1, None)
+    with pytest.raises(InputError, match=r"predicted shape \(1, 3\), expected \(20, 3\)"):
+        benchmark_trials(small(), folder, ["half"], 1, None)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_answers(folder: Path, name: str) -> None:
+    problem, _ = sealed_problem(folder / "one", "run-0001", "left")
+    answer = METHODS[name](problem)
+    assert answer.p_M.shape == (ROWS["validate_"], 3)
+    assert np.isfinite(answer.p_M).all()
+    assert set(answer.names) <= set(EFFECTS)
+    assert all(0.0 <= probability <= 1.0 for probability in answer.names.values())
+
+
+def truth(kind: str, *effects: tuple[str, float]) -> GroundTruth:
+    """Truth of a run whose left arm has effects of some visible size [um] in a noise of 20 um."""
+    laws = tuple(HiddenLaw(effect=slug, plant=slug, parameters={}, raw_um=um, visible_um=um) for slug, um in effects)
+    both = {"left": 20.0, "right": 20.0}
+    return GroundTruth(
+        run="run-0001", kind=kind, look_alikes=False, arm="left", effects=laws, expected=None, noise_um=both,
+        held_out_um=both, seeds={}, readings="",
+    )  # fmt: skip
+
+
+def score(of: GroundTruth, arm: str = "left", **names: float) -> Any:
+    """The score of an answer that is 40 um off everywhere."""
+    measured = np.zeros((5, 3))
+    return scored("any", "p", arm, of, Answer(measured + np.array([40e-6, 0.0, 0.0]), names), measured, 1.0)
+
+
+@pytest.mark.fast
+def test_names_are_exact_where_they_are_those_of_the_effects_larger_than_the_noise() -> None:
+    pair = truth("pair", ("backlash", 90.0), ("base_step", 12.0))
+    found = score(pair, backlash=0.9)
+    assert (found.set, found.exact, found.false_names) == ("pair", True, 0)
+    assert found.heldout_ratio == pytest.approx(2.0)
+    assert score(pair, backlash=0.9, base_step=0.8).exact, "what is below the noise counts neither way"
+    wrong = score(pair, backlash=0.9, joint_drift=0.6)
+    assert (wrong.exact, wrong.false_names) == (False, 1)
+    assert set_score([wrong]).brier == pytest.approx((0.1**2 + 0.6**2) / 2.0)
+    assert not score(pair).exact
+    assert not score(pair, backlash=0.9, unknown=1.0).exact
+
+
+@pytest.mark.fast
+def test_the_other_arm_is_clean_and_outside_the_library_no_name_is_right() -> None:
+    one = truth("one", ("backlash", 90.0))
+    assert score(one, "right").set == "clean"
+    assert score(one, "right").exact
+    assert score(one, "right", unknown=0.9).false_names == 1
+    outside = truth("outside", ("dress_pack", 90.0))
+    assert score(outside).exact
+    assert score(outside, unknown=0.9).exact
+    assert score(outside, backlash=0.9).false_names == 1
+
+
+@pytest.mark.fast
+def test_relevance_keeps_the_columns_that_explain() -> None:
+    rng = np.random.default_rng(4)
+    rows = rng.normal(size=(12, 300))
+    rows /= np.linalg.norm(rows, axis=1)[:, None]
+    y = 40.0 * rows[3] - 25.0 * rows[7] + rng.normal(size=300)
+    kept = set(relevant_rows(rows, y).tolist())
+    assert {3, 7} <= kept
+    assert len(kept) < len(rows)
