@@ -161,6 +161,11 @@ class RunsScreen(DayScreen):
             self._workspace = workspace
             self._list_runs(self.cell_app.logs)
 
+    def on_screen_resume(self) -> None:
+        """Read the folder again where a job goes on storing: the list must not say what was true before it."""
+        if self.cell_app.jobs.running:
+            self._workspace = None
+
     def action_read(self) -> None:
         """Read the folder again."""
         self._list_runs(self.cell_app.logs)
