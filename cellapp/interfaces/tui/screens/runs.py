@@ -112,6 +112,8 @@ class RunsScreen(DayScreen):
     DEFAULT_CSS = """
     RunsScreen #runs { height: 1fr; }
     RunsScreen #about-run { height: auto; max-height: 8; }
+    RunsScreen.-wide #about-run { dock: right; width: 36%; height: 100%; max-height: 100%; padding-left: 2; }
+    RunsScreen.-wide #about { padding-top: 1; }
     """
 
     def __init__(self) -> None:
