@@ -7,6 +7,7 @@ than ``settle_speed`` or leaves ``settle_window``.
 from __future__ import annotations
 
 from collections import deque
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ def read_led_arm(
     patience_s: float,
     *,
     rtde_port: int = RTDE_PORT,
-    **ports: int,
+    **ports: Any,
 ) -> ArmState:
     """Return the arm's state, joints averaged over the last ``rest_s`` [s] of rest; ``ports`` are those of the probe.
 

@@ -52,7 +52,9 @@ class TouchRequest(Request):
     @model_validator(mode="after")
     def _one_thing(self) -> Self:
         if self.undo and self.point is not None:
-            raise ValueError("give --point or --undo, not both")
+            raise ValueError(
+                "a socket's name and undo exclude each other; leave the name out to take the last touch back"
+            )
         if self.sure and self.point is None:
             raise ValueError("--sure belongs to --point; line by line you are asked")
         return self

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets.contacts import Contacts
@@ -28,7 +29,7 @@ class PointAgreement:
     """
 
     name: str
-    rows: Array
+    rows: NDArray[np.intp]
     off_m: Array
     turned_rad: Array
 
@@ -40,7 +41,7 @@ def agreements(geometry: Geometry, readings: Readings) -> tuple[PointAgreement, 
     found = []
     for place, name in enumerate(contacts.names):
         rows = np.flatnonzero(contacts.index == place)
-        off_m = np.array([_off(computed, rows[rows != row], row) for row in rows])
+        off_m = np.array([_off(computed, rows[rows != row], row) for row in rows.tolist()])
         found.append(PointAgreement(name, rows, off_m, np.ptp(readings.q[rows], axis=0)))
     return tuple(found)
 
@@ -59,6 +60,6 @@ def nearest_point(geometry: Geometry, readings: Readings, row: int) -> tuple[str
     return name, near.get(name, float("inf"))
 
 
-def _off(computed: Array, others: Array, row: int) -> float:
+def _off(computed: Array, others: NDArray[np.intp], row: int) -> float:
     """Distance of a row of ``computed`` (n, 3) [m] from the median of ``others``; NaN without any."""
     return float(np.linalg.norm(computed[row] - np.median(computed[others], axis=0))) if len(others) else float("nan")
