@@ -390,10 +390,10 @@ class CellScreen(DayScreen):
     def _verdict(self) -> tuple[str, str]:
         """The doctor's verdict in words, and the class that colours them."""
         if self.workspace.profile is None:
-            return (
-                self.workspace.problem or f"No profile is open: choose one in the list, or press {SHOWN['open']}.",
-                "failed",
-            )
+            if self.state.reading:
+                return self.state.reading, "old"
+            choose = f"No profile is open: choose one in the list, or press {SHOWN['open']}."
+            return self.workspace.problem or choose, "failed"
         if self._doctor is None:
             return f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves.", "old"
         from cellapp.commands.doctor.profile_view import doctor_verdict
