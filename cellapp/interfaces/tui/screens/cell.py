@@ -22,6 +22,7 @@ from cellapp.ground.errors import CellappError
 from cellapp.ground.starters import offered_profiles
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_findings import (
@@ -363,6 +364,11 @@ class CellScreen(DayScreen):
         self._draw_doctor()
         self._draw_devices()
         self._draw_detail()
+
+    def show_job(self, record: JobRecord) -> None:
+        """The maps show what is measured by now."""
+        for drawn in self.query(CellMap):
+            drawn.follow(record if self.state.collecting else None)
 
     def _show_profile(self, profile: Profile | None) -> None:
         changed = profile is None or self._profile is None or profile != self._profile
