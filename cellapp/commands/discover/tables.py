@@ -43,9 +43,9 @@ def noise_floor(arm: ArmDiscoveryResult) -> float | None:
 
 
 def noise_floor_words(arm: ArmDiscoveryResult) -> str:
-    """``noise floor``, with ``estimated`` where the readings state no uncertainty."""
+    """``noise floor``, ``estimated`` where the readings state no uncertainty."""
     estimated = arm.noise_mm is not None and arm.noise_mm.source == "estimated"
-    return "noise floor, estimated" if estimated else "noise floor"
+    return "estimated noise floor" if estimated else "noise floor"
 
 
 def discovery_tables(result: DiscoverResult) -> list[Table]:

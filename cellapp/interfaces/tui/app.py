@@ -77,6 +77,7 @@ _LATER = (
     "cellapp.commands.docs.sections",
     "cellapp.interfaces.tui.dialogs.handbook",
 )
+_ONWARD = f"{SHOWN['next']} goes to the next step, {SHOWN['help']} explains"
 _MOST_TAKEN = 300
 """Events that are taken in at a time: each takes some microseconds."""
 
@@ -155,7 +156,7 @@ class CellApp(JobKeys):
         self.set_interval(_TICK_S, self._tick)
         self.set_timer(_PRELOAD_AFTER_S, self._preload)
         self.leaving.watch()
-        self.say(f"Choose a profile on this screen; {SHOWN['next']} goes to the next step, {SHOWN['help']} explains.")
+        self.say(f"Choose a profile on the screen Cell (key 1); {_ONWARD}.")
 
     def _welcome(self) -> None:
         """Ask what to begin with where there is no profile."""
@@ -344,7 +345,7 @@ class CellApp(JobKeys):
         before, now = self.workspace, event.workspace
         if self._hides_moving_arms(now.folder):
             return  # it was asked for before the job began, whose run is read at its end
-        self.workspace = now
+        self.workspace, self.reading = now, ""
         ended, self._ended = self._ended, None
         title = next(entry.title for entry in SCREENS if entry.step == now.next_step)
         if now.problem:
@@ -354,6 +355,11 @@ class CellApp(JobKeys):
         elif ended is None and now.folder not in (None, before.folder):
             then = f"in use by {now.in_use}" if now.in_use else f"next: {title} (key n)"
             self.say(f"{now.folder} is open; {then}.")
+        elif ended is None and now.folder is None and now.profile_path not in (None, before.profile_path):
+            self.message, self._severity = (
+                f"{now.profile_path} is open; {_ONWARD}.",
+                "information",
+            )  # no line of the log
         elif ended and ended == self.message and now.folder is not None:
             self.message = f"{ended} Next: {title} (key n)."
         self.draw_all()
@@ -386,6 +392,7 @@ class CellApp(JobKeys):
         if isinstance(message.ending, Detached):
             return  # something else is opened now
         folder = message.job.folder or self.workspace.folder
+        self.reading = f"What '{message.job.name}' has stored is being read."
         self._load(self.workspace.profile_path, folder if holds_run(folder) else self.workspace.folder)
         self.refresh_bindings()
         self.passes.look_again()  # nothing moves now

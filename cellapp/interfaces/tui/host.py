@@ -39,6 +39,8 @@ class Host(App[None]):
         Exit code of the last job.
     waits : str
         A run that waits to be gone on with, in words; empty if none was found.
+    reading : str
+        That what the last job stored is being read, as a sentence; empty once it is.
     """
 
     def __init__(self, profiles: Path, logs: Path) -> None:
@@ -50,15 +52,15 @@ class Host(App[None]):
         self.presses = StopPresses(self.jobs)
         self.asked_by: ShowsResults | None = None
         self.code = 0
-        self.waits = ""
+        self.waits = self.reading = ""
         self._state: tuple[tuple[object, ...], RunState] | None = None
 
     @property
     def state(self) -> RunState:
         """The one state of the run that is open and of the job; derived once for what is known now."""
-        known = (self.workspace, self.record.changes, self.jobs.job, self.waits)
+        known = (self.workspace, self.record.changes, self.jobs.job, self.waits, self.reading)
         if self._state is None or any(one is not other for one, other in zip(known, self._state[0], strict=True)):
-            self._state = known, run_state(self.workspace, self.record, self.jobs.job, self.waits)
+            self._state = known, run_state(self.workspace, self.record, self.jobs.job, self.waits, self.reading)
         return self._state[1]
 
     def start_job(self, job: Job, cell: Workspace | None = None) -> bool:

@@ -51,7 +51,7 @@ KEYS: Mapping[str, Key] = {
     "redo": Key("ctrl+y", "Ctrl+Y", "make it again"),
     "again": Key("r", "r", "again: ask the devices, read the folder, design the rest of a plan, measure marked stops"),
     "arm": Key("a", "a", "the other arm"),
-    "before": Key("comma", ",", "the one before: joint, picture, chart, match"),
+    "before": Key("comma", ",", "the one before: joint, picture, chart, match, place in the handbook"),
     "after": Key("full_stop", ".", "the next one: joint, picture, chart, match"),
     "look": Key("v", "v", "look: what the tracker sees, from another side, at a run again"),
     "check": Key("k", "k", "check: the plan, the calibration"),
@@ -72,7 +72,11 @@ KEYS: Mapping[str, Key] = {
     "handbook": Key("f1,h", "F1", "the handbook: contents, search, links"),
     "palette": Key("ctrl+p", "Ctrl+P", "every action by its name, and the themes"),
     "jump": Key("ctrl+o", "Ctrl+O", "a letter for everything that can have the focus"),
-    "quit": Key("q", "q", "quit; asks where something runs or is not saved. Ctrl-Q does so in a text field"),
+    "quit": Key(
+        "q",
+        "q",
+        "quit; asks where something runs or is not saved; in a text to read: close it. Ctrl-Q does so in a text field",
+    ),
 }
 SHOWN: Mapping[str, str] = {meaning: key.shown for meaning, key in KEYS.items()}
 """Meaning -> its key as people see it, for ``str.format_map``."""

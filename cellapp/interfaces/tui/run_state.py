@@ -80,6 +80,8 @@ class RunState:
         How the last session of collecting ended; empty without one, or where the program died in it.
     drift : bool
         Whether the newest references are beyond their limit.
+    reading : str
+        That what a job stored is being read, as a sentence; empty if what is shown is what the run holds.
     marks : mapping
         Step -> its mark.
     """
@@ -98,6 +100,7 @@ class RunState:
     waits: str = ""
     outcome: str = ""
     drift: bool = False
+    reading: str = ""
 
     @property
     def where(self) -> str:
@@ -128,6 +131,8 @@ class RunState:
             return ""
         if self.job is not None and self.job.folder is not None:
             return f"{self.job.folder} is being made: {self.job.words}."
+        if self.reading:
+            return self.reading
         if self.problem:
             return self.problem
         if self.stored == "no cell":
@@ -147,6 +152,8 @@ class RunState:
             return self.no_run
         if (job := self.job) is not None and job.step in ("collect", "calibrate"):
             return f"Not calibrated yet: {job.words}; {self.measured_words}."
+        if self.reading:
+            return self.reading
         if self.read_only:
             return f"Not calibrated yet: {self.measured_words}. {COPY_IT}"
         begin = f"keys 4, {SHOWN['go']}"
@@ -164,6 +171,8 @@ class RunState:
             return self.no_run
         if (job := self.job) is not None and self.collecting:
             return f"{self.measured_words}; {job.words}. Its sessions stand here when it has ended."
+        if self.reading:
+            return self.reading
         if not self.planned and not self.measured:
             return "This run has no plan."
         if self.measured:
@@ -184,6 +193,8 @@ class RunState:
             return self.no_run
         if self.collecting:
             return f"No stop was measured in this session yet; {self.measured_words}."
+        if self.reading:
+            return self.reading
         if self.measured:
             if self.stored == "calibrated":
                 return f"{self.measured_words}; their residuals are in Calibrate (key 4)."
@@ -191,8 +202,13 @@ class RunState:
         return f"No readings yet. {COPY_IT}" if self.read_only else f"No readings yet: {SHOWN['go']} collects."
 
 
-def run_state(workspace: Workspace, record: JobRecord, running: Job | None = None, waits: str = "") -> RunState:
-    """The state of what is open and of the job that runs; ``waits`` is a run that was found at the start."""
+def run_state(
+    workspace: Workspace, record: JobRecord, running: Job | None = None, waits: str = "", reading: str = ""
+) -> RunState:
+    """The state of what is open and of the job that runs.
+
+    ``waits`` is a run that was found at the start, ``reading`` says that what a job stored is not read yet.
+    """
     job = _job_now(record, running)
     here = job is not None and not job.replays and (job.folder is None or job.folder == workspace.folder)
     stops = () if workspace.stops is None or workspace.profile is None else workspace.stops.stops
@@ -221,6 +237,7 @@ def run_state(workspace: Workspace, record: JobRecord, running: Job | None = Non
         waits=waits,
         outcome=_outcome(workspace),
         drift=drift_exceeded(workspace),
+        reading="" if running is not None else reading,
     )
 
 

@@ -140,7 +140,7 @@ def test_an_estimated_noise_is_the_floor_and_is_said_to_be_estimated() -> None:
         update={"noise_floor_mm": None, "noise_mm": Noise(rms=0.031, source="estimated")}
     )
     result = DiscoverResult(arms={"left": arm})
-    assert discovery_tables(result)[0].text_rows()[-1] == ("", "noise floor, estimated", "0.0310")
+    assert discovery_tables(result)[0].text_rows()[-1] == ("", "estimated noise floor", "0.0310")
 
 
 def test_probabilities_do_not_claim_certainty() -> None:

@@ -12,9 +12,10 @@ import asyncio
 import shutil
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import chdir
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,44 @@ from textual.pilot import Pilot
 from textual.screen import ModalScreen
 from textual.widgets import TabbedContent, TabPane
 
+from cellapp.ground.control import JobControl
+from cellapp.ground.progress import Listener, PointMeasured, Progress
+from cellapp.ground.results import Result
 from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.jobs import Ask, Job
 from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens import SCREENS
 from tests.interfaces.tui.pilot import PROFILES, SIZES, shown_text, until
 
 JOB_S = 600.0
 PROFILE = "twin-small"
+FEW, ALL = 24, 10_000
+"""Stops that are let pass: twelve of each arm; more than the day has."""
+
+
+@dataclass
+class PacedStops:
+    """Lets a job go on after a stop only as often as it is told: the screens of a slow machine are kept, too."""
+
+    app: CellApp
+    _passes: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
+
+    def let(self, count: int) -> None:
+        """Let that many further stops pass."""
+        self._passes.release(count)
+
+    def start(self, job: Job, control: JobControl | None = None) -> None:
+        """Start a job as the application does, with its stops held."""
+
+        def work(listen: Listener, control: JobControl, ask: Ask) -> Result | None:
+            def heard(event: Progress) -> None:
+                listen(event)
+                if isinstance(event.detail, PointMeasured):
+                    self._passes.acquire(timeout=JOB_S)
+
+            return job.work(heard, control, ask)
+
+        type(self.app.jobs).start(self.app.jobs, replace(job, work=work), control)
 
 
 @dataclass
@@ -98,18 +130,19 @@ async def recorded(size: tuple[int, int], folder: Path) -> list[Path]:
     """Record a day in the present folder, which holds profiles; the files that were written into ``folder``."""
     app = CellApp(Path("profiles"))
     async with app.run_test(size=size) as pilot:
-        day = Recorder(pilot, app, folder)
+        day, stops = Recorder(pilot, app, folder), PacedStops(app)
+        app.jobs.start = stops.start  # type: ignore[method-assign]
         await day.until(lambda: app.workspace.profile is not None, "a profile")
         app.open_profile(Path("profiles") / f"{PROFILE}.yaml")
         await day.until(lambda: app.workspace.profile is not None and app.workspace.profile.name == PROFILE, PROFILE)
         await day.keep_screens("empty")
-        await planned_and_collected(day)
+        await planned_and_collected(day, stops)
         await calibrated(day)
         await accepted(day)
         return day.written
 
 
-async def planned_and_collected(day: Recorder) -> None:
+async def planned_and_collected(day: Recorder, stops: PacedStops) -> None:
     """Plan; collect with a pause and a stop on the way; a look at every screen at each of them."""
     app = day.app
     await day.begin("2", answer="enter")
@@ -117,15 +150,18 @@ async def planned_and_collected(day: Recorder) -> None:
     day.keep("planning")
     await day.ended()
     await day.keep_screens("planned")
+    stops.let(FEW)
     await day.begin("3")
     await day.until(lambda: len(app.record.stops.get("left", ())) > 10, "ten stops")
     day.keep("collecting")
     await day.press("p")
+    stops.let(FEW)
     await day.until(lambda: app.record.state == "paused", "the pause")
     await day.keep_screens("paused")
     await day.press("3", "c")
     await day.until(lambda: app.record.state == "running", "running")
     await day.press("escape")
+    stops.let(ALL)
     await day.until(lambda: app.record.state == "stopped", "the stop")
     await day.keep_screens("stopped")
     await day.press("3", "x")

@@ -259,6 +259,8 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
         await ask(pilot, app, "m", VerbQuestion)
         marked = {str(box.id) for box in app.screen.query(Checkbox) if box.value}
         assert marked == {"tests-pose", "commands-nominal", "commands-calibrated"}
+        assert "X▌ pose" in shown_text(app)
+        assert " ▌ distance" in shown_text(app), "an empty box differs without colours, too"
         app.screen.query_one("#tests-pose", Checkbox).value = False
         await pilot.press("b")
         assert "tests: at least one is needed" in shown_text(app)

@@ -48,6 +48,16 @@ async def test_every_screen_is_one_key_away_and_shows_where_one_is() -> None:
             assert " SIMULATED " in shown_text(app).splitlines()[0]
 
 
+async def test_a_refusal_without_a_profile_goes_when_one_is_open() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
+        app.open_profile(PROFILES / "twin-small.yaml")
+        await until(pilot, lambda: "twin-small.yaml is open; n goes to" in app.message, "the profile")
+        assert "No profile is open" not in shown_text(app)
+
+
 async def test_a_theme_that_was_chosen_on_one_screen_colours_those_seen_before() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:

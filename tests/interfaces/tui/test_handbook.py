@@ -39,7 +39,7 @@ async def test_chapters_are_searched_read_and_followed_through_their_links() -> 
         assert [option.id for option in links.options] == ["exports.md"]
         await pilot.press("tab", "enter")
         await until(pilot, lambda: "other programs" in at_top(app), "the chapter of the link")
-        await pilot.press("b")
+        await pilot.press("comma")
         await until(pilot, lambda: at_top(app) == "Hayati angle", "where the link was")
         await pilot.press("q")
         assert not isinstance(app.screen, Handbook)

@@ -17,7 +17,7 @@ from cellapp.interfaces.tui.job_record import JobRecord, Pace
 from cellapp.interfaces.tui.night import notice_sequence, since_words, title_sequence, title_words
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens import SCREENS
-from cellapp.interfaces.tui.widgets.progress_bars import Part, ending_words, parts_of
+from cellapp.interfaces.tui.widgets.progress_bars import Part, _line, ending_words, parts_of
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, ended, opened, shown_text, until
 
@@ -70,6 +70,13 @@ def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
     assert ending_words(-3.0, datetime(2026, 1, 2)) == "any moment"
     assert Pace(0.0, 15, 100.0).per_minute(215) == pytest.approx(120.0)
     assert Pace(0.0, 15, 100.0).per_minute(15) is None
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(("span_s", "words"), [(0.6, "6400/min"), (40.0, "96/min"), (400.0, "9.6/min")])
+def test_a_rate_has_no_power_of_ten(span_s: float, words: str) -> None:
+    part = Part("collect", Progress("collect", 79, 400), pace=Pace(0.0, 15, span_s))
+    assert words in _line(part, 200, datetime.now()).plain
     assert all(one.waits for one in parts_of(record(HALF, LOST)))
 
 

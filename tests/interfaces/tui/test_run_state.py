@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import shutil
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -199,6 +200,33 @@ async def test_a_screen_that_is_drawn_while_it_is_being_made_says_the_state() ->
                     app.draw_all()
                     await asyncio.sleep(0.0)
             await until(pilot, lambda: sentence in words(app), f"{step}: {sentence}")  # noqa: B023
+
+
+async def test_until_what_a_job_stored_is_read_no_sentence_says_what_was_true_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    planned_run(RUN).close()
+    app, held, may_read = CellApp(PROFILES), HeldJob(), threading.Event()
+
+    def late(profile: Path | None, folder: Path | None) -> Workspace:
+        assert may_read.wait(WAIT_S)
+        return load_workspace(profile, folder)
+
+    async with app.run_test(size=SIZE) as pilot:
+        await opened(pilot, app)
+        app.open_run(RUN)
+        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+        monkeypatch.setattr("cellapp.interfaces.tui.app.load_workspace", late)
+        app.start_job(held.job(folder=RUN))
+        held.go_on.set()
+        await ended(pilot, app)
+        for step, before in (("collect", "READY"), ("calibrate", "Not calibrated yet"), ("discover", "Not calibrated")):
+            app.action_show(step)  # type: ignore[arg-type]
+            await until(pilot, lambda: "What 'collect' has stored is being read." in words(app), step)
+            assert before not in words(app)
+        may_read.set()
+        await until(pilot, lambda: "Not calibrated yet" in words(app), "the run")
+        assert not app.state.reading
 
 
 # -- the marks ---------------------------------------------------------------------------------------------------------

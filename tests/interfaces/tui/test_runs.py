@@ -24,7 +24,7 @@ from cellapp.interfaces.tui.dialogs.fleet_history import FleetHistory
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import Job
 from tests.cell.run.small_runs import collected_run, set_began
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, MovingJob, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, MovingJob, ended, opened, shown_text, until
 
 LOGS = Path("logs")
 
@@ -199,6 +199,20 @@ async def test_the_key_of_a_paused_job_remains_its_own(logs: Path, monkeypatch: 
         assert requests == ["stop", "none"]
         assert app.screen is app.day_screen
         await pilot.press("escape", "x")
+        await ended(pilot, app)
+
+
+async def test_the_list_is_read_again_where_a_job_goes_on_storing(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    held = HeldJob()
+    app = app_without_offer(monkeypatch)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_runs(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, held.reached.is_set, "the job")
+        collected_run(logs / "fourth", "stopped", 1)
+        await pilot.press("1", "8")
+        await until(pilot, lambda: "fourth" in names(app), "what was stored meanwhile")
+        held.go_on.set()
         await ended(pilot, app)
 
 

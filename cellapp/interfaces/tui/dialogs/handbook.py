@@ -17,13 +17,14 @@ from textual.widgets.option_list import Option
 from textual.widgets.tree import TreeNode
 
 from cellapp.interfaces.tui.dialogs.question import Question
+from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind
 
 if TYPE_CHECKING:
     from cellapp.commands.docs.sections import Section
 
 _SHORTEST_SEARCH = 3
 """Letters from which a search begins: fewer are found everywhere."""
-_KEYS = "Enter opens a chapter or follows a link, / searches, Tab goes on, b goes back, q closes."
+_KEYS = f"Enter opens a chapter or follows a link, / searches, Tab goes on, {SHOWN['before']} goes back, {{}} closes."
 _LEVELS_LISTED = 3
 """Headings down to this level stand in the contents."""
 
@@ -59,9 +60,9 @@ class Handbook(Question[None]):
 
     AUTO_FOCUS = "#contents"
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("q,h,f1", "dismiss(None)", "Close"),
-        Binding("slash", "search", "Search", key_display="/"),
-        Binding("b,backspace", "back", "Back"),
+        Binding(f"q,{KEYS['handbook'].keys}", "dismiss(None)", "Close"),
+        bind("search", "search", "Search"),
+        Binding(f"{KEYS['before'].keys},backspace", "back", "Back"),
     ]
     DEFAULT_CSS = """
     Handbook Horizontal { height: 1fr; }
@@ -87,7 +88,7 @@ class Handbook(Question[None]):
                 yield tree
                 yield OptionList(id="links", markup=False, compact=True)
             yield VerticalScroll(id="chapter")
-        yield Static(_KEYS, id="hint", markup=False)
+        yield Static(_KEYS.format(self.closing_key), id="hint", markup=False)
 
     async def on_mount(self) -> None:
         """List the chapters and open the first place."""

@@ -12,13 +12,13 @@ from typing import Any, Union, get_args, get_origin
 from textual.app import ComposeResult
 from textual.containers import ItemGrid
 from textual.widget import Widget
-from textual.widgets import Checkbox, Input, Static
+from textual.widgets import Input, Static
 
 from cellapp.commands.record import Asked, Request, Verb
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.tui.dialogs.file_picker import PathField
 from cellapp.interfaces.tui.dialogs.question import Answer, AnswerQuestion
-from cellapp.interfaces.tui.widgets.labelled import Labelled, text_field
+from cellapp.interfaces.tui.widgets.labelled import Box, Labelled, text_field
 
 _COLUMN = 30
 """Width of a check box with its words, or of a number with its label."""
@@ -121,11 +121,11 @@ class VerbQuestion(AnswerQuestion[Request]):
         kind, default = self._kind(name), self._proposed.get(name, self._default(name))
         label, key = f"{words.label} [{words.unit}]" if words.unit else words.label, _id(name)
         if kind is bool:
-            yield Checkbox(label, bool(default), id=key, compact=True)
+            yield Box(label, bool(default), id=key, compact=True)
         elif get_origin(kind) is tuple and self._possible(name):
             yield Static(f"{label}:", markup=False)
             boxes = (
-                Checkbox(words.words.get(one, one), one in (default or ()), id=f"{key}-{one}", compact=True)
+                Box(words.words.get(one, one), one in (default or ()), id=f"{key}-{one}", compact=True)
                 for one in self._possible(name)
             )
             yield ItemGrid(*boxes, min_column_width=_COLUMN)
@@ -149,9 +149,9 @@ class VerbQuestion(AnswerQuestion[Request]):
         if self._fields[name].secret:
             return self.query_one(f"#{_id(name)}", Input).value
         if kind is bool:
-            return self.query_one(f"#{_id(name)}", Checkbox).value
+            return self.query_one(f"#{_id(name)}", Box).value
         if get_origin(kind) is tuple and self._possible(name):
-            boxes = {one: self.query_one(f"#{_id(name)}-{one}", Checkbox) for one in self._possible(name)}
+            boxes = {one: self.query_one(f"#{_id(name)}-{one}", Box) for one in self._possible(name)}
             return tuple(one for one, box in boxes.items() if box.value)
         text = self.query_one(f"#{_id(name)}", Input).value.strip()
         if get_origin(kind) is tuple:

@@ -132,7 +132,8 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1;
     }
     CollectScreen.-wide #plots ChartPlot { display: block; }
-    CollectScreen.-wide #plots ChartPlot.empty { display: none; }
+    CollectScreen.-wide #plots ChartPlot.empty, CollectScreen.-tall #plots ChartPlot.empty { display: none; }
+    CollectScreen.-tall.unplotted #plots ChartPlot.chosen { display: block; }
     CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
     CollectScreen.stops #stops { display: block; }
     CollectScreen.-wide.plots #plots { width: 65%; }
@@ -363,7 +364,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         told = running or "collect" in record.progress  # of another job that has ended its own screen tells
         self.query_one(ProgressBars).parts = parts_of(record) if told else ()
         self._draw_suspicions(record)
-        line = residual_line(record.stops, self.size.width)
+        line = residual_line(record.stops, self.query_one("#residual-line").size.width or self.size.width - 2)
         self.query_one("#residual-line", Static).update(line)
         self.set_class(bool(line), "measured")
         self._draw_plots(record)

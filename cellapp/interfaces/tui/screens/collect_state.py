@@ -72,6 +72,8 @@ def _of_replay(record: JobRecord, state: JobState, request: Request) -> Headline
 def _of_run(state: RunState) -> Headline:
     if state.no_run:
         return Headline("NO CELL" if state.stored == "no cell" else "NO RUN", state.no_run, "idle")
+    if state.reading:
+        return Headline("READING", state.reading, "idle")
     if state.in_use:
         return Headline("IN USE", f"by {state.in_use}. Shown is what was stored when it was opened.", "waiting")
     word, sentence, look = _of_stops(state)

@@ -112,6 +112,8 @@ class RunsScreen(DayScreen):
     DEFAULT_CSS = """
     RunsScreen #runs { height: 1fr; }
     RunsScreen #about-run { height: auto; max-height: 8; }
+    RunsScreen.-wide #about-run { dock: right; width: 36%; height: 100%; max-height: 100%; padding-left: 2; }
+    RunsScreen.-wide #about { padding-top: 1; }
     """
 
     def __init__(self) -> None:
@@ -160,6 +162,11 @@ class RunsScreen(DayScreen):
         if workspace is not self._workspace:
             self._workspace = workspace
             self._list_runs(self.cell_app.logs)
+
+    def on_screen_resume(self) -> None:
+        """Read the folder again where a job goes on storing: the list must not say what was true before it."""
+        if self.cell_app.jobs.running:
+            self._workspace = None
 
     def action_read(self) -> None:
         """Read the folder again."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from textual.containers import Horizontal
+from textual.content import Content
 from textual.suggester import SuggestFromList
 from textual.widget import Widget
-from textual.widgets import Input, Static
+from textual.widgets import Checkbox, Input, Static
 
 
 class Labelled(Horizontal):
@@ -21,6 +22,15 @@ class Labelled(Horizontal):
 
     def __init__(self, label: str, field: Widget) -> None:
         super().__init__(Static(label, markup=False), field)
+
+
+class Box(Checkbox):
+    """A box that is empty until it is ticked: without colours, too, one sees which it is."""
+
+    def render(self) -> Content:
+        """The mark, then the label."""
+        self.BUTTON_INNER = "X" if self.value else " "
+        return super().render()
 
 
 def text_field(

@@ -17,6 +17,8 @@ WHOLE_DAY = ("plan", "collect", "calibrate", "discover", "push")
 """Parts of a whole day, in their order."""
 _NAME, _COUNT = 10, 9
 """Columns of the name and of the count."""
+_WHOLE = 100.0
+"""Steps per minute from which a rate is a whole number: three digits would make it a power of ten."""
 _WIDEST_BAR = 40
 
 
@@ -135,7 +137,7 @@ def _line(part: Part, width: int, now: datetime) -> Content:
     length = max(min(_WIDEST_BAR, (width - _NAME - _COUNT) // 3), 6)
     filled = length if _done(part) else int(length * progress.done / max(progress.total, 1))
     rate = None if part.pace is None or _done(part) else part.pace.per_minute(progress.done)
-    paced = "" if rate is None else f"{rate:.3g}/min"
+    paced = "" if rate is None else f"{rate:.3g}/min" if rate < _WHOLE else f"{rate:.0f}/min"
     ending = "" if _done(part) else ending_words(part.left_s(time.monotonic()), now)
     words = " · ".join(word for word in (ending, progress.note, paced) if word)
     room = max(width - _NAME - length - _COUNT - 2, 0)

@@ -39,8 +39,8 @@ class TablesView(VerticalScroll):
     TablesView .table DataTable { height: auto; }
     """
 
-    def __init__(self, empty: str = "", *, id: str | None = None) -> None:
-        super().__init__(Static(empty, classes="muted", markup=False), id=id)
+    def __init__(self, empty: str = "", *, id: str | None = None, classes: str | None = None) -> None:
+        super().__init__(Static(empty, classes="muted", markup=False), id=id, classes=classes)
         self._empty = empty
         self._late: Callable[[], Iterable[Widget]] | None = None
         self._tables: tuple[Table, ...] = ()
