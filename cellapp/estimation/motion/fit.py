@@ -63,6 +63,9 @@ _NEARBY_S = 2.0
 _FEWEST_NEARBY = 9
 _TRACKER_M = 1e-5
 """Smallest standard deviation of a coordinate [m]: keeps weights finite where there is no noise."""
+_OFFSET_SD = 1.0
+"""Prior standard deviation of an offset about its start [s]: decides only where a part between two steps of a clock has
+no point to learn from."""
 _MOST_WORTH = 1e6
 """Points cannot be a thousand times better than they say; a recording of a few seconds can look so."""
 _REWEIGHTED = 0.02
@@ -168,6 +171,7 @@ def problem_of(
     precision[layout.geometric : layout.arm] = [1.0 / term.prior_sd**2 for term in terms]
     for number, track in enumerate(tracks):
         mean[layout.offsets(number)] = track.offsets_s
+        precision[layout.offsets(number)] = 1.0 / _OFFSET_SD**2
         precision[layout.rate(number)] = 1.0 / _RATE_SD**2
     spreads = prior_spreads(parameters, set(priors) - set(prior_sigma))
     masses = None if masses is None else replace(masses, geometry=start)
