@@ -37,7 +37,7 @@ class DayHeader(Horizontal):
         self._drawn: tuple[object, ...] = ()
 
     def compose(self) -> ComposeResult:
-        yield Static(_BADGES["none"], classes="badge", markup=False)
+        yield Static("", classes="badge", markup=False)  # whose arms they are is not known yet
         yield Static("", classes="where", markup=False)
         yield Static("", classes="job", markup=False)
         yield StopButton()
