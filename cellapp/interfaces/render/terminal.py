@@ -6,6 +6,7 @@ parts, each with the columns that name the rows; else, where not even one column
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -116,7 +117,8 @@ def _measured_column(column: Column, cells: Sequence[Cell], texts: Sequence[str]
         (cell_len(text) for cell, text in zip(cells, texts, strict=True) if not isinstance(cell, str)), default=0
     )
     sentences = 0 if column.is_number else min(natural, _NARROWEST)
-    return _Measured(natural, max(words, numbers, sentences))
+    heading = math.ceil(cell_len(column.heading) / 2)  # "U (k = 2)" in two lines, not in four
+    return _Measured(natural, max(words, numbers, sentences, heading))
 
 
 def _parts(table: Table, measured: Sequence[_Measured], width: int) -> list[_Part] | None:

@@ -325,6 +325,8 @@ class CellApp(JobKeys):
             return
         self.others.leave_unless(folder)
         self._loads += 1
+        if self.workspace.profile is None:
+            self.reading = f"{folder or profile_path} is being read."
         self._read(profile_path, folder, self._loads)
 
     def _hides_moving_arms(self, folder: Path | None) -> bool:

@@ -152,7 +152,7 @@ async def planned_and_collected(day: Recorder, stops: PacedStops) -> None:
     await day.keep_screens("planned")
     stops.let(FEW)
     await day.begin("3")
-    await day.until(lambda: len(app.record.stops.get("left", ())) > 10, "ten stops")
+    await day.until(lambda: "collect" in app.record.progress and app.record.progress["collect"].done >= 10, "ten stops")
     day.keep("collecting")
     await day.press("p")
     stops.let(FEW)

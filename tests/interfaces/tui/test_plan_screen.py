@@ -16,6 +16,7 @@ from cellapp.cell.planning.records import PlanForecastResult
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
+from cellapp.ground.progress import Progress, StopReport
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
 from cellapp.interfaces.tui.dialogs.question import Question
@@ -29,7 +30,7 @@ from cellapp.interfaces.tui.widgets.plan_tables import (
     StopsTable,
 )
 from tests.interfaces.page.plan_cases import plan_design
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, until
 from tests.twin import small_twin, write_profile
 
 
@@ -76,6 +77,19 @@ async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
         await ended(pilot, app)
         assert line(app, "plan-time").startswith("Collecting takes about")
         assert line(app, "plan-safety").startswith("Safe"), "the reloaded run has the same plan"
+
+
+async def test_the_map_follows_what_a_job_measures(planned: Path) -> None:
+    events = [Progress("collect", stop + 1, 24, detail=StopReport(stop, "left", 0.1, 0.1, {})) for stop in range(3)]
+    app, held = CellApp(PROFILES), HeldJob(tuple(events))
+    async with app.run_test(size=SIZES[-1]) as pilot:
+        await shown(pilot, app, planned)
+        await until(pilot, lambda: "0 of 24 planned stops" in shown_text(app), "the map")
+        app.start_job(held.job(folder=planned))
+        await until(pilot, lambda: "3 of 24 planned stops are measured" in shown_text(app), "what is measured by now")
+        assert "0 of 24" not in shown_text(app)
+        held.go_on.set()
+        await ended(pilot, app)
 
 
 async def test_a_designed_plan_is_drawn_and_its_stops_are_listed(planned: Path, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from cellapp.ground.errors import CellappError
 from cellapp.ground.starters import offered_profiles
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_findings import (
@@ -364,6 +365,11 @@ class CellScreen(DayScreen):
         self._draw_devices()
         self._draw_detail()
 
+    def show_job(self, record: JobRecord) -> None:
+        """The maps show what is measured by now."""
+        for drawn in self.query(CellMap):
+            drawn.follow(record if self.state.collecting else None)
+
     def _show_profile(self, profile: Profile | None) -> None:
         changed = profile is None or self._profile is None or profile != self._profile
         self._profile = profile
@@ -390,10 +396,10 @@ class CellScreen(DayScreen):
     def _verdict(self) -> tuple[str, str]:
         """The doctor's verdict in words, and the class that colours them."""
         if self.workspace.profile is None:
-            return (
-                self.workspace.problem or f"No profile is open: choose one in the list, or press {SHOWN['open']}.",
-                "failed",
-            )
+            if self.state.reading:
+                return self.state.reading, "old"
+            choose = f"No profile is open: choose one in the list, or press {SHOWN['open']}."
+            return self.workspace.problem or choose, "failed"
         if self._doctor is None:
             return f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves.", "old"
         from cellapp.commands.doctor.profile_view import doctor_verdict

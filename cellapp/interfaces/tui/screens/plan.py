@@ -18,6 +18,7 @@ from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.new_run import NewRunQuestion
+from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.plan_edits import NO_PLAN, PlanEdits
@@ -259,6 +260,11 @@ class PlanScreen(PlanEdits):
     def show_state(self, state: RunState) -> None:
         """Say how much is planned and measured, or what to do."""
         self.query_one("#plan-state", Static).update(_state_words(state, self.workspace))
+
+    def show_job(self, record: JobRecord) -> None:
+        """The maps show what is measured by now."""
+        for drawn in self.query(CellMap):
+            drawn.follow(record if self.state.collecting else None)
 
     def _draw_constraints(self) -> None:
         from cellapp.commands.doctor.profile_view import constraint_words

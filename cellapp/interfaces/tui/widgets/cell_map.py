@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 from textual import on, work
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
     from cellapp.commands.plan.result import PlannedStop
     from cellapp.commands.view.charts import Chart
     from cellapp.ground.profile import Profile
+    from cellapp.interfaces.tui.job_record import JobRecord
+
+_FOLLOWS_S = 2.0
+"""Time between two drawings while a job collects: each is made anew."""
 
 
 class CellMap(ChartPlot):
@@ -30,14 +35,39 @@ class CellMap(ChartPlot):
         super().__init__(id=id)
         self._view: Literal["above", "tracker"] = view
         self._number = 0
+        self._profile: Profile | None = None
+        self._stops: Sequence[PlannedStop] = ()
+        self._measured: frozenset[int] = frozenset()
+        self._waits = False
 
     def show_cell(self, profile: Profile | None, stops: Sequence[PlannedStop] = ()) -> None:
         """Draw the cell of a profile with its planned stops; blank without a profile."""
+        self._profile, self._stops = profile, stops
+        self._draw_cell()
+
+    def follow(self, record: JobRecord | None) -> None:
+        """Mark what the job that collects has measured by now, every few seconds; None if none collects."""
+        reports = () if record is None else record.stops.values()
+        measured = frozenset(report.stop for arm in reports for report in arm)
+        if not self._waits and measured != self._measured:
+            self._measured, self._waits = measured, True
+            self._draw_cell()
+            self.set_timer(_FOLLOWS_S, partial(self._follow_again, record))
+
+    def _follow_again(self, record: JobRecord | None) -> None:
+        self._waits = False
+        self.follow(record)
+
+    def _draw_cell(self) -> None:
         self._number += 1
-        if profile is None:
+        if self._profile is None:
             self.chart = None
-        else:
-            self._make(self._number, profile, stops)
+            return
+        new = self._measured
+        stops = [
+            stop.model_copy(update={"measured": stop.measured or stop.configuration in new}) for stop in self._stops
+        ]
+        self._make(self._number, self._profile, stops)
 
     @work(thread=True)
     def _make(self, number: int, profile: Profile, stops: Sequence[PlannedStop]) -> None:
