@@ -190,6 +190,8 @@ class Work:
         Question and possible answers -> the answer of a person; empty where nobody can be asked.
     write_page : callable
         Write the page of a run into its folder; its path.
+    line : callable
+        Question -> a line that a person or a program types; None at the end of the input, or where nobody can be asked.
     secret : callable
         Question, and whether it is asked twice -> what a person typed unseen; None where nobody can be asked.
     """
@@ -206,6 +208,7 @@ class Work:
     say: Callable[[str], None] = field(default=lambda sentence: None)
     write_page: Callable[[RunFile], Path] = field(default=_no_run_page)
     choose: Callable[[str, tuple[str, ...]], str] = field(default=lambda question, answers: "")
+    line: Callable[[str], str | None] = field(default=lambda question: None)
     secret: Callable[[str, bool], str | None] = field(default=lambda question, twice: None)
 
 

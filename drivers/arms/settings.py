@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from drivers.arms.protocol import Arm, JointLimits
+from drivers.arms.protocol import Arm, ArmState, JointLimits
 from drivers.findings import Finding
-from drivers.settings import Section
+from drivers.settings import Section, SettingError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -102,3 +102,19 @@ class ArmSettings(Section):
     @abstractmethod
     def probe(self, arm: ArmContext, patience_s: float) -> Sequence[Finding]:
         """Check the arm without moving it; a controller that is silent for ``patience_s`` [s] counts as dead."""
+
+    def read_at_rest(self, arm: ArmContext, rest_s: float, patience_s: float) -> ArmState:
+        """Read the joints of an arm that a person leads, once it has rested for ``rest_s`` [s]. Nothing can move by it.
+
+        The arm is not taken over: no program is started or ended on the controller, no stop is released.
+
+        Raises
+        ------
+        ArmTimeout
+            If the arm does not come to rest within ``patience_s`` [s].
+        ArmError
+            If its joints cannot be read: a lost link, another robot, no power.
+        SettingError
+            If arms of this kind cannot be read in this way.
+        """
+        raise SettingError(f"driver: arms of the kind '{self.kind}' cannot be read while a person leads them")

@@ -130,7 +130,7 @@ def read_sample(link: Connection, patience: Patience) -> UrSample:
     LinkLost
         If none comes in time, or the peer is not an RTDE server.
     """
-    return next(_samples(link, patience))
+    return next(samples(link, patience))
 
 
 def wait_at_rest(
@@ -164,7 +164,7 @@ def _watch_until_rest(host: str, patience: Patience, port: int, dwell_s: float) 
     since, moves = None, False
     with Connection.to(host, port, patience) as link:
         try:
-            for sample in _samples(link, patience):
+            for sample in samples(link, patience):
                 moves = not sample.at_rest
                 if moves:
                     since = None
@@ -180,7 +180,7 @@ def _watch_until_rest(host: str, patience: Patience, port: int, dwell_s: float) 
     raise LinkLost(f"{host}: the arm still moves")
 
 
-def _samples(link: Connection, patience: Patience) -> Iterator[UrSample]:
+def samples(link: Connection, patience: Patience) -> Iterator[UrSample]:
     """Subscribe to the outputs and yield states as they come."""
     for values in Outputs(link, patience, _REQUIRED, _OPTIONAL, _FREQUENCY_HZ).states(lambda: patience):
         yield _sample(link.where, values)

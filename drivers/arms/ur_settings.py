@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from drivers.arms.protocol import Arm, ArmError
+from drivers.arms.protocol import Arm, ArmError, ArmState
 from drivers.arms.settings import ArmContext
 from drivers.arms.ur_options import UrOptions
 from drivers.findings import Finding
@@ -75,3 +75,9 @@ class UrSettings(UrOptions):
         checked = [Finding(check.subject, check.status, check.text) for check in found]
         link = Finding("link", "ok", where, answers.report())
         return [link, *checked, Finding("safety limits", "ok", _SAFETY_LIMITS), motion]
+
+    def read_at_rest(self, arm: ArmContext, rest_s: float, patience_s: float) -> ArmState:
+        """Read the outputs of the controller over RTDE, after a look whether it is the expected one."""
+        from drivers.arms.ur_led import read_led_arm
+
+        return read_led_arm(self, self.expectation(arm), rest_s, patience_s)

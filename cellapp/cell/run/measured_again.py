@@ -67,6 +67,12 @@ def replace_stop(
                 insert_outcome(connection, outcome)
 
 
+def withdraw_reading(run: RunFile, stop: int, arm: str) -> None:
+    """Take the reading of an arm at a stop back: it no longer counts, and is kept beside as one that was replaced."""
+    with run.change() as connection:
+        _set_aside(connection, arm, stop)
+
+
 def earlier_readings(run: RunFile, arm: str) -> Earlier:
     """The readings of an arm that later ones replaced; none in a file of an older schema."""
     with run.look() as connection:

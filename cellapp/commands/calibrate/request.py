@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cellapp.commands.fields import Prior, RunFolder
 from cellapp.commands.record import Asked, Request, Stored, Verb
-from cellapp.ground.profile import NetworkKind
+from cellapp.ground.network_kind import NetworkKind
 
 
 class CalibrateRequest(Request):

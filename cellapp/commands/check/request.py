@@ -27,7 +27,8 @@ class CheckRequest(Request):
     touches: Annotated[
         Path | None,
         Asked(
-            "Touches of sockets in place of stops: configuration, arm, q1..qN, point; nothing moves.",
+            "Touches of sockets in place of stops: CSV with configuration, arm, q1..qN, point, or the folder of a run"
+            " of 'touch'; nothing moves.",
             "CSV",
             suffixes=(".csv",),
         ),

@@ -119,15 +119,16 @@ def check_run(
 
 
 def check_by_touches(run: RunFile, path: Path) -> CheckResult:
-    """Judge the model in force by touches of sockets, which a file holds, and store the result. Nothing moves.
+    """Judge the model in force by touches of sockets, and store the result. Nothing moves.
+
+    ``path`` is a file that holds them, or the folder of a run in which ``touch`` recorded them.
 
     Raises
     ------
     InputError
-        If the run is not calibrated, or the file is not one of touches.
+        If the run is not calibrated, or these are no touches of its arms.
     """
-    counts = {name: len(arm.type.joints) for name, arm in run.profile.arms.items()}
-    touches, notes = read_readings_csv(path, counts, limits=joint_limits(run.profile))
+    touches, notes = _touches_of_run(run.profile, path) if path.is_dir() else _touches_of_file(run.profile, path)
     for name, its in touches.items():
         if not in_sockets(its):
             raise InputError(
@@ -139,6 +140,24 @@ def check_by_touches(run: RunFile, path: Path) -> CheckResult:
     result = result.model_copy(update={"notes": (*notes, *result.notes)})
     _store(run, checked, result)
     return result
+
+
+def _touches_of_file(profile: Profile, path: Path) -> tuple[dict[str, Readings], list[str]]:
+    counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
+    return read_readings_csv(path, counts, limits=joint_limits(profile))
+
+
+def _touches_of_run(profile: Profile, folder: Path) -> tuple[dict[str, Readings], list[str]]:
+    with RunFile.open(folder) as run:
+        touches = {name: run.rows(name) for name in run.arms()}
+    if not touches:
+        raise InputError(f"{folder}: the run holds no touches; record some with 'cellapp touch PROFILE --run {folder}'")
+    for name, its in touches.items():
+        if name not in profile.arms or its.joints != len(profile.arms[name].type.joints):
+            raise InputError(
+                f"{folder}: arm '{name}' is none of the run to be checked; its arms are {', '.join(profile.arms)}"
+            )
+    return touches, []
 
 
 def plant_of(path: Path) -> Plant:

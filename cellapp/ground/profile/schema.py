@@ -8,7 +8,7 @@ and tracker, and the sensors, hold the settings of one of the kinds that are reg
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self, TypeAlias
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     Field,
@@ -17,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile.acceptance import Tolerances, Traceability
 from cellapp.ground.profile.collection import Collection
 from cellapp.ground.profile.notify import Notify
@@ -213,9 +214,6 @@ class Calibration(Section):
     robust: Literal["none", "huber", "tukey"] = "none"
     tolerance: Annotated[float, Field(strict=True, gt=0.0, le=1e-2)] = 1e-8
     max_iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 50
-
-
-NetworkKind: TypeAlias = Literal["mlp", "batches", "none"]
 
 
 class Network(Section):

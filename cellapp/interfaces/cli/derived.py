@@ -23,7 +23,7 @@ from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.job import Job, require_none
-from cellapp.interfaces.cli.motion import asking
+from cellapp.interfaces.cli.motion import asking, typed_line
 from cellapp.interfaces.cli.options import AllowMotion, JsonOption
 from cellapp.interfaces.page import draw_certificate, write_page, write_result_page
 
@@ -116,6 +116,7 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         announce=announce,
         say=job.say,
         choose=_choose,
+        line=partial(typed_line, job),
         secret=_secret,
     )
 

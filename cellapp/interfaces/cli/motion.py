@@ -26,14 +26,22 @@ def asking(job: Job, profile_name: str, *, allowed: bool) -> Callable[[str], boo
         return None
 
     def ask(words: str) -> bool:
-        job.warn(words, f"Type '{profile_name}' and Enter to let the arms move; anything else ends this.")
-        answers: queue.Queue[str] = queue.Queue()
-        threading.Thread(target=lambda: answers.put(sys.stdin.readline()), name="answer", daemon=True).start()
-        while True:
-            job.control.check()  # Ctrl-C ends the question too
-            try:
-                return answers.get(timeout=_LOOK_S).strip() == profile_name
-            except queue.Empty:
-                continue
+        job.warn(words)
+        question = f"Type '{profile_name}' and Enter to let the arms move; anything else ends this."
+        return typed_line(job, question) == profile_name
 
     return ask
+
+
+def typed_line(job: Job, question: str) -> str | None:
+    """The next line of standard input, without blanks around it; None at its end. Ctrl-C ends the question too."""
+    job.warn(question)
+    answers: queue.Queue[str] = queue.Queue()
+    threading.Thread(target=lambda: answers.put(sys.stdin.readline()), name="answer", daemon=True).start()
+    while True:
+        job.control.check()
+        try:
+            line = answers.get(timeout=_LOOK_S)
+        except queue.Empty:
+            continue
+        return line.strip() if line else None

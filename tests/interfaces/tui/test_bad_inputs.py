@@ -104,10 +104,10 @@ async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(
 ) -> None:
     add_stop, full = RunFile.add_stop, [True]
 
-    def refused(self: RunFile, stop: int, rows: Any, outcomes: Any = ()) -> None:
+    def refused(self: RunFile, stop: int, rows: Any, *others: Any) -> None:
         if full[0] and len(self.stops_done()) == 3:
             raise InputError("run.sqlite: database or disk is full")
-        add_stop(self, stop, rows, outcomes)
+        add_stop(self, stop, rows, *others)
 
     monkeypatch.setattr(RunFile, "add_stop", refused)
     async with app.run_test(size=SMALL) as pilot:

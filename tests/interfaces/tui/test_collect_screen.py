@@ -210,8 +210,8 @@ def test_the_newest_residuals_fit_into_a_line(count: int) -> None:
 
 
 async def see_plots(pilot: Pilot[None], app: CellApp) -> None:
-    """Each plot comes into view, with its title and its message."""
-    plots = list(app.screen.query(ChartPlot).exclude("#sweep"))  # no event tells of a sweep
+    """Each plot of the job comes into view, with its title and its message; no sweep was recorded."""
+    plots = [plot for plot in app.screen.query(ChartPlot) if plot.id != "sweep"]
     await until(pilot, lambda: all(plot.chart is not None and not plot.chart.is_empty for plot in plots), "data")
     seen = ""
     for _ in plots:

@@ -1,0 +1,113 @@
+"""Read an arm that a person leads by hand with a ball in a socket. Nothing is moved, no freedrive is started.
+
+In a simulated cell a simulated person leads the arm: its sockets stand where their names put them, always in the same
+place; names that differ only in a number at the end, as ``front_0`` and ``front_1``, are sockets of one block, 50 mm
+apart.
+"""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from cellapp.cell.driving.cell import arm_context, build_plant
+from cellapp.estimation.readings import Reading
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
+from cellapp.robot.kinematics.transforms import Array
+from drivers.arms.protocol import ArmError, ArmTimeout
+from drivers.plant import Plant
+from drivers.plant.sockets import touches
+from drivers.settings import SettingError
+
+REST_S = 0.5
+"""An arm is read when it has rested for so long [s]."""
+PATIENCE_S = 2.0
+"""How long it may take to come to rest [s]."""
+BLOCK_M = 0.05
+"""Distance of neighbouring sockets of a simulated block [m]."""
+_SEATING_M = 1.5e-5
+_SPREAD_RAD = 0.9
+"""How far a simulated person turns the joints from a socket's first posture [rad]."""
+_TRIES = 12
+
+ReadTouch = Callable[[str, int], Reading]
+"""Name of a socket and the number of touches before -> the arm's reading; raises ``Moving``, ``HardwareError``."""
+
+
+class Moving(InputError):
+    """The arm does not rest, so that nothing was recorded."""
+
+
+def touch_reader(profile: Profile, arm: str) -> ReadTouch:
+    """What reads touches of an arm.
+
+    Raises
+    ------
+    InputError
+        If the profile has no such arm, or its driver has nothing to read.
+    """
+    if arm not in profile.arms:
+        raise InputError(f"--arm: arm '{arm}' is not in the profile; arms are {', '.join(profile.arms)}")
+    driver = profile.arms[arm].driver
+    if driver.needs_plant:
+        return partial(_simulated_touch, build_plant(profile), arm)
+    if not driver.has_device:
+        raise InputError(
+            f"arms.{arm}.driver: kind '{driver.kind}' has no device to read; record touches with the robot's own means"
+            " and give them to 'cellapp import'"
+        )
+    return partial(_read_touch, profile, arm)
+
+
+def _read_touch(profile: Profile, arm: str, point: str, before: int) -> Reading:
+    its = profile.arms[arm]
+    try:
+        state = its.driver.read_at_rest(arm_context(arm, its), REST_S, PATIENCE_S)
+    except SettingError as error:
+        raise InputError(f"arms.{arm}.{error}") from error
+    except ArmTimeout as error:
+        raise Moving(f"arm {arm}: {error}") from error
+    except ArmError as error:
+        raise HardwareError(f"arm {arm}: {error}") from error
+    return _reading(state.q, point, state.payload_kg, state.joint_temperature_c)
+
+
+def _reading(q: Array, point: str, payload_kg: float | None, joint_temperature_c: Array | None) -> Reading:
+    """A touch; the last motions of the joints, led by hand, are not known."""
+    return Reading(
+        q=q,
+        p_M=np.full(3, np.nan),
+        approach=np.zeros(len(q), dtype=np.int8),
+        payload_kg=payload_kg,
+        joint_temperature_c=joint_temperature_c,
+        point=point,
+    )
+
+
+def _simulated_touch(plant: Plant, arm: str, point: str, before: int) -> Reading:
+    """A touch of a simulated person; posture number ``before`` of the socket."""
+    config = next(one for one in plant.config.arms if one.name == arm)
+    low, high = config.limits.T
+    block, number = _in_block(point)
+    place = np.random.default_rng([plant.config.seed, zlib.crc32(block.encode())])
+    middle = np.clip(plant.q(arm) + place.uniform(-0.6, 0.6, config.joints), low, high)
+    centre = plant.smr_positions(arm, middle[None], approach=np.zeros((1, config.joints)))[0]
+    socket = centre + np.array([number * BLOCK_M, 0.0, 0.0])
+    rng = np.random.default_rng([plant.config.seed, zlib.crc32(point.encode()), before])
+    for _ in range(_TRIES):
+        starts = np.clip(middle + rng.uniform(-_SPREAD_RAD, _SPREAD_RAD, (4, config.joints)), low, high)
+        found = touches(plant, arm, socket, starts, seating_m=_SEATING_M, rng=rng)
+        if len(found):
+            return _reading(found[0], point, plant.payload(arm)[0], plant.joint_temperatures_c(arm))
+    raise InputError(f"arm {arm}: the simulated arm does not reach a socket '{point}'; take another name")
+
+
+def _in_block(point: str) -> tuple[str, int]:
+    """The block of a simulated socket and its place there; 10 places at most."""
+    named = re.fullmatch(r"(.*?)_?([0-9])", point)
+    return (point, 0) if named is None else (named[1], int(named[2]))

@@ -1,0 +1,48 @@
+"""Touches of sockets are recorded from the palette: a dialog takes the socket's name, and asks for the next one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from textual.widgets import Checkbox, Input
+
+from cellapp.cell.run import RunFile
+from cellapp.interfaces.tui import offers
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.dialogs.palette import possible_commands
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
+from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
+
+
+async def test_a_name_and_enter_record_and_the_next_one_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(offers, "new_folder", lambda profile: tmp_path / "touched")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.open_profile(PROFILES / "twin.yaml")
+        await until(pilot, lambda: app.workspace.profile is not None, "the profile")
+        {one.title: one for one in possible_commands(app, app.day_screen)}["cellapp touch"].callback()
+        await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and "socket" in shown_text(app), "the dialog")
+        assert "Close" in shown_text(app), "all of the dialog fits into the smallest terminal"
+        app.screen.query_one("#point", Input).value = "front_0"
+        await pilot.press("ctrl+s")
+        await until(pilot, lambda: "say which arm is led" in app.message, "the refusal")
+        offers.offer_touch(app.day_screen)
+        await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and "socket" in shown_text(app), "it again")
+        app.screen.query_one("#arm", Input).value = "left"
+        app.screen.query_one("#point", Input).value = "front_0"
+        await pilot.press("ctrl+s")
+        await until(pilot, lambda: "1 touch recorded" in shown_text(app), "the touch, and the dialog for the next one")
+        assert app.screen.query_one("#point", Input).value == "front_0"
+        assert "Close" in shown_text(app)
+        app.screen.query_one("#undo", Checkbox).value = True
+        app.screen.query_one("#point", Input).value = ""
+        await pilot.press("ctrl+s")
+        await until(pilot, lambda: "was taken back" in shown_text(app), "the dialog after that")
+        await pilot.press("f10")
+        await until(pilot, lambda: not isinstance(app.screen, VerbQuestion), "the end")
+    with RunFile.open(tmp_path / "touched") as run:
+        assert not run.arms()
