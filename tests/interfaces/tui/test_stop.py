@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from textual.events import MouseDown
 from textual.pilot import Pilot
 from textual.widgets import Input, Static
 
@@ -52,11 +53,14 @@ async def braked_over(dialog: str, way: str, verb: str) -> float:
     async with app.run_test(size=SMALL) as pilot:
         await started(pilot, app, moving)
         await opened_dialog(pilot, app, dialog)
+        pressing: list[asyncio.Task[None]] = []
         pressed_s = time.monotonic()
-        press = pilot.mouse_down(StopButton) if way == "click" else pilot.press(way)
-        pressing = asyncio.ensure_future(press)
+        if way == "click":
+            press_stop(app)
+        else:
+            pressing.append(asyncio.ensure_future(pilot.press(way)))
         assert await asyncio.to_thread(moving.braked.wait, WAIT_S)
-        await pressing
+        await asyncio.gather(*pressing)
         first_verb, braked_s = moving.brakes[0]
         assert first_verb == verb
         if dialog == "motion":
@@ -70,6 +74,13 @@ async def braked_over(dialog: str, way: str, verb: str) -> float:
         await ended(pilot, app)
         assert "keys 3, b go on" in app.message or dialog == "motion"
     return braked_s - pressed_s
+
+
+def press_stop(app: CellApp) -> None:
+    """Press STOP as a terminal does. A pilot would first wait until the screen is idle, which is no latency of STOP."""
+    x, y = app.screen.query_one(StopButton).region.offset
+    assert app._driver is not None
+    app._driver.process_message(MouseDown(None, x, y, 0, 0, 1, False, False, False))
 
 
 async def opened_dialog(pilot: Pilot[None], app: CellApp, dialog: str) -> None:
