@@ -84,7 +84,7 @@ async def test_from_an_empty_folder_to_a_verified_report() -> None:
         await pilot.press("b")
         await says(pilot, app, "Page and PDF (d)")
         await pilot.press("w")
-        await says(pilot, app, "Next: Runs (key n)", wait_s=JOB_S)
+        await says(pilot, app, "report: done", "Next: Accept (key n)", wait_s=JOB_S)
     (folder,) = Path("logs").iterdir()
     assert (folder / "report.html").is_file()
     with RunFile.open(folder) as run:
@@ -92,6 +92,7 @@ async def test_from_an_empty_folder_to_a_verified_report() -> None:
     assert [(stage.name, stage.out_of_date) for stage in overview.stages] == [
         (name, None) for name in ("calibrate", "discover", "compensate", "verify")
     ]
+    assert overview.next_verb == "iso9283", "the profile has tolerances for tests that were not made"
     assert results.verify is not None
     assert results.verify.complaints() == []
     for arm in results.verify.arms.values():

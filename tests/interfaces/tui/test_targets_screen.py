@@ -104,7 +104,7 @@ async def test_the_list_of_the_profile_with_what_the_run_says(finished_copy: Pat
     app = CellApp(PROFILES)
     async with app.run_test(size=size) as pilot:
         await show_targets(pilot, app, finished_copy)
-        await until(pilot, lambda: "mm from the target" in shown_text(app), "the first target")
+        await until(pilot, lambda: "mm from the target" in " ".join(shown_text(app).split()), "the first target")
         text = shown_text(app)
         assert "40 targets" in text
         assert "left-01" in text
