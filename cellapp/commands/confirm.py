@@ -9,8 +9,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from cellapp.cell.driving.examination import examine
 from cellapp.cell.driving.motion import Confirm, Vector
-from cellapp.commands.doctor.run import examine
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
 from cellapp.cell.driving.touching import Moving, touch_reader
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import replaced_counts
 from cellapp.cell.run.touches import touches_before
@@ -21,6 +23,9 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.interfaces.cli.app import app
+from drivers.arms.protocol import ArmTimeout, LinkLost
+from drivers.arms.ur_settings import UrSettings
+from drivers.settings import SettingError
 from tests.twin import PROFILES, whole_twin
 
 TWIN = PROFILES / "twin.yaml"
@@ -104,10 +109,40 @@ def test_an_arm_that_moves_or_is_lost_is_not_recorded(
     refused(touch("--point", "a"), "the arm moves")
     refused(touch("--point", "a"), "the link is lost", code=3)
     assert not (tmp_path / "touched").exists()
+    led_to(monkeypatch, [HardwareError("arm left: the link is lost")])
+    refused(touch(typed=["a"]), "the link is lost", code=3)
     led_to(monkeypatch, [Moving("arm left: the arm moves"), "a"])
     said = touch(typed=["a", "a"])
     assert (said.exit_code, "the arm moves" in said.stdout) == (0, True)
     assert "recorded: 1 touch of 'a'" in said.stdout
+
+
+@pytest.mark.fast
+def test_the_same_posture_again_is_said(touch: Touch, monkeypatch: pytest.MonkeyPatch) -> None:
+    still = touch_reader(whole_twin(), "left")("a", 0)
+    monkeypatch.setattr(touch_run, "touch_reader", lambda profile, arm: lambda point, before: still)
+    assert "the joints stand as before, which says nothing" in touch(typed=["a", "a"]).stdout
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("raised", "kind"),
+    [
+        (ArmTimeout("it moves"), Moving),
+        (LinkLost("no state"), HardwareError),
+        (SettingError("driver: cannot be read"), InputError),
+    ],
+)
+def test_what_a_driver_says_names_the_arm(
+    monkeypatch: pytest.MonkeyPatch, raised: Exception, kind: type[CellappError]
+) -> None:
+    def read_at_rest(settings: object, arm: object, rest_s: float, patience_s: float) -> NoReturn:
+        raise raised
+
+    monkeypatch.setattr(UrSettings, "read_at_rest", read_at_rest)
+    read = touch_reader(load_profile(PROFILES / "ur10-ur5.yaml"), "left")
+    with pytest.raises(kind, match=r"^arms?[ .]left[:.]"):
+        read("a", 0)
 
 
 @pytest.mark.fast

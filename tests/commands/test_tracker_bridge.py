@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import tracker_driver
+from cellapp.cell.driving.examination import examine
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
-from cellapp.commands.doctor.run import examine
 from cellapp.commands.emulate.result import EmulatedTracker
 from cellapp.commands.emulate.run import emulate, emulated_arms, emulated_tracker
 from cellapp.commands.tracker_bridge.result import TrackerBridgeResult

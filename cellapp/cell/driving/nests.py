@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.safety.gate import CellBodies, predicted_smr, visible
+from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
@@ -81,7 +82,8 @@ class Nests:
             together = int(np.count_nonzero(np.sum(list(seen.values()), axis=0) >= 2))
             each = ", ".join(f"{nest} at {int(np.count_nonzero(rows))}" for nest, rows in seen.items())
             found.append(
-                f"arm {name}: beside nest {own} the tracker sees {each} of {n} stops; orientation follows at {together}"
+                f"arm {name}: beside nest {own} the tracker sees {each} of {counted(n, 'stop')}; orientation follows at"
+                f" {together}"
             )
         return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cellapp.estimation.calibration.records import BatchesResult, CalibrateResult
+from cellapp.ground.counting import counted
 
 
 def network_sentences(result: CalibrateResult) -> list[str]:
@@ -21,4 +22,4 @@ def batches_words(found: BatchesResult) -> str:
         f" {found.committee_rms_mm:.4f} mm ({found.sigmas:.1f} standard errors)"
     )
     used = "it is the network" if found.used else "it is not used: it is not surely better"
-    return f"from {found.readings} readings in batches leaves {compared}; {used}"
+    return f"from {counted(found.readings, 'reading')} in batches leaves {compared}; {used}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.estimation.calibration.records import CalibrateResult, TorquesResult
+from cellapp.ground.counting import counted
 
 _UNITS = {"tau": "Nm", "current": "A"}
 
@@ -52,6 +53,6 @@ def torque_words(found: TorquesResult) -> str:
     errors = f"{after:.2f} Nm rms of held-out ones, the stated masses {before:.2f} Nm"
     verdict = "they drive elasticity" if found.used else "the stated masses stay: these are not surely better"
     return (
-        f"masses from the {what} of {found.readings} readings leave {errors}; the log likelihood of positions with"
-        f" elastic joints changes by {found.evidence:+.1f} with them; {verdict}"
+        f"masses from the {what} of {counted(found.readings, 'reading')} leave {errors}; the log likelihood of"
+        f" positions with elastic joints changes by {found.evidence:+.1f} with them; {verdict}"
     )

@@ -1,49 +1,26 @@
-"""The verb: what is reachable, what is missing, what would be refused. It only reads; nothing moves."""
+"""The verb: what is reachable, what is missing, what would be refused, and what plug-ins add."""
 
 from __future__ import annotations
 
-import importlib.util
-import platform
-import shutil
-import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import replace
-from functools import partial
+from collections.abc import Collection
 
-import numpy as np
-
-from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
+from cellapp.cell.driving.examination import examine, probe
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
-from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_stop, visible
-from cellapp.commands.doctor.obstacle_findings import obstacle_findings
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import DeviceReport, DoctorResult
 from cellapp.commands.doctor.result import Finding as ResultFinding
 from cellapp.commands.record import Work
-from cellapp.ground.errors import InputError
+from cellapp.commands.trials.benchmark.methods.registry import METHODS
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.plugins import in_words
-from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from drivers.findings import Finding
 from drivers.plugins import Plugin
 from drivers.sensors.settings import AirSensorSettings
 from drivers.trackers.settings import TrackerSettings
-
-LONGEST_PROBE_S = 5.0
-"""A device that is silent for this long counts as dead, even if the profile allows it more time."""
-
-_DRAWS = 2000
-"""Random configurations for the visible share; its standard error is about 1 %."""
-_LEAST_VISIBLE = 0.002
-"""Below this visible share (4 of the draws), planning may not find enough stops."""
-_OLDEST_PYTHON, _FIRST_UNTRIED_PYTHON = (3, 11), (3, 13)
 
 
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
@@ -51,22 +28,9 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     return examine_run(load_profile(request.profile))
 
 
-def examine(profile: Profile) -> list[Finding]:
-    """Check all that a profile names; all devices are probed at the same time.
-
-    However many devices are dead, this takes about twice ``LONGEST_PROBE_S``, or the time limit of the slowest
-    connection: a minute for LMF, a sensor's own ``timeout``. Problems are reported as findings, not raised.
-    """
-    with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
-        probes = _start_probes(pool, profile)
-        placement = _placement(profile)
-        findings = [_python(profile), *installed_findings(), *_notify(profile), *_found(profile, probes)]
-    return findings + placement
-
-
 def examine_run(profile: Profile) -> DoctorResult:
-    """``examine`` as the result of the verb."""
-    return DoctorResult(findings=tuple(map(_result, examine(profile))))
+    """All that ``examine`` finds, after what plug-ins add, as the result of the verb."""
+    return DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile)))))
 
 
 def repeatable_devices(profile: Profile) -> tuple[str, ...]:
@@ -82,79 +46,15 @@ def repeatable_devices(profile: Profile) -> tuple[str, ...]:
 
 def probe_devices(profile: Profile, devices: Collection[str]) -> DoctorResult:
     """What some devices say now; nothing moves, and nothing else is checked."""
-    with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
-        found = _found(profile, _start_probes(pool, profile, devices))
-    return DoctorResult(findings=tuple(map(_result, found)))
-
-
-_Probes = Mapping[str, Future[Sequence[Finding]]]
-"""Device, as it is called in findings -> what its probe will find."""
-
-
-def _devices(profile: Profile) -> int:
-    return len(profile.arms) + 2
-
-
-def _start_probes(pool: Executor, profile: Profile, devices: Collection[str] | None = None) -> _Probes:
-    """Probe devices at the same time; all of them where no names are given."""
-    air, tracker = profile.sensors.air, profile.tracker.driver
-    probes: dict[str, Callable[[], Sequence[Finding]]] = {
-        f"arm {name}": partial(arm.driver.probe, arm_context(name, arm), LONGEST_PROBE_S)
-        for name, arm in profile.arms.items()
-    }
-    probes["tracker"] = partial(tracker.probe, tracker_context(profile), LONGEST_PROBE_S)
-    if air is not None:
-        probes["sensor air"] = air.probe
-    return {name: pool.submit(probe) for name, probe in probes.items() if devices is None or name in devices}
-
-
-def _found(profile: Profile, probes: _Probes) -> list[Finding]:
-    """What the probes found, with the device's name in front of each subject."""
-    findings = []
-    for device, probe in probes.items():
-        arm = device.removeprefix("arm ")
-        shared = _shared_address(profile, arm) if arm in profile.arms and arm != device else []
-        for one in (*shared, *probe.result()):
-            findings.append(replace(one, subject=f"{device}: {one.subject}" if one.subject else device))
-    return findings
+    return DoctorResult(findings=tuple(map(_result, probe(profile, devices))))
 
 
 def _result(finding: Finding) -> ResultFinding:
     return ResultFinding.like(finding, device=None if finding.device is None else DeviceReport.like(finding.device))
 
 
-def _python(profile: Profile) -> Finding:
-    """Check the interpreter and the packages of all kinds of arms, of which this profile may need none."""
-    version = platform.python_version()
-    if not _OLDEST_PYTHON <= sys.version_info[:2] < _FIRST_UNTRIED_PYTHON:
-        return Finding("python", "failed", f"Python {version}; needed is 3.11 or 3.12: ur-rtde has no build for others")
-    needed = {package for arm in profile.arms.values() for package in arm.driver.packages}
-    texts, failed = [f"Python {version}"], False
-    for package in dict.fromkeys(package for kind in ARMS.values() for package in kind.packages):
-        if all(importlib.util.find_spec(module) is not None for module in package.modules):
-            texts.append(f"{package.name} is installed")
-        elif package in needed:
-            texts.append(f"{package.name} is not installed; {package.needed_by} need it: pip install {package.name}")
-            failed = True
-        else:
-            texts.append(f"{package.name} is not installed, and this profile does not need it")
-    return Finding("python", "failed" if failed else "ok", ", ".join(texts))
-
-
-def _notify(profile: Profile) -> list[Finding]:
-    """Whether the command of the section ``notify`` is there; a job goes on without it."""
-    if profile.notify is None:
-        return []
-    program = profile.notify.command[0]
-    if shutil.which(program) is None:
-        return [Finding("notify", "warning", f"{program}: no such program here; nobody is told of a halt")]
-    return [Finding("notify", "ok", f"{program} is run on: {', '.join(profile.notify.events)}")]
-
-
 def installed_plugins() -> tuple[Plugin, ...]:
     """Every entry point in a group of this program, also those that are not used."""
-    from cellapp.commands.trials.benchmark.methods.registry import METHODS  # late: loads what discovery needs
-
     return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins, *METHODS.plugins)
 
 
@@ -165,76 +65,3 @@ def installed_findings() -> list[Finding]:
     findings = [Finding(f"plug-in {name}", "ok", f"adds {words}") for name, words in added.items()]
     refused = dict.fromkeys(one.refusal for one in installed if one.problem)  # a list that cannot be read has no group
     return [*findings, *(Finding("plug-in", "warning", words) for words in refused)]
-
-
-def _shared_address(profile: Profile, name: str) -> list[Finding]:
-    """Report other arms with the same controller address."""
-    address = profile.arms[name].driver.controller_address
-    others = [
-        other
-        for other, arm in profile.arms.items()
-        if address and other != name and arm.driver.controller_address == address
-    ]
-    if not others:
-        return []
-    text = f"host {address} is also that of arm {', '.join(others)}; give each arm its own controller"
-    return [Finding("address", "failed", text)]
-
-
-# -- placement --------------------------------------------------------------------------------------------------------
-
-
-def _placement(profile: Profile) -> list[Finding]:
-    """Check whether the arms are safe at home, and whether the tracker can see enough of them."""
-    placed = {name: arm for name, arm in profile.arms.items() if arm.base is not None and arm.home is not None}
-    has_arms = any(arm.driver.has_device for arm in profile.arms.values())
-    if not has_arms or not placed or profile.tracker.pose is None:
-        return []
-    findings = [] if profile.plant is None else [_plant(profile)]
-    bare = [name for name, arm in placed.items() if not arm.type.capsules]
-    if bare:
-        text = f"arm {', '.join(bare)} has no bodies, so no collision can be foreseen; add capsules to its type"
-        return [*findings, Finding("home", "failed", text)]
-    known = {name: one for name, one in profile.obstacles.items() if one.arm is None or one.arm in placed}
-    homes = {name: np.array(arm.home) for name, arm in placed.items()}
-    try:
-        cell = cell_bodies(profile.model_copy(update={"arms": placed, "obstacles": known}))
-    except InputError as error:
-        return [*findings, Finding("obstacles", "failed", str(error))]
-    findings += obstacle_findings(cell, homes)
-    refusal = refuse_stop(cell, homes)
-    if refusal:
-        text = f"{refusal}; change arms.*.home, arms.*.base, obstacles, plan.floor or plan.clearance"
-        findings.append(Finding("home", "failed", text))
-    else:
-        findings.append(Finding("home", "ok", f"safe to stand at: {', '.join(placed)}"))
-    return findings + [_visibility(cell, profile, name) for name in placed]
-
-
-def _plant(profile: Profile) -> Finding:
-    try:
-        build_plant(profile)
-    except InputError as error:
-        return Finding("plant", "failed", str(error))
-    return Finding("plant", "ok", "the simulated cell can be built")
-
-
-def _visibility(cell: CellBodies, profile: Profile, name: str) -> Finding:
-    """Check the share of random configurations, clear of floor and self, at which the tracker sees the SMR."""
-    subject = f"arm {name}: SMR"
-    if profile.arms[name].smr.offset == "unknown":
-        return Finding(subject, "warning", "smr.offset is unknown: the tracker will be pointed at the flange instead")
-    body = cell.arms[name]
-    low, high = np.maximum(body.limits[:, 0], -np.pi), np.minimum(body.limits[:, 1], np.pi)
-    if profile.plan.ranges is not None:
-        ranges = np.array(profile.plan.ranges)
-        low, high = np.maximum(body.limits[:, 0], ranges[:, 0]), np.minimum(body.limits[:, 1], ranges[:, 1])
-    low, high = np.where(low <= high, low, body.limits[:, 0]), np.where(low <= high, high, body.limits[:, 1])
-    q = np.random.default_rng([profile.seed, 0xD0C]).uniform(low, high, size=(_DRAWS, len(low)))
-    clear = clear_alone(cell, place(body, q))
-    share = float((visible(cell, name, q) & clear).mean())
-    text = f"the tracker sees it in {share:.1%} of {_DRAWS} random configurations that the arm may take"
-    if share >= _LEAST_VISIBLE:
-        return Finding(subject, "ok", text)
-    advice = "check smr.normal, smr.acceptance, arms.*.base, tracker.pose and the limits"
-    return Finding(subject, "warning" if share > 0.0 else "failed", f"{text}; {advice}")

@@ -64,7 +64,7 @@ def _laws_table(name: str, forecast: SweepForecast) -> Table:
 
 def _law_row(law: LawInMotion) -> tuple[Cell, ...]:
     title = EFFECTS[law.effect].title if law.effect in EFFECTS else law.effect.replace("_", " ")
-    title += f", {law.cycles} cycles a turn" if law.cycles else ""
+    title += f", {counted(law.cycles, 'cycle')} a turn" if law.cycles else ""
     factor, unit = display_unit(law.unit)
     cells: list[Cell] = []
     for source in _SOURCES:

@@ -26,6 +26,8 @@ FAR_MM = 20.0
 """A touch that lies farther from the others of its socket is doubted: a published arm places a ball better."""
 _NEARER = 0.5
 """Another socket is named where the touch lies at it within this share of that distance."""
+_SAME_RAD = 0.02
+"""Touches among which no joint turned farther than this are one posture [rad]."""
 _ASKED = "socket, 'undo' or 'end'"
 
 
@@ -83,7 +85,9 @@ class _Hand:
         self.recorded.append(RecordedTouch(configuration=number, point=point))
         found = next(one for one in _points(self.folder, self.profile, self.arm) if one.name == point)
         worst = f", agree to {np.max(found.off_m) * 1e3:.1f} mm" if len(found.rows) > 1 else ""
-        return f"recorded: {counted(len(found.rows), 'touch', 'touches')} of '{point}'{worst}"
+        again = len(found.rows) > 1 and float(np.max(found.turned_rad)) < _SAME_RAD
+        same = "; the joints stand as before, which says nothing: lead the arm to another posture" if again else ""
+        return f"recorded: {counted(len(found.rows), 'touch', 'touches')} of '{point}'{worst}{same}"
 
 
 def _once(hand: _Hand, request: TouchRequest) -> str:
@@ -100,8 +104,12 @@ def _once(hand: _Hand, request: TouchRequest) -> str:
 
 
 def _by_lines(hand: _Hand, work: Work) -> str:
-    """Record what is typed; why nothing was recorded, if something was refused and nothing recorded."""
-    refused, last = "", ""
+    """Record what is typed; why nothing was recorded, if something was refused and nothing recorded.
+
+    Raises ``HardwareError`` if that was a device.
+    """
+    last = ""
+    failure: Exception | None = None
     while (line := work.line(f"{_ASKED}{f' (Enter: {last})' if last else ''}:")) is not None:
         word = line.strip() or last
         if word == "end":
@@ -117,9 +125,11 @@ def _by_lines(hand: _Hand, work: Work) -> str:
                 raise InputError(f"{doubt}; it was not recorded")
             work.say(hand.store(touch))
         except (InputError, HardwareError, ValueError) as error:
-            refused = str(error)
-            work.say(refused)
-    return "" if hand.recorded else refused
+            failure = error
+            work.say(str(error))
+    if isinstance(failure, HardwareError) and not hand.recorded:
+        raise failure
+    return "" if hand.recorded or failure is None else str(failure)
 
 
 def _undone(folder: Path, profile: Profile, arm: str) -> str:

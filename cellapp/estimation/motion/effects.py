@@ -5,7 +5,9 @@ parameters, V with the noise model of the recordings, so that neighbouring point
 in the residuals of all points: the power of every cycle count of every joint against the median of its neighbours,
 which follows whatever colour the noise has; a line enters the fit with cosine and sine, and stays if they are
 significant beside all other parameters. Columns and residuals pass a filter that whitens the residuals: the noise of a
-motion is slow, and dense lines are fast. P-values are multiplied by the number of alternatives.
+motion is slow, and dense lines are fast. What a law leaves decides about the filter that it is fitted with in the end:
+residuals without a large effect hold that effect, and a filter of them takes it for noise. P-values are multiplied by
+the number of alternatives. Held-out errors are those of fits without a filter.
 
 The mean lag of the joints is the same as an offset between the clocks: lags are stated against their mean, which the
 offset takes up.
@@ -39,6 +41,9 @@ _CHANCE = 1e-3
 _MOST_LINES = 12
 _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
+_OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE)
+"""Laws that a filter for slow noise takes away while the residuals hold them: they are tested without it, too."""
+_ALTERNATIVES = len(Law) + len(_OF_POSTURE)
 _COUNT_ROUNDS = 3
 SHOWN = 3.5
 """Standard errors from which a joint is named as having an effect that was found."""
@@ -173,11 +178,10 @@ class _Search:
             if found is None:
                 break
             state, step = found
-            state = _whitened(state)
             steps.append(step)
         state, steps = self._with_exact_counts(state, steps)
         state, steps = self._without_chance(state, steps)
-        final = self._unwhitened(state)
+        final = self._unwhitened(state, self._plain(state))
         # with lags an offset is known by its sum with their mean only, and is left as it is
         freed = final.solution if _has(steps, Law.LAG) else allow_for_missing(final.problem, final.solution)
         fit = motion_fit(final.problem, freed)
@@ -222,7 +226,7 @@ class _Search:
         for step in list(steps):
             if step.law is Law.LINE:
                 continue
-            p_value = min(1.0, float(chdtrc(len(step.terms), _statistic(state, step.terms))) * len(Law))
+            p_value = min(1.0, float(chdtrc(len(step.terms), _statistic(state, step.terms))) * _ALTERNATIVES)
             if p_value > _CHANCE or not _shown(state, step.law, steps):
                 steps = [one for one in steps if one is not step]
                 state = self._refitted(state, steps)
@@ -242,16 +246,30 @@ class _Search:
         )
         return self._state(problem, values)
 
-    def _unwhitened(self, state: _State) -> _State:
-        """All points as they are, for predictions; lines and play, which are fast, stay as the
-        whitened residuals determine them."""
-        problem, solution = replace(state.problem, whitening=None), state.solution
+    def _plain(self, state: _State) -> _State:
+        """All points as they are."""
+        return self._state(replace(state.problem, whitening=None), state.solution.values)
+
+    def _unwhitened(self, state: _State, plain: _State) -> _State:
+        """All points as they are, for predictions; lines and play, which are fast, stay as the whitened residuals
+        determine them, where these tell more of them than ``plain`` ones."""
+        problem, solution, size = plain.problem, state.solution, state.problem.layout.geometric
         mean, precision = problem.mean.copy(), problem.precision.copy()
-        for number, term in enumerate(problem.layout.terms, start=problem.layout.geometric):
-            if term.law in (Law.LINE, Law.PLAY):
+        own, theirs = (np.diag(one.noise.covariance) for one in (solution, plain.solution))
+        for number, term in enumerate(problem.layout.terms, start=size):
+            if term.law in (Law.LINE, Law.PLAY) and own[number] < theirs[number]:
                 mean[number] = solution.values[number]
-                precision[number] = 1.0 / solution.noise.covariance[number, number]
+                precision[number] = 1.0 / own[number]
+        if np.array_equal(precision, problem.precision):
+            return plain
         return self._state(replace(problem, mean=mean, precision=precision), solution.values)
+
+    def _judged(self, trial: _State) -> _State:
+        """The same fitted with filters of what its terms leave, as those of residuals without them hide a part; with
+        the held-out error of the arm by all points as they are, as filtered ones tell little of the geometry."""
+        plain = self._plain(trial)
+        filtered = self._state(_whitened(plain).problem, plain.solution.values)
+        return replace(filtered, heldout_mm=self._unwhitened(filtered, plain).heldout_mm)
 
     def _state(self, problem: Problem, start: Array | None) -> _State:
         laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
@@ -265,17 +283,22 @@ class _Search:
         return self._state(state.problem.with_terms(terms), start)
 
     def _law(self, state: _State, laws: Sequence[Law]) -> tuple[_State, _Step] | None:
-        """The law of all joints that is least likely to be chance."""
-        best: tuple[_State, _Step] | None = None
+        """The law of all joints that is least likely to be chance and lowers the held-out error."""
+        tried = []
         for law in laws:
             terms = tuple(JointTerm(law, joint) for joint in range(state.problem.layout.parameters.joints))
-            trial = self._extended(state, terms)
-            statistic = _statistic(trial, terms)
-            p_value = min(1.0, float(chdtrc(len(terms), statistic)) * len(Law))
-            better = best is None or p_value < best[1].p_value or statistic > best[1].statistic > 0.0 == p_value
-            if p_value < _CHANCE and trial.heldout_mm < state.heldout_mm and better:
-                best = trial, _Step(law, terms, statistic, p_value, state.heldout_mm, trial.heldout_mm)
-        return best
+            trials = [self._extended(state, terms)]
+            if law in _OF_POSTURE:
+                trials.append(self._extended(replace(state, problem=replace(state.problem, whitening=None)), terms))
+            statistic, trial = max(((_statistic(one, terms), one) for one in trials), key=lambda each: each[0])
+            p_value = min(1.0, float(chdtrc(len(terms), statistic)) * _ALTERNATIVES)
+            if p_value < _CHANCE:
+                tried.append((trial, _Step(law, terms, statistic, p_value, state.heldout_mm, math.nan)))
+        for trial, step in sorted(tried, key=lambda each: (each[1].p_value, -each[1].statistic)):
+            judged = self._judged(trial)
+            if judged.heldout_mm < state.heldout_mm:
+                return judged, replace(step, after_mm=judged.heldout_mm)
+        return None
 
     def _lines(self, state: _State, steps: Sequence[_Step]) -> tuple[_State, _Step] | None:
         """The strongest lines of the residuals, at most one of each joint."""
@@ -302,10 +325,11 @@ class _Search:
             return None
         if len(kept) < len(terms):
             trial = self._extended(state, kept)
-        if trial.heldout_mm >= state.heldout_mm:
-            return None
         statistic = _statistic(trial, kept)
         p_value = min(1.0, float(chdtrc(len(kept), statistic)) * power.size)
+        trial = self._judged(trial)
+        if trial.heldout_mm >= state.heldout_mm:
+            return None
         return trial, _Step(Law.LINE, kept, statistic, p_value, state.heldout_mm, trial.heldout_mm)
 
 

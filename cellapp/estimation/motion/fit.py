@@ -10,6 +10,7 @@ errors. A first fit of a subset, with robust weights, leads to where one or two 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median_high, median_low
@@ -57,8 +58,14 @@ GROSS = 6.0
 """Norm, in standard deviations of a coordinate, beyond which a point is a gross error: never by chance."""
 _RATE_SD = 3e-4
 """Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; one that is off by more shows in any recording."""
+_NEARBY_S = 2.0
+"""Points this near in time share what the model of the arm lacks; a gross error stands out of them."""
+_FEWEST_NEARBY = 9
 _TRACKER_M = 1e-5
 """Smallest standard deviation of a coordinate [m]: keeps weights finite where there is no noise."""
+_OFFSET_SD = 1.0
+"""Prior standard deviation of an offset about its start [s]: decides only where a part between two steps of a clock has
+no point to learn from."""
 _MOST_WORTH = 1e6
 """Points cannot be a thousand times better than they say; a recording of a few seconds can look so."""
 _REWEIGHTED = 0.02
@@ -164,6 +171,7 @@ def problem_of(
     precision[layout.geometric : layout.arm] = [1.0 / term.prior_sd**2 for term in terms]
     for number, track in enumerate(tracks):
         mean[layout.offsets(number)] = track.offsets_s
+        precision[layout.offsets(number)] = 1.0 / _OFFSET_SD**2
         precision[layout.rate(number)] = 1.0 / _RATE_SD**2
     spreads = prior_spreads(parameters, set(priors) - set(prior_sigma))
     masses = None if masses is None else replace(masses, geometry=start)
@@ -344,8 +352,24 @@ def _with_robust_weights(
     usual, sources, weights = _usual(norms[: len(rows)]), [], []
     for number, (norm, its) in enumerate(zip(norms, [*rows, stop_rows])):
         sources.append(_source(problem, number, its, norm))
-        weights.append(robust_weights(np.maximum(norm, usual if number < len(rows) else _TRACKER_M), "tukey"))
+        if number < len(rows):
+            norm = np.maximum(norm, usual)
+            norm = norm * np.minimum(1.0, np.median(norm) / _nearby(problem.tracks[number], norm))
+        weights.append(robust_weights(np.maximum(norm, _TRACKER_M), "tukey"))
     return sources, weights
+
+
+def _nearby(track: Track, norm: Array) -> Array:
+    """Median norm (n,) [m] of the residuals about the same time, of rows in order of time.
+
+    An elastic joint moves all points of some seconds by far more than usual: these are no gross errors, and a fit
+    without them would be one of the rest of the motion only.
+    """
+    seconds = np.count_nonzero(track.learnt) * track.stamps.period_s
+    count = max(math.ceil(_NEARBY_S * len(norm) / max(seconds, _NEARBY_S)), _FEWEST_NEARBY)
+    blocks = max(len(norm) // count, 1)
+    medians = [np.full(len(part), np.median(part)) for part in np.array_split(norm, blocks)]
+    return np.maximum(np.concatenate(medians), _TRACKER_M)
 
 
 def _usual(norms: Sequence[Array]) -> float:
@@ -361,6 +385,9 @@ def _all_points(problem: Problem, model: Model, stop_rows: NDArray[np.intp]) -> 
     usual, found = _usual(norms[: len(rows)]), []
     for number, (norm, its) in enumerate(zip(norms, [*rows, stop_rows])):
         least = usual if number < len(rows) else 0.0
-        good = norm < GROSS * max(float(np.median(norm)) / MEDIAN_NORM, least / MEDIAN_NORM, _TRACKER_M)
+        scale: float | Array = max(float(np.median(norm)) / MEDIAN_NORM, least / MEDIAN_NORM, _TRACKER_M)
+        if number < len(rows):
+            scale = np.maximum(scale, _nearby(problem.tracks[number], norm) / MEDIAN_NORM)
+        good = norm < GROSS * scale
         found.append(_source(problem, number, its[good], norm[good]))
     return tuple(found)

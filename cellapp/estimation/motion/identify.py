@@ -232,7 +232,7 @@ def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
             ClockSegment(*stated(layout.offsets(number).start + segment, 1.0), float(times[0]), float(times[-1]))
         )
     rate_ppm, rate_error, rate_interval = stated(rate, 1e6)
-    first = segments[0]
+    first = segments[int(track.segment[track.learnt][0])]  # of the parts between steps, the first that was learnt from
     return ClockFit(
         offset_s=first.offset_s,
         offset_standard_error_s=first.offset_standard_error_s,

@@ -31,6 +31,8 @@ _SEGMENT_S = 5.0
 _BAD_START = 5.0
 """Ratio of median distances from the nominal arm from which a segment does not fit."""
 _MOST_SEGMENTS = 40
+_FEWEST_OF_SEGMENT = 20
+"""Points to learn the offset of a segment from, below which its held-out points judge nothing."""
 _SPIKE_M = 0.01
 """Distance of a point from the median of its neighbours from which the start does not use it."""
 _ABSURD_M = 0.05
@@ -137,7 +139,9 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
     validate, guard = (
         _drawn(time, known, seed) if held_out is None else (held_out[stamps.rows], np.zeros(len(time), bool))
     )
-    return replace(track, learnt=known & ~validate & ~guard, held_out=known & validate)
+    learnt = known & ~validate & ~guard
+    clock_known = np.bincount(segment[learnt], minlength=len(track.offsets_s)) >= _FEWEST_OF_SEGMENT
+    return replace(track, learnt=learnt, held_out=known & validate & clock_known[segment])
 
 
 def _segments(

@@ -11,10 +11,10 @@ import pytest
 
 from cellapp.cell.driving.cell import open_cell
 from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.driving.examination import examine
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.doctor.run import examine
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from drivers.plant import Plant
@@ -22,6 +22,7 @@ from drivers.sensors.protocol import AirReading, SensorLinkLost
 from drivers.sensors.serial_station import SerialStation
 from drivers.sensors.simulated import SimulatedAirSensor
 from drivers.trackers.lmf import LmfTracker
+from drivers.trackers.lmf_stream import LmfStreamTracker
 from tests.drivers.trackers.fake_lmf import Scene
 from tests.twin import small_twin, write_profile
 
@@ -184,10 +185,11 @@ def test_doctor_says_what_a_simulated_station_is(tmp_path: Path) -> None:
 
 @pytest.fixture
 def scene(monkeypatch: pytest.MonkeyPatch) -> Iterator[Scene]:
-    """LMF's stand-in behind the profile's driver."""
+    """LMF's stand-in behind both classes of the profile's driver: jobs open one, the doctor the other."""
     scene = Scene(targets={"left": np.array([3.0, 0.4, -0.2])}, network=(("192.168.0.7", "AT960", "750123"),))
 
-    monkeypatch.setattr("drivers.trackers.lmf.LmfTracker", partial(LmfTracker, load=lambda library: scene.lmf()))
+    for path, tracker in (("lmf.LmfTracker", LmfTracker), ("lmf_stream.LmfStreamTracker", LmfStreamTracker)):
+        monkeypatch.setattr(f"drivers.trackers.{path}", partial(tracker, load=lambda library: scene.lmf()))
     yield scene
     assert scene.violations == []
     assert scene.connected == []

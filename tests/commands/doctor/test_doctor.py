@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.driving.examination import LONGEST_PROBE_S, examine
 from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.result import DoctorResult
-from cellapp.commands.doctor.run import LONGEST_PROBE_S, examine, examine_run, probe_devices, repeatable_devices
+from cellapp.commands.doctor.run import examine_run, probe_devices, repeatable_devices
 from cellapp.commands.emulate.result import EmulatedArm
 from cellapp.commands.emulate.run import emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
@@ -315,7 +316,7 @@ def test_two_arms_at_one_address_are_refused(real: Profile) -> None:
 @pytest.mark.slow
 def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     code = (
-        "import sys; from pathlib import Path; from cellapp.commands.doctor.run import examine;"
+        "import sys; from pathlib import Path; from cellapp.cell.driving.examination import examine;"
         f" from cellapp.cell.profile import load_profile; examine(load_profile(Path({str(PROFILES / 'twin.yaml')!r})));"
         " sys.exit(','.join({'torch', 'rtde_control', 'serial', 'clr'} & set(sys.modules)) or None)"
     )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from cellapp.cell.driving.examination import examine
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
-from cellapp.commands.doctor.run import examine
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.obstacles import BoxObstacle, CapsuleObstacle, Placement, SphereObstacle
 from drivers.findings import Finding

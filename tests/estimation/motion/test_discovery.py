@@ -14,10 +14,16 @@ from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverRes
 from cellapp.estimation.motion.calibrate import calibrate_with_motion
 from cellapp.estimation.motion.discovery import with_motion
 from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Discovery
+from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.estimation.motion.simulated import record, sweep, true_arm
 
 PROFILE = load_profile(Path(__file__).parents[3] / "profiles" / "ur10-real.yaml")
+QUICK = PROFILE.model_copy(
+    update={"discovery": Discovery(null_simulations=20, folds=2, false_alarm=0.05, network="never")}
+)
+"""With a short search of the samples: what recordings show is searched as ever."""
 
 
 def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
@@ -38,10 +44,12 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
         approach=np.zeros((0, 6), dtype=np.int8),
         p_M=np.zeros((0, 3)),
     )
-    moved = calibrate_with_motion(PROFILE, {"left": none}, recordings)
-    model = moved.calibration.model
-    found = discover_cell(PROFILE, model, moved.samples)
-    found = with_motion(PROFILE, found, model.arms, moved.samples, {"left": none}, recordings)
+    with one_blas_thread():
+        moved = calibrate_with_motion(QUICK, {"left": none}, recordings)
+        model = moved.calibration.model
+        samples = moved.samples["left"]
+        found = discover_cell(QUICK, model, {"left": samples.take(np.arange(0, len(samples), 12))})
+        found = with_motion(QUICK, found, model.arms, moved.samples, {"left": none}, recordings)
     discovery = found.arms["left"]
     assert discovery.result.motion is not None
     assert discovery.result.motion.used

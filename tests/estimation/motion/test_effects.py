@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
 from cellapp.estimation.motion.effects import effects_in_motion
-from cellapp.estimation.motion.identify import RecordedArm
+from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
 from cellapp.estimation.motion.joint_path import joint_path, play
 from cellapp.estimation.motion.terms import Masses, torques_in_motion
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.statics import Bodies
-from tests.estimation.motion.simulated import UR10, lost_motion, record, sweep, true_arm
+from tests.estimation.motion.simulated import UR10, Arm, lost_motion, record, sweep, true_arm
 
 NOMINAL = nominal_geometry(UR10, np.zeros(3))
 BODIES = Bodies(
@@ -22,6 +22,42 @@ BODIES = Bodies(
     payload_mass=1.0,
     payload_center=np.array([0.0, 0.0, 0.05]),
 )
+
+MASSES = np.array([*BODIES.masses, BODIES.payload_mass])
+
+
+def centers(arm, q):
+    """Centres of all masses (7, n, 3) of the nominal chain on the base of ``arm``."""
+
+    def pose(own, q):
+        origin = own.points(q)
+        axes = [replace(own, tool=axis).points(q) - origin for axis in np.eye(3)]
+        T = np.zeros((len(q), 4, 4))
+        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = np.stack(axes, axis=2), origin, 1.0
+        return T
+
+    T = np.broadcast_to(arm.base, (len(q), 4, 4))
+    found = []
+    for joint, (theta, d, a, alpha) in enumerate(UR10):
+        own = replace(arm, rows=np.array([[theta, d, a, alpha, 0.0]]), base=np.eye(4), tool=np.zeros(3))
+        T = T @ pose(own, q[:, joint : joint + 1])
+        found.append(T[:, :3, :3] @ BODIES.centers[joint] + T[:, :3, 3])
+    return np.stack([*found, T[:, :3, :3] @ BODIES.payload_center + T[:, :3, 3]])
+
+
+@dataclass(frozen=True)
+class Elastic(Arm):
+    """An arm whose joints twist by ``compliance`` (6,) [rad/Nm] under the weight of its masses, up being z."""
+
+    compliance: np.ndarray = field(default_factory=lambda: np.zeros(6))
+
+    def points(self, q):
+        rigid = Arm(self.rows, self.tool, self.base, self.half_play)
+        torque, by = np.zeros_like(q), 1e-5 * np.eye(6)
+        for joint in range(6):
+            rise = centers(rigid, q + by[joint])[:, :, 2] - centers(rigid, q - by[joint])[:, :, 2]
+            torque[:, joint] = -9.80665 * MASSES @ rise / 2e-5
+        return rigid.points(q + self.compliance * torque)
 
 
 def found_in(*recordings, **options):
@@ -65,6 +101,27 @@ def test_dense_lines_play_and_lag_are_named_with_their_sizes():
     assert discovery.heldout_after_mm < discovery.heldout_before_mm
 
 
+def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():
+    rng = np.random.default_rng(6)
+    rigid = true_arm(rng)
+    base = np.eye(4)
+    base[:3, 3] = rigid.base[:3, 3]
+    arm = Elastic(rigid.rows, rigid.tool, base, rigid.half_play, compliance=np.array([0, 17e-6, 29e-6, 0, 0, 0]))
+    motions = [sweep(rng, 6, base_hz=0.0625, harmonics=3) for _ in range(4)]
+    recordings = [
+        record(rng, arm, motion, seconds=16.0, slow=0.0, name=f"sweep-{n}") for n, motion in enumerate(motions)
+    ]
+    rigid_fit = identify_from_motion(RecordedArm(NOMINAL, recordings, tool_unknown=True))
+    assert sum(one.gross for one in rigid_fit.recordings.values()) < 5
+    discovery, found = found_in(*recordings, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
+    assert set(found) == {"joint_compliance"}
+    assert dict(zip(found["joint_compliance"].joints, found["joint_compliance"].values, strict=True)) == {
+        2: pytest.approx(17e-6, rel=0.1),
+        3: pytest.approx(29e-6, rel=0.1),
+    }
+    assert discovery.heldout_after_mm < 0.2 * discovery.heldout_before_mm
+
+
 @pytest.mark.parametrize("seed", [2, 3])
 def test_nothing_is_found_where_nothing_is(seed):
     rng = np.random.default_rng(seed)
@@ -88,27 +145,12 @@ def test_torques_in_motion_are_those_of_virtual_work():
     t = np.linspace(1.0, 9.0, 15)
     computed = torques_in_motion(path, t, Masses(geometry, BODIES, up_M))
 
-    def centers(q):
-        T = np.broadcast_to(arm.base, (len(q), 4, 4))
-        found = []
-        for joint, (theta, d, a, alpha) in enumerate(UR10):
-            own = replace(arm, rows=np.array([[theta, d, a, alpha, 0.0]]), base=np.eye(4), tool=np.zeros(3))
-            T = T @ pose(own, q[:, joint : joint + 1])
-            found.append(T[:, :3, :3] @ BODIES.centers[joint] + T[:, :3, 3])
-        return np.stack([*found, T[:, :3, :3] @ BODIES.payload_center + T[:, :3, 3]])
-
-    def pose(own, q):
-        origin = own.points(q)
-        axes = [replace(own, tool=axis).points(q) - origin for axis in np.eye(3)]
-        T = np.zeros((len(q), 4, 4))
-        T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = np.stack(axes, axis=2), origin, 1.0
-        return T
-
-    masses, h = np.array([*BODIES.masses, BODIES.payload_mass]), 1e-3
-    acceleration = (centers(motion.at(t + h)) - 2 * centers(motion.at(t)) + centers(motion.at(t - h))) / h**2
-    force = masses[:, None, None] * (-9.80665 * up_M - acceleration)
+    h = 1e-3
+    before, now, after = (centers(arm, motion.at(t + step)) for step in (-h, 0.0, h))
+    acceleration = (after - 2 * now + before) / h**2
+    force = MASSES[:, None, None] * (-9.80665 * up_M - acceleration)
     for joint in range(6):
         by = np.zeros(6)
         by[joint] = 1e-5
-        moved = (centers(motion.at(t) + by) - centers(motion.at(t) - by)) / 2e-5
+        moved = (centers(arm, motion.at(t) + by) - centers(arm, motion.at(t) - by)) / 2e-5
         np.testing.assert_allclose(computed[:, joint], np.sum(force * moved, axis=(0, 2)), atol=0.1)

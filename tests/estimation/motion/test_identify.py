@@ -138,6 +138,20 @@ def test_steps_and_resets_of_either_clock_are_found_and_named(case):
     assert fit.heldout_rms_mm < 0.1
 
 
+def test_a_part_before_a_step_of_a_clock_of_which_nothing_is_learnt_leaves_the_rest_as_it_is(case):
+    recording = case[2]
+    time, held_out = recording.points.time_s.copy(), np.zeros(len(recording.points.time_s), dtype=bool)
+    time[300:] += 70.0
+    held_out[:300] = held_out[5000:6000] = True
+    fit = fit_of(replace(recording, points=replace(recording.points, time_s=time, held_out=held_out)))
+    clock = fit.clocks["sweep"]
+    assert len(clock.segments) == 2
+    assert fit.recordings["sweep"].held_out == 1000
+    assert clock.offset_standard_error_s < 1e-3
+    assert clock.offset_s == pytest.approx(0.0178, abs=5e-4)
+    assert fit.heldout_rms_mm < 0.1
+
+
 @pytest.mark.fast
 def test_small_steps_are_told_from_gaps(case):
     recording = case[2]

@@ -46,6 +46,7 @@ READ = {
         "--person",
         "--distances",
         "--touches",
+        "--reference-nests",
         "--joints",  # of import; those of export are written, and say so
         "--points",
     ),
@@ -164,6 +165,7 @@ def test_every_command_has_its_outputs() -> None:
         "--store",
         "--joints",
         "--points",
+        "--problems",
     }
 
 

@@ -15,6 +15,7 @@ from textual import on, work
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
+from textual.events import ScreenResume
 from textual.message import Message
 from textual.widgets import DataTable, Input, Static
 from textual.worker import get_current_worker
@@ -163,7 +164,8 @@ class RunsScreen(DayScreen):
             self._workspace = workspace
             self._list_runs(self.cell_app.logs)
 
-    def on_screen_resume(self) -> None:
+    @on(ScreenResume)
+    def forget_list(self) -> None:
         """Read the folder again where a job goes on storing: the list must not say what was true before it."""
         if self.cell_app.jobs.running:
             self._workspace = None
