@@ -67,8 +67,6 @@ class SimulatedTracker:
     ----------
     obstacles : list of str
         Preconditions that are not met, in words; add one to make it refuse.
-    covered : set of str
-        Arms or nests whose SMR is covered.
     measured : int
         Number of points measured.
     """
@@ -121,8 +119,16 @@ class SimulatedTracker:
         self._link_cut = False
         self._down_until_s = -math.inf
         self.obstacles: list[str] = []
-        self.covered = self._sight.covered
         self.measured = 0
+
+    @property
+    def covered(self) -> set[str]:
+        """Arms or nests whose SMR is covered."""
+        return self._sight.covered
+
+    @covered.setter
+    def covered(self, names: set[str]) -> None:
+        self._sight.covered = names
 
     # -- link ----------------------------------------------------------------------------------------------------------
 
