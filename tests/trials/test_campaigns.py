@@ -110,8 +110,8 @@ def test_arms_that_are_not_braked_are_found(
 def test_a_lost_reading_is_found(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     store = RunFile.add_stop
 
-    def forgetful(self: RunFile, configuration: int, rows: Mapping[str, Reading], outcomes: Any = ()) -> None:
-        store(self, configuration, {} if configuration == 5 else rows, outcomes)
+    def forgetful(self: RunFile, configuration: int, rows: Mapping[str, Reading], *others: Any) -> None:
+        store(self, configuration, {} if configuration == 5 else rows, *others)
 
     monkeypatch.setattr(RunFile, "add_stop", forgetful)
     assert {"reading lost", "not listed"} <= failures(bench, 0)

@@ -358,10 +358,8 @@ class CellApp(JobKeys):
             then = f"in use by {now.in_use}" if now.in_use else f"next: {title} (key n)"
             self.say(f"{now.folder} is open; {then}.")
         elif ended is None and now.folder is None and now.profile_path not in (None, before.profile_path):
-            self.message, self._severity = (
-                f"{now.profile_path} is open; {_ONWARD}.",
-                "information",
-            )  # no line of the log
+            if str(now.profile_path) not in self.message:  # it was written just now, and that is said
+                self.message, self._severity = f"{now.profile_path} is open; {_ONWARD}.", "information"  # not logged
         elif ended and ended == self.message and now.folder is not None:
             self.message = f"{ended} Next: {title} (key n)."
         self.draw_all()
