@@ -195,9 +195,7 @@ class CollectSession:
             if not self._mover.rests_at(at):
                 self._travel.to_stop(stop)
             recorded = self._sweeps.at_stop(stop, at, self._supervisor.checkpoint)
-        except MotionRefused as error:
-            self._sweeps.leave_out(stop, str(error))
-        except (TargetLost, WrongTarget) as error:
+        except (MotionRefused, TargetLost, WrongTarget) as error:
             self._sweeps.leave_out(stop, str(error))
         else:
             self._say(f"stop {stop + 1}: sweeps of {' and '.join(recorded) or 'no arm'} are recorded")

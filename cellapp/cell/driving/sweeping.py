@@ -5,7 +5,7 @@ A simulated cell calculates a sweep at once; others are driven and recorded thro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -128,8 +128,8 @@ class Sweeps:
     def _free_name(self, sweep: PlannedSweep) -> str:
         """A name for the next recording of a sweep."""
         taken = {state.name for state in recording_states(self._run) if state.arm == sweep.arm}
-        names: Iterator[str] = (f"{sweep.name}.{number}" for number in range(2, len(taken) + 3))
-        return sweep.name if sweep.name not in taken else next(name for name in names if name not in taken)
+        names = (sweep.name, *(f"{sweep.name}.{number}" for number in range(2, len(taken) + 2)))
+        return next(name for name in names if name not in taken)
 
     def _streams(
         self, sweep: PlannedSweep, name: str, joints: Mapping[str, Array], points: Mapping[str, Array]
