@@ -11,8 +11,7 @@ from cellapp.cell.run.collection_rows import Outcome, insert_outcome
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.readings_table import check_readings, insert_readings, select_readings, stop_rows
 from cellapp.cell.run.rows import utc_now
-from cellapp.cell.run.schema import schema_version
-from cellapp.estimation.readings.columns import COLUMNS
+from cellapp.cell.run.schema import READING_COLUMNS, schema_version
 from cellapp.estimation.readings.readings import Reading, Readings
 
 _SINCE = 9
@@ -106,7 +105,7 @@ def _set_aside(connection: sqlite3.Connection, arm: str, stop: int) -> tuple[str
     row = connection.execute(f"SELECT split FROM reading {where}", key).fetchone()
     if row is None:
         return None
-    names = ", ".join(["arm", *(column.sql_name for column in COLUMNS), "extras"])
+    names = ", ".join(READING_COLUMNS)
     connection.execute(
         f"INSERT INTO earlier_reading ({names}, replaced) SELECT {names}, ? FROM reading {where}", (utc_now(), *key)
     )

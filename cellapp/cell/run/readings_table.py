@@ -10,17 +10,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.schema import schema_version
+from cellapp.cell.run.schema import READING_COLUMNS, schema_version
 from cellapp.estimation.readings.columns import COLUMNS, MEASURED_POINT, SPLITS, Column, Values
 from cellapp.estimation.readings.readings import Reading, Readings, joined, readings_from_columns
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
     """Add readings, inside the caller's transaction. Raises ``sqlite3.IntegrityError`` for a stop that is stored."""
-    names = ["arm", *(column.sql_name for column in COLUMNS), "extras"]
-    places = ", ".join("?" * len(names))
+    places = ", ".join("?" * len(READING_COLUMNS))
     connection.executemany(
-        f"INSERT INTO reading ({', '.join(names)}) VALUES ({places})",
+        f"INSERT INTO reading ({', '.join(READING_COLUMNS)}) VALUES ({places})",
         ((arm, *row) for row in _rows(readings)),
     )
 
