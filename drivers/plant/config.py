@@ -175,12 +175,12 @@ class TorqueSensing:
     """How the drives of all arms measure their torques at rest.
 
     ``noise_nm`` is its standard deviation, ``friction_nm`` the dry friction against which the last motion came to rest.
-    With ``constants_nm_per_a``, one a joint or one for all, drives report currents [A] instead.
+    With ``constant_nm_per_a``, that of every motor at its joint, drives report currents [A] instead.
     """
 
     noise_nm: float
     friction_nm: float
-    constants_nm_per_a: tuple[float, ...] = ()
+    constant_nm_per_a: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

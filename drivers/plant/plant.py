@@ -269,9 +269,9 @@ class Plant:
         held = -Posture(arm.mechanism, arm.q[None], arm.gravity).torques[0]
         torque = held + sensing.friction_nm * arm.approach
         torque += sensing.noise_nm * self._torque_noise.standard_normal(len(torque))
-        if not sensing.constants_nm_per_a:
+        if sensing.constant_nm_per_a is None:
             return torque, None
-        return None, torque / np.broadcast_to(sensing.constants_nm_per_a, torque.shape)
+        return None, torque / sensing.constant_nm_per_a
 
     def rest_s(self, name: str) -> float:
         """When the arm comes or came to rest [s]."""

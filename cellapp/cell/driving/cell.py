@@ -21,7 +21,6 @@ from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile import TorqueSensing as StatedSensing
 from cellapp.ground.profile.smr import Smr
 from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model.nominal import joint_rates, pose_matrix
@@ -272,6 +271,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
     if settings is None or tracker.pose is None:
         raise InputError(f"profile {profile.name}: a simulated cell needs the sections 'plant' and 'tracker.pose'")
     accuracy = tracker_context(profile)
+    torques = settings.torques
     try:
         config = PlantConfig(
             seed=settings.seed,
@@ -290,18 +290,11 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             temperature_c=settings.temperature,
             noise=settings.noise,
             floor=profile.plan.floor,
-            torques=_torque_sensing(settings.torques),
+            torques=None if torques is None else TorqueSensing(**torques.model_dump()),
         )
         return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)
     except ValueError as error:
         raise InputError(f"profile {profile.name}: plant: {error}") from error
-
-
-def _torque_sensing(stated: StatedSensing | None) -> TorqueSensing | None:
-    if stated is None:
-        return None
-    constant = stated.constant_nm_per_a
-    return TorqueSensing(stated.noise_nm, stated.friction_nm, () if constant is None else (constant,))
 
 
 def plant_arm(name: str, arm: ArmProfile, effects: Mapping[str, Mapping[str, object]]) -> ArmConfig:
