@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
 from cellapp.estimation.readings import Distance, Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.estimation.sockets.plausibility import misplaced_readings, with_ball, wrong_distances
@@ -38,15 +38,8 @@ def read_distances_csv(path: Path, profile: Profile, readings: Mapping[str, Read
     """
     if not any(in_sockets(its) for its in readings.values()):
         raise InputError(f"{path}: known distances are between points; no reading names one: add the column 'point'")
-    table = read_csv_table(Path(path), "known distances", "a row per distance")
+    table = read_table_of(Path(path), "known distances", "distance", "a row per distance", _COLUMNS)
     problems = Problems(table.place)
-    check_names(table, problems)
-    for name in _COLUMNS:
-        if name not in table.names:
-            problems.add(1, name, f"the column is missing; expected {', '.join(_COLUMNS)}")
-    problems.check()
-    if not table.lines:
-        raise InputError(f"{table.place(1)}: there is a header row but no distance; expected a row per distance")
     rows = _checked_rows(table, problems, readings)
     problems.check()
     found = {}

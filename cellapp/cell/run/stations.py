@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.stations import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.ground.counting import counted
@@ -42,15 +42,8 @@ def read_reference_nests(path: Path, readings: Mapping[str, Readings]) -> tuple[
         Names file, line and column of what is missing, no number, repeated or off; and a station of the readings that
         the file has not.
     """
-    table = read_csv_table(Path(path), "reference nests", "a row per nest and station")
+    table = read_table_of(Path(path), "reference nests", "nest", "a row per nest and station", _COLUMNS, _SIGMA)
     problems = Problems(table.place)
-    check_names(table, problems)
-    for name in _COLUMNS:
-        if name not in table.names:
-            problems.add(1, name, f"the column is missing; expected {', '.join(_COLUMNS)} and perhaps {_SIGMA}")
-    problems.check()
-    if not table.lines:
-        raise InputError(f"{table.place(1)}: there is a header row but no nest; expected a row per nest and station")
     rows = _checked_rows(table, problems)
     problems.check()
     points = list(rows.values())
