@@ -112,8 +112,8 @@ def in_one_frame(readings: Readings, poses: Poses) -> Readings:
     """Readings in the frame of the first station."""
     if readings.station is None or not poses:
         return readings
-    turn = np.array([poses[name][:3, :3] if name in poses else np.eye(3) for name in map(str, readings.station)])
-    shift = np.array([poses[name][:3, 3] if name in poses else np.zeros(3) for name in map(str, readings.station)])
+    T = np.array([poses.get(name, np.eye(4)) for name in map(str, readings.station)])
+    turn, shift = T[:, :3, :3], T[:, :3, 3]
     covariance, quaternion = readings.covariance_M, readings.quaternion_M
     if quaternion is not None:
         own = np.isfinite(quaternion[:, 0])
