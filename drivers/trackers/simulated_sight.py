@@ -59,16 +59,18 @@ class Sight:
         found = []
         for target in self._plant.targets():
             owner = f"arm {target.arm}, nest {target.nest}" if target.nest else f"arm {target.arm}"
-            covered = target.arm in self.covered or owner in self.covered
-            why = "something covers it" if covered else target.hidden
+            why = self._cover(target.arm, owner) or target.hidden
             probe = (target.nest, target.R_M_S, target.sigma_rad)
             found.append(Smr(owner, target.arm, target.p_M, why, target.moving, *probe))
         for name, p_M in self._nests.items():
             facing = -p_M / np.linalg.norm(p_M)
-            why = "something covers it" if name in self.covered else ""
-            why = why or why_hidden(self._plant.config.tracker, p_M, facing, math.pi)
+            why = self._cover(name) or why_hidden(self._plant.config.tracker, p_M, facing, math.pi)
             found.append(Smr(f"nest {name}", None, p_M, why))
         return found
+
+    def _cover(self, *names: str) -> str:
+        """Why an SMR of these names is covered; empty if it is not."""
+        return "something covers it" if any(name in self.covered for name in names) else ""
 
     def behind_bodies(self, target: Smr) -> Smr:
         """Return the SMR, hidden if a body is in the beam."""
@@ -116,8 +118,9 @@ class Sight:
 
     def hidden(self, locked: Smr, p_M: Vector, normal_M: Vector) -> str:
         """Why an SMR at ``p_M`` (3,) is not seen now; empty if it is."""
-        if any(name in self.covered for name in (locked.arm, locked.owner, locked.owner.removeprefix("nest "))):
-            return "something covers it"
+        names = (locked.owner.removeprefix("nest "),) if locked.arm is None else (locked.arm, locked.owner)
+        if why := self._cover(*names):
+            return why
         acceptance = math.pi
         if locked.arm is not None:
             acceptance = next(arm.smr_acceptance for arm in self._plant.config.arms if arm.name == locked.arm)
