@@ -64,18 +64,13 @@ def joints_at(arm: Trailing, time_s: Array, now_s: float) -> tuple[Array, list[t
     phases = [*arm.trail, phase_of(arm, now_s)]
     number = np.searchsorted([phase.until_s for phase in phases[:-1]], time_s, side="left")
     q = np.empty((len(time_s), len(arm.q)))
-    for one in np.unique(number):
-        q[number == one] = phases[one].positions(time_s[number == one])
     known: list[tuple[Phase, np.ndarray]] = []
     for one in np.unique(number):
-        rows = np.flatnonzero(number == one)
-        before = known[-1] if known else None
-        if (
-            before is not None
-            and before[0].q is phases[one].q
-            and (before[0].motion is None) == (phases[one].motion is None)
-        ):
-            known[-1] = before[0], np.concatenate([before[1], rows])
+        phase, rows = phases[one], np.flatnonzero(number == one)
+        q[rows] = phase.positions(time_s[rows])
+        before, earlier = known[-1] if known else (None, rows)
+        if before is not None and before.q is phase.q and (before.motion is None) == (phase.motion is None):
+            known[-1] = before, np.concatenate([earlier, rows])
         else:
-            known.append((phases[one], rows))
+            known.append((phase, rows))
     return q, known
