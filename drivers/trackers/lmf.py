@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from drivers.trackers.lmf_calls import CallThread
 from drivers.trackers.lmf_finder import visible_trackers
-from drivers.trackers.lmf_objects import Lmf, describe, error_number, load_lmf, to_si, unwrap
+from drivers.trackers.lmf_objects import Lmf, describe, error_number, load_lmf, set_handler, to_si, unwrap
 from drivers.trackers.lmf_options import LmfOptions
 from drivers.trackers.lmf_results import ErrorLaw, read_air, read_position, tracker_time_s
 from drivers.trackers.lmf_setup import apply_settings, laser_and_stand, set_quantity, start_level_monitoring
@@ -258,12 +258,7 @@ class LmfTracker:
             return  # pythonnet refuses to remove a handler that was not added
         self._subscribed = False
         for name, handler in self._handlers:
-            event = getattr(tracker, name)
-            if wanted:
-                event += handler
-            else:
-                event -= handler
-            setattr(tracker, name, event)
+            set_handler(tracker, name, handler, wanted=wanted)
         self._subscribed = wanted
 
     @contextlib.contextmanager

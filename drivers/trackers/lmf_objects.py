@@ -56,6 +56,16 @@ def load_lmf(library: str) -> Lmf:
     return Lmf(modules[0].Connection, modules[0].TrackerFinder, enumeration, (system.Exception,))
 
 
+def set_handler(owner: Any, name: str, handler: Callable[..., None], *, wanted: bool) -> None:
+    """Add a handler to an event of LMF, or remove it: the same object that was added."""
+    event = getattr(owner, name)
+    if wanted:
+        event += handler
+    else:
+        event -= handler
+    setattr(owner, name, event)
+
+
 def unwrap(value: Any) -> Any:
     """Return the value in a value object, or a plain value unchanged; Leica's documents disagree on some members."""
     return value.Value if hasattr(value, "Value") else value

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from drivers.trackers.lmf import LmfTracker, Vector
-from drivers.trackers.lmf_objects import describe, to_si, unwrap
+from drivers.trackers.lmf_objects import describe, set_handler, to_si, unwrap
 from drivers.trackers.lmf_results import tracker_time_s
 from drivers.trackers.lmf_setup import set_quantity, set_value
 from drivers.trackers.protocol import (
@@ -174,12 +174,7 @@ class _Following:
             (tracker.Measurement, "MeasurementArrived", self._arrived_handler),
             (tracker.Targets, "SelectedChanged", self._selected_handler),
         ):
-            event = getattr(owner, name)
-            if wanted:
-                event += handler
-            else:
-                event -= handler
-            setattr(owner, name, event)
+            set_handler(owner, name, handler, wanted=wanted)
 
     def end(self) -> list[Packet]:
         """Read what has come and return all packets."""
