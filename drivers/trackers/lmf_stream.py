@@ -67,13 +67,13 @@ class LmfStreamTracker(LmfTracker):
         self._clear_halt()
         lock = partial(self._lock, expected=expected, averaging_s=interval_s)
         self._call("pointing and searching", lock, haltable=True)
-        following = _Following(self._packet, lost, received)
+        self._follows = following = _Following(self._packet, lost, received)
         try:
             self._call("starting to follow", partial(self._begin, following=following, interval_s=interval_s))
         except BaseException:
-            following.end()
+            with contextlib.suppress(TrackerError):  # the reason why it did not begin is the one to report
+                self.end_track()
             raise
-        self._follows = following
 
     def end_track(self) -> Track:
         """Stop measuring, go back to stationary measurements and return all points."""
@@ -162,7 +162,7 @@ class _Following:
         self._read, self._lost, self._received = read, lost, received
         self._queue: queue.SimpleQueue[tuple[Any, float] | None] = queue.SimpleQueue()
         self._packets: list[Packet] = []
-        self._over = False
+        self._over = self._subscribed = False
         # bound once: an event must be given the same object when the handler is removed
         self._arrived_handler, self._selected_handler = self._arrived, self._selected
         self._thread = threading.Thread(target=self._work, name="LMF points", daemon=True)
@@ -170,6 +170,9 @@ class _Following:
 
     def subscribe(self, tracker: Any, *, wanted: bool) -> None:
         """Add the handlers to LMF's events, or remove them."""
+        if wanted == self._subscribed:
+            return  # pythonnet refuses to remove a handler that was not added
+        self._subscribed = wanted
         for owner, name, handler in (
             (tracker.Measurement, "MeasurementArrived", self._arrived_handler),
             (tracker.Targets, "SelectedChanged", self._selected_handler),

@@ -115,3 +115,19 @@ def test_settings_that_lmf_does_not_take_are_named(scene: Scene, tracker: Callab
         driver.start_track(LEFT, 0.001, lambda error: None)
     with pytest.raises(ValueError, match=r"one each 0\.001 to 1 s"):
         driver.start_track(LEFT, 1e-4, lambda error: None)
+
+
+@pytest.mark.parametrize("fault", ["setting", "start"])
+def test_after_a_track_that_did_not_begin_it_measures_at_rest(
+    scene: Scene, tracker: Callable[..., LmfStreamTracker], fault: str
+) -> None:
+    driver = tracker()
+    if fault == "setting":
+        scene.ignored_settings.add("PacketRate")
+    else:
+        scene.throws["StartMeasurement"] = LmfException(302, "Busy", "Not now.")
+    with pytest.raises(TrackerError, match=r"PacketRate|Not now"):
+        driver.start_track(LEFT, 0.001, lambda error: None)
+    assert driver.measure(LEFT, 1.0).p_M == pytest.approx(LEFT)
+    assert measurement(scene).MeasurementArrived.handlers == []
+    assert len(driver.end_track().p_M) == 0
