@@ -169,7 +169,9 @@ class Controller:
     def write_input(self, name: str, value: Values) -> None:
         """Store an input that a client wrote, and its time for the watchdog."""
         if name == "speed_slider_fraction":
-            return self.set_slider(value[0]) if self.values["speed_slider_mask"][0] else None
+            if self.values["speed_slider_mask"][0]:
+                self.set_slider(value[0])
+            return
         before, self.values[name] = self.values[name], value
         if name in _COMMAND_REGISTERS and value != before and value[0] in _STOPPING:
             self.journal.note("stop", f"rtde: {_STOPPING[value[0]]}")
@@ -366,7 +368,8 @@ class Controller:
 
     def cycle(self, now_s: float) -> None:
         """Execute one control period at ``now_s`` (``time.monotonic``), after the cell's time has been advanced."""
-        self._watchdog.run_s, self.now_s = self._watchdog.run_s + min(now_s - self.now_s, _MAX_PAUSE_S), now_s
+        self._watchdog.run_s += min(now_s - self.now_s, _MAX_PAUSE_S)
+        self.now_s = now_s
         self.brakes.cycle(now_s)
         if self.slider.follow(self.motions.clock_s - self._clock_s) and not self.brakes.braking:
             self.motions.scale_speed(self.name, self.slider.scaling)
