@@ -107,7 +107,7 @@ class TrackBuffer:
             self._pulses += [f"{stamp:.7f}" for stamp in packet.triggers_s]
             if self._waiting + len(points) > MOST_WAITING or not (points or self._pulses):
                 return
-            if len(points):
+            if points:
                 self._last_stamp_s = float(packet.device_time_s[-1])
             self._waiting += len(points)
             for some in _lines(points) or [()]:

@@ -48,6 +48,11 @@ class _Running:
     heard_s: float = field(default_factory=time.monotonic)
     packets: list[Packet] = field(default_factory=list)
 
+    @property
+    def wanted(self) -> dict[str, str]:
+        """The fields of the question for its next points."""
+        return {"track": self.id, "from": str(self.next)}
+
 
 class StreamingBridgeTracker(BridgeTracker):
     """A tracker behind a bridge, see ``BridgeTracker``; whether it streams, the bridge says."""
@@ -111,7 +116,7 @@ class StreamingBridgeTracker(BridgeTracker):
         self._command("end-track", {"track": track.id})
         track.lost = _nobody
         until_s = time.monotonic() + _REST_WITHIN_S
-        while self._take(track, self._command("points", {"track": track.id, "from": str(track.next)})):
+        while self._take(track, self._command("points", track.wanted)):
             if time.monotonic() > until_s:
                 raise TrackerLinkLost(
                     f"tracker bridge {self._url}: its points did not come within {_REST_WITHIN_S:g} s"
@@ -121,8 +126,7 @@ class StreamingBridgeTracker(BridgeTracker):
     def _fetch(self, track: _Running, until_s: float, enough_s: float) -> None:
         """Fetch what waits, at least one answer, until ``enough_s``."""
         while True:
-            fields = {"track": track.id, "from": str(track.next)}
-            if not self._take(track, self._exchange("points", fields, until_s)) or time.monotonic() > enough_s:
+            if not self._take(track, self._exchange("points", track.wanted, until_s)) or time.monotonic() > enough_s:
                 return
 
     def _take(self, track: _Running, answer: Fields) -> bool:
