@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -99,11 +99,8 @@ class StreamingBridgeTracker(BridgeTracker):
         if track is None or not track.on:
             super()._ask(within_s, until_s)
             return
-        try:
+        with _known(track):
             self._fetch(track, until_s, min(until_s, time.monotonic() + _AT_ONCE_S))
-        except ValueError as error:  # the bridge has restarted
-            track.on = False
-            raise TrackerLinkLost(str(error)) from error
         silent_s = time.monotonic() - track.heard_s
         if track.on and silent_s > max(_SILENT_S, 10.0 * track.interval_s):
             raise TrackerLinkLost(f"tracker bridge {self._url}: no point of the moving SMR came for {silent_s:.1f} s")
@@ -113,14 +110,15 @@ class StreamingBridgeTracker(BridgeTracker):
         track, self._track = self._track, None
         if track is None:
             return Track.of([])
-        self._command("end-track", {"track": track.id})
-        track.lost = _nobody
-        until_s = time.monotonic() + _REST_WITHIN_S
-        while self._take(track, self._command("points", track.wanted)):
-            if time.monotonic() > until_s:
-                raise TrackerLinkLost(
-                    f"tracker bridge {self._url}: its points did not come within {_REST_WITHIN_S:g} s"
-                )
+        with _known(track):
+            self._command("end-track", {"track": track.id})
+            track.lost = _nobody
+            until_s = time.monotonic() + _REST_WITHIN_S
+            while self._take(track, self._command("points", track.wanted)):
+                if time.monotonic() > until_s:
+                    raise TrackerLinkLost(
+                        f"tracker bridge {self._url}: its points did not come within {_REST_WITHIN_S:g} s"
+                    )
         return Track.of(track.packets)
 
     def _fetch(self, track: _Running, until_s: float, enough_s: float) -> None:
@@ -145,6 +143,16 @@ class StreamingBridgeTracker(BridgeTracker):
             track.on = False
             track.lost(wire.ERRORS.get(kind, TrackerError)(answer.get("lost.text", "the track has ended")))
         return waiting > 0
+
+
+@contextlib.contextmanager
+def _known(track: _Running) -> Iterator[None]:
+    """A bridge that refuses a track does not know it: it has restarted. Raises ``TrackerLinkLost`` then."""
+    try:
+        yield
+    except ValueError as error:
+        track.on = False
+        raise TrackerLinkLost(str(error)) from error
 
 
 def _nobody(error: TrackerError) -> None:

@@ -132,6 +132,8 @@ def test_a_restarted_bridge_has_lost_the_track(make_plant: Any) -> None:
         bridge.call_soon(bridge.restart)
         with pytest.raises(TrackerLinkLost, match=r"no such track|tracker bridge"):
             asked(tracker)
+        with pytest.raises(TrackerLinkLost, match="no such track"):
+            tracker.end_track()
 
 
 class Resting:
