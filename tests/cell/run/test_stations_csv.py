@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,21 +14,12 @@ from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
 from cellapp.commands.import_.run import import_new_run
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, transform
-from tests.cell.run.test_nests_csv import with_nests
+from tests.cell.run.test_nests_csv import Rows, change, with_nests, written
 
 pytestmark = pytest.mark.fast
 T = transform(Rotation.from_euler("z", 1.2).as_matrix(), [2.0, -1.0, 0.2])
 NESTS = np.array([[2.0, 1.5, -0.5], [3.5, -1.0, -0.5], [4.5, 1.0, -0.4], [3.0, 0.2, -0.6], [4.8, -1.2, 0.3]])
 POINTS = np.random.default_rng(2).uniform(-0.8, 0.8, (12, 3)) + np.array([3.5, 0.0, 0.3])
-Rows = list[dict[str, str]]
-
-
-def written(path: Path, rows: Rows) -> Path:
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    return path
 
 
 def xyz(p: np.ndarray) -> dict[str, str]:
@@ -82,13 +72,6 @@ def test_stations_without_nests_are_refused(tmp_path: Path) -> None:
 def drop(count: int) -> Callable[[Rows], None]:
     def act(rows: Rows) -> None:
         del rows[-count:]
-
-    return act
-
-
-def change(key: str, value: str, place: int) -> Callable[[Rows], None]:
-    def act(rows: Rows) -> None:
-        rows[place][key] = value
 
     return act
 
