@@ -38,6 +38,9 @@ _ROUNDING_RAD = 1e-9
 _ROUNDING = 1e-9
 """Relative excess of a rate that counts as rounding."""
 
+_Sample = tuple[float, NDArray[np.float64], NDArray[np.float64]]
+"""Time [s], joint positions [rad] and speeds [rad/s] of a control cycle."""
+
 
 class SimulatedArm:
     """One arm of a ``Plant``. Faults: ``protective_stop``, ``emergency_stop``, ``cut_link``; cleared by ``release``."""
@@ -61,7 +64,7 @@ class SimulatedArm:
         """The positions that are being streamed; another array, or None, once this has ended."""
         self._sent = 0
         self._reached = math.inf
-        self._record: list[tuple[float, NDArray[np.float64], NDArray[np.float64]]] | None = None
+        self._record: list[_Sample] | None = None
         self._stream_end_s = 0.0
         self._followed: list[tuple[float, NDArray[np.float64]]] = []
 
@@ -260,13 +263,11 @@ class SimulatedArm:
     def start_recording(self) -> None:
         """Keep the joints of each control cycle, while others let the plant's time pass."""
         self._link()
-        record: list[tuple[float, NDArray[np.float64], NDArray[np.float64]]] = []
+        record: list[_Sample] = []
         self._record = record
         self._keep(record, self._plant.clock_s, 0)
 
-    def _keep(
-        self, record: list[tuple[float, NDArray[np.float64], NDArray[np.float64]]], began_s: float, number: int
-    ) -> None:
+    def _keep(self, record: list[_Sample], began_s: float, number: int) -> None:
         """Keep one sample and enter the next into the plant's schedule."""
         if self._record is not record:
             return
