@@ -27,7 +27,7 @@ from drivers.plant.motion import braked, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.schedule import Schedule
 from drivers.plant.servo import follow
-from drivers.plant.trail import note_phase
+from drivers.plant.trail import Phase, note_phase, phase_of
 from drivers.plant.true_arm import Seen, Target, TrueArm, draw_true_arm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
@@ -216,6 +216,32 @@ class Plant:
         posture, _ = self._equilibrium(arm, situation, memories, NO_DEFLECTION, None)
         return arm, situation, posture
 
+    def _in_phase(
+        self, arm: TrueArm, phase: Phase, q: Array, time_s: Array, *, moving: bool
+    ) -> tuple[Situation, list[Array | None]]:
+        """Return the situation of an arm at ``q`` (n, N) at times (n,) [s] of a phase without reversal, and what its
+        effects remember then."""
+        step = q - phase.q if moving else np.repeat(phase.last_step[None], len(q), axis=0)
+        memories = list(phase.memories)
+        if moving:
+            memories = [
+                effect.memory_after_motion(memory, q) for effect, memory in zip(arm.effects, memories, strict=True)
+            ]
+        air_c = np.full(len(q), self.air_temperature_c)
+        situation = Situation(
+            q=q,
+            approach=np.where(step == 0.0, phase.approach, np.sign(step)) if moving else phase.approach + 0.0 * q,
+            last_step=step,
+            since_rest_s=np.zeros(len(q)) if moving else time_s - phase.rest_since_s,
+            time_s=time_s,
+            air_c=air_c,
+            joints_c=air_c[:, None] + arm.rise,
+            others=self._other_postures(arm, {}, len(q)),
+            T_B_others=self._T_B_others(arm),
+            mechanism=arm.mechanism,
+        )
+        return situation, memories
+
     # -- time and motion ---------------------------------------------------------------------------------------------
 
     @property
@@ -399,27 +425,8 @@ class Plant:
         return arm.resting
 
     def _apparent_now(self, arm: TrueArm) -> Seen:
-        q = self._q(arm)[None]
-        moving = arm.motion is not None
-        memories, step, approach = arm.memories, arm.last_step, arm.approach
-        if moving:
-            step = q[0] - arm.q
-            approach = np.where(step == 0.0, approach, np.sign(step))
-            memories = [
-                effect.memory_after_motion(memory, q) for effect, memory in zip(arm.effects, memories, strict=True)
-            ]
-        situation = Situation(
-            q=q,
-            approach=approach[None],
-            last_step=step[None],
-            since_rest_s=np.array([0.0 if moving else self._clock_s - arm.rest_since_s]),
-            time_s=np.array([self._clock_s]),
-            air_c=np.array([self.air_temperature_c]),
-            joints_c=(self.air_temperature_c + arm.rise)[None],
-            others=self._other_postures(arm, {}, 1),
-            T_B_others=self._T_B_others(arm),
-            mechanism=arm.mechanism,
-        )
+        phase, now_s = phase_of(arm, self._clock_s), np.array([self._clock_s])
+        situation, memories = self._in_phase(arm, phase, self._q(arm)[None], now_s, moving=arm.motion is not None)
         posture, arm.load_deflection = self._equilibrium(
             arm, situation, memories, arm.load_deflection, arm.stop_error[None]
         )

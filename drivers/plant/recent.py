@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Situation
 from drivers.plant.mechanism import NO_DEFLECTION
 from drivers.plant.plant import Plant
 from drivers.plant.trail import Phase, joints_at
@@ -30,22 +29,6 @@ def smr_in(
     plant: Plant, arm: TrueArm, phase: Phase, q: Array, time_s: Array, nest: str = "", *, moving: bool
 ) -> tuple[Array, Array]:
     """Apparent positions and viewing directions (n, 3) of an arm at ``q`` (n, N) in a phase without reversal."""
-    step = q - phase.q if moving else np.repeat(phase.last_step[None], len(q), axis=0)
-    memories = list(phase.memories)
-    if moving:
-        memories = [e.memory_after_motion(memory, q) for e, memory in zip(arm.effects, memories, strict=True)]
-    air_c = np.full(len(q), plant.air_temperature_c)
-    situation = Situation(
-        q=q,
-        approach=np.where(step == 0.0, phase.approach, np.sign(step)) if moving else phase.approach + 0.0 * q,
-        last_step=step,
-        since_rest_s=np.zeros(len(q)) if moving else time_s - phase.rest_since_s,
-        time_s=time_s,
-        air_c=air_c,
-        joints_c=air_c[:, None] + arm.rise,
-        others=plant._other_postures(arm, {}, len(q)),
-        T_B_others=plant._T_B_others(arm),
-        mechanism=arm.mechanism,
-    )
+    situation, memories = plant._in_phase(arm, phase, q, time_s, moving=moving)
     posture, _ = plant._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None])
     return plant._apparent_smr(arm, situation, posture, nest)
