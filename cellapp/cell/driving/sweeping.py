@@ -16,14 +16,13 @@ from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states, store_recording
 from cellapp.cell.run.recordings_csv import RecordedStreams, checked_recording
-from cellapp.cell.run.stream_columns import POINT, TRIGGER, pulse_column
+from cellapp.cell.run.stream_columns import POINT, TRIGGER, pulse_column, stems
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.paths.sweep import Sweep
-from drivers.plant.sweep import SweepRecord
 
 CYCLE_S = 0.008
 """Time between two joint positions of a sweep that a simulated controller is given [s]."""
@@ -40,9 +39,7 @@ def sweeps_left(run: RunFile) -> dict[int, list[PlannedSweep]]:
 class Sweeps:
     """The planned sweeps of a run that are not recorded yet. ``note`` is for a person, ``say`` for who looks on."""
 
-    def __init__(
-        self, run: RunFile, driver: SweepDriver, session: int, note: Say, say: Say = lambda text: None
-    ) -> None:
+    def __init__(self, run: RunFile, driver: SweepDriver, session: int, note: Say, say: Say) -> None:
         self._run, self._driver, self._note, self._say = run, driver, note, say
         self._session = f"sweeps-{session}"
         self._waiting = sweeps_left(run)
@@ -94,8 +91,9 @@ class Sweeps:
         calculated = self._driver.cell.record_sweep
         if calculated is not None:
             found = calculated(sweep.arm, motion.at(motion.times(CYCLE_S)), CYCLE_S)
-            columns = (_joint_columns(found.joint_time_s, q=found.q, qd=found.qd), _point_columns(found))
-            store_recording(self._run, self._streams(sweep, sweep.name, *columns))
+            joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd)
+            points = _point_columns(found.point_time_s, found.p_M, found.sigma_m)
+            store_recording(self._run, self._streams(sweep, sweep.name, joints, points))
             return True
         stored = 0
         for part in self._driver.drive(sweep.arm, motion, self._note):
@@ -144,13 +142,14 @@ def _joint_columns(time_s: Array, **tables: Array | None) -> dict[str, Array]:
     columns = {"time_s": time_s}
     for stem, table in tables.items():
         if table is not None:
-            columns |= {f"{stem}{j + 1}": table[:, j] for j in range(table.shape[1])}
+            columns |= dict(zip(stems("joints", table.shape[1])[stem], table.T, strict=True))
     return columns
 
 
-def _point_columns(record: SweepRecord) -> dict[str, Array]:
-    points = dict(zip(POINT, record.p_M.T, strict=True))
-    return {"time_s": record.point_time_s, **points, "sigma_m": record.sigma_m}
+def _point_columns(time_s: Array, p_M: Array, sigma_m: Array) -> dict[str, Array]:
+    """Columns of a stream of points (n, 3); without their uncertainties where one is not known."""
+    columns = {"time_s": time_s, **dict(zip(POINT, p_M.T, strict=True))}
+    return {**columns, "sigma_m": sigma_m} if np.isfinite(sigma_m).all() else columns
 
 
 def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -164,9 +163,7 @@ def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
         current=joints.current_a,
         joint_temperature=joints.temperature_c,
     )
-    points = {"time_s": track.device_time_s, **dict(zip(POINT, track.p_M.T, strict=True))}
-    if np.isfinite(track.sigma_m).all():
-        points["sigma_m"] = track.sigma_m
+    points = _point_columns(track.device_time_s, track.p_M, track.sigma_m)
     for its, stamps_s in ((samples, joints.triggers_s), (points, track.triggers_s)):
         if len(stamps_s) and len(its["time_s"]) > len(stamps_s):
             its[TRIGGER] = pulse_column(its["time_s"], stamps_s)
