@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_wire import BadField, Fields
-from drivers.trackers.protocol import Packet, StreamLimits, Track, Tracker, TrackerError, stream_of
+from drivers.trackers.protocol import Packet, StreamLimits, Track, Tracker, TrackerError, stream_limits_of, stream_of
 
 MOST_WAITING = 200_000
 """Points that wait for a client at most; a client that is slower than that loses points."""
@@ -166,8 +166,7 @@ class ServedTracks:
 
     def limits(self) -> dict[str, str]:
         """Answer ``stream-limits``."""
-        streaming = stream_of(self._tracker)
-        return limits_fields(None if streaming is None else streaming.stream_limits())
+        return limits_fields(stream_limits_of(self._tracker))
 
     def start(self, id_: str, expected_M: NDArray[np.float64], interval_s: float) -> dict[str, str]:
         """Let the tracker follow an SMR. Raises what ``start_track`` does."""

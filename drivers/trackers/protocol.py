@@ -395,6 +395,11 @@ class StreamingTracker(Protocol):
         """End measuring and return all points, also those before the beam broke. Raises ``TrackerLinkLost``."""
 
 
+def stream_limits_of(tracker: Tracker) -> StreamLimits | None:
+    """What a tracker can stream; None if it, or its driver, cannot. Raises ``TrackerLinkLost``."""
+    return tracker.stream_limits() if isinstance(tracker, StreamingTracker) else None
+
+
 def stream_of(tracker: Tracker) -> StreamingTracker | None:
     """The tracker, if it can measure an SMR while it moves. Raises ``TrackerLinkLost``."""
     return tracker if isinstance(tracker, StreamingTracker) and tracker.stream_limits() is not None else None

@@ -23,7 +23,16 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.paths.sweep import Sweep
 from drivers.arms.protocol import ArmError, PathFollower
 from drivers.arms.recording import JointRecord, RecordingArm
-from drivers.trackers.protocol import Packet, StreamingTracker, TargetLost, Track, TrackerError, WrongTarget, stream_of
+from drivers.trackers.protocol import (
+    Packet,
+    StreamingTracker,
+    TargetLost,
+    Track,
+    TrackerError,
+    WrongTarget,
+    stream_limits_of,
+    stream_of,
+)
 
 _REST_S = 0.5
 """Rest on record before and after the motion."""
@@ -68,11 +77,9 @@ class _Beam:
 
 def why_no_sweeps(cell: Cell, interval_s: float) -> str:
     """Why sweeps cannot be recorded in a cell, in words; empty if they can. Raises ``TrackerError``."""
-    streaming = stream_of(cell.tracker)
-    if streaming is None:
+    limits = stream_limits_of(cell.tracker)
+    if limits is None:
         return "this tracker's driver does not measure an SMR while it moves"
-    limits = streaming.stream_limits()
-    assert limits is not None
     try:
         limits.check(interval_s)
     except ValueError as error:
