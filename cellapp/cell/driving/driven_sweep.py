@@ -41,7 +41,7 @@ _STARTS_S = 1.0
 _PULSES = 3
 """Pulses of the hardware trigger at either end of a recording."""
 _TRIES = 3
-"""To find the SMR again after the beam broke; a person who stands in it has this many pauses to leave."""
+"""To find the SMR again after the beam broke; a person who stands in it has the pauses between them to leave."""
 _PAUSE_S = 1.0
 _MOST_PARTS = 20
 _SHORTEST_S = 0.5
