@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from cellapp.estimation.nests.shape import NestShape, UnseenPair, fit_shape, laid_on
 from cellapp.estimation.nests.stop_groups import StopGroups
 from cellapp.estimation.readings import Readings
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, twist_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +118,7 @@ def _weighted(
 ) -> tuple[Array, Array, Array]:
     """Rotations and origins after a step of weighted least squares; covariances (S, 6, 6) of origin and rotation."""
     arms = np.einsum("sab,kb->ska", rotation, points_S)
-    J = np.zeros((*arms.shape[:2], 3, 6))
-    J[..., :3] = np.eye(3)
-    J[..., 0, 4], J[..., 0, 5] = arms[..., 2], -arms[..., 1]
-    J[..., 1, 3], J[..., 1, 5] = -arms[..., 2], arms[..., 0]
-    J[..., 2, 3], J[..., 2, 4] = arms[..., 1], -arms[..., 0]
+    J = twist_columns(arms)
     left = np.nan_to_num(p_M - origin[:, None] - arms)
     weighed = np.einsum("skab,skbi->skai", information, J)
     unit = np.array([1.0, 1.0, 1.0, *(1.0 / max(np.abs(points_S).max(), 1e-6),) * 3])
