@@ -331,7 +331,6 @@ def _search_rows(
         to_all = refit_to_all(found, everything)
         return _Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))
     to_all, fitted_model = fit_to_all(found, everything, max(found.threshold, SCORE_MARGIN))
-    to_all = replace(to_all, posteriors=None)
     return _Searched(to_all, to_all, fitted_model, len(rows))
 
 
