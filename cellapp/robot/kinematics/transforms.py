@@ -120,6 +120,11 @@ def apply(T_A_B: Array, p_B: Array) -> Array:
     return result
 
 
+def turned_rows(R_M_S: Array | None) -> NDArray[np.bool_] | None:
+    """Rows (n,) at which an orientation was measured: it is NaN (n, 3, 3) at all others; None where none was."""
+    return None if R_M_S is None else np.asarray(np.isfinite(R_M_S[:, 0, 0]))
+
+
 def twist_columns(p: Array) -> Array:
     """Motion of points (..., 3) per unit of each twist component, (..., 3, 6).
 
