@@ -60,6 +60,11 @@ class Quantities:
         """Which vectors (m,) are orientations; None where none is."""
         return self.conditions.turned
 
+    def readings_with(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which of the n readings have one of the ``chosen`` (m,) vectors, or both."""
+        n = len(self.reading) if self.turned is None else int(np.count_nonzero(~self.turned))
+        return np.isin(np.arange(n), self.reading[chosen])
+
 
 def measured_orientations(readings: Readings) -> tuple[NDArray[np.intp], Array]:
     """Rows (k,) at which orientation was measured, and the rotations (k, 3, 3) of the probe in the tracker frame."""
