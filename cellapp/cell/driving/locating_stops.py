@@ -10,9 +10,8 @@ import numpy as np
 from cellapp.cell.driving.smr_search import APART_M
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible
-from cellapp.estimation.calibration.station_location import twist_columns
 from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, twist_columns
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.relocation import relocated
 

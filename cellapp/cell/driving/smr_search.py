@@ -21,11 +21,10 @@ from cellapp.estimation.calibration.station_location import (
     RoughStation,
     fit_station,
     predicted_points,
-    twist_columns,
 )
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, twist_columns
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.relocation import relocated
 from drivers.arms.protocol import ArmState

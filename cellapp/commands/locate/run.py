@@ -20,7 +20,7 @@ from cellapp.commands.locate.station import excess_of_readings, last_location, p
 from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import arms_stage, model_of
-from cellapp.estimation.calibration.station_location import FEWEST_POINTS, Cause, displacement_m, twist_columns
+from cellapp.estimation.calibration.station_location import FEWEST_POINTS, Cause, displacement_m
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
@@ -28,7 +28,7 @@ from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.results import LOCATE
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.effects.law import DriverVariable
-from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, rpy_of, xyz_of
+from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, rpy_of, twist_columns, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import pose_matrix
 from cellapp.robot.model.relocation import relocated

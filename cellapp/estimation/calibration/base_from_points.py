@@ -14,7 +14,7 @@ import numpy as np
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.transforms import Array, apply, register
+from cellapp.robot.kinematics.transforms import Array, apply, register, twist_columns
 
 FEWEST_POINTS = 3
 _LEAST_SPREAD_M = 0.05
@@ -106,9 +106,7 @@ def base_from_points(p_B: Array, p_M: Array) -> BaseFit:
 def _errors(T_M_B: Array, p_B: Array, sum_of_squares: float) -> tuple[float, float]:
     """Standard uncertainty of the base's origin [m] and of its rotation [rad]."""
     n = len(p_B)
-    J = np.zeros((n, 3, 6))
-    J[:, :, :3] = np.eye(3)
-    J[:, :, 3:] = np.cross(np.eye(3), (p_B @ T_M_B[:3, :3].T)[:, None, :]).transpose(0, 2, 1)
+    J = twist_columns(p_B @ T_M_B[:3, :3].T)
     normal = np.einsum("nai,naj->ij", J, J)
     variances = np.diag(np.linalg.inv(normal)) * sum_of_squares / (3 * n - 6)
     return math.sqrt(float(variances[:3].sum())), math.sqrt(float(variances[3:].sum()))

@@ -232,7 +232,7 @@ def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
     wrong = gross_errors_of_geometry(
         geometry, fitted.nominal, its.readings.q, its.readings.p_M, learned, R_M_S=its.R_M_S
     )
-    return np.isin(np.arange(len(good)), its.reading[wrong])
+    return its.readings_with(wrong)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, turned_rows
 
 _MOST = 10.0
 """Length over that of one standard deviation of a coordinate. Of Student's t with 4 degrees of freedom one reading in
@@ -79,7 +79,7 @@ def gross_errors_of_geometry(
     none = np.zeros(len(q), dtype=np.bool_)
     if len(q) < _LEAST_READINGS:
         return none
-    turned = None if R_M_S is None else np.isfinite(R_M_S[:, 0, 0])
+    turned = turned_rows(R_M_S)
 
     def lengths(geometry: Geometry) -> list[Array]:
         """Lengths of the residuals of positions, and of orientations."""

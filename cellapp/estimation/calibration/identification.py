@@ -403,7 +403,7 @@ class _Problem:
         of_geometry = kept[: len(chosen.columns)]
         gram = normal.gram[of_geometry[:, None], of_geometry]
         scale = parameter_scale(np.diag(gram), n, chosen)
-        turned = None if self.observations.angles.R_M_S is None else self.observations.angles.turned
+        turned = self.observations.angles.turned
         return Identification(
             geometry=geometry,
             estimated=self.parameters,

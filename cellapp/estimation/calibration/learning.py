@@ -183,8 +183,8 @@ def _better(
 def _left_out_squares(network: ResidualNetwork | None, q: Array, residual: Array, fold: NDArray[np.int64]) -> Array:
     """Squared errors (n,) [m^2] of each reading by the member that did not learn from its fold, or by no network."""
     left = residual.copy()
-    for number, member in enumerate(() if network is None else network.members):
-        assert network is not None
-        rows = np.flatnonzero(fold == number)
-        left[rows] -= replace(network, members=(member,)).correct(q[rows])
+    if network is not None:
+        for number, member in enumerate(network.members):
+            rows = fold == number
+            left[rows] -= replace(network, members=(member,)).correct(q[rows])
     return np.asarray(np.sum(left**2, axis=1))

@@ -60,6 +60,13 @@ def inverse_psd(gram: Array) -> Array:
     return np.asarray((vectors / values) @ vectors.T)
 
 
+def covariance_with_priors(information: Array, sds: Array) -> Array:
+    """Covariance (p, p) by ``information`` (p, p) and priors with standard deviations ``sds`` (p,), inf without one."""
+    unit = np.where(np.isfinite(sds), sds, 1.0)  # numbers of comparable size
+    precision = (information + np.diag(sds**-2.0)) * unit * unit[:, None]
+    return inverse_psd(precision) * unit * unit[:, None]
+
+
 def inverse_diagonal(gram: Array) -> Array:
     """Diagonal (p,) of the inverse of ``gram`` (p, p)."""
     factor = cholesky(gram)

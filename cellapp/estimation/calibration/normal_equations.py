@@ -234,7 +234,7 @@ def normal_equations(
     A, b, gram, cost = np.zeros((k, k)), np.zeros(k), np.zeros((size, size)), 0.0
     squares = np.zeros(k)
     residuals = np.empty((3, observations.count))
-    turned = None if observations.angles.R_M_S is None else observations.angles.turned
+    turned = observations.angles.turned
     of_turns = None if turned is None else np.zeros((k, k))
     common = observations.common_white if weights is None else None
     for first, last in observations.chunks():

@@ -19,7 +19,7 @@ from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.transforms import Array, mean_rotation, rotation_vectors
+from cellapp.robot.kinematics.transforms import Array, mean_rotation, rotation_vectors, turned_rows
 
 NOT_STATED = 1e-8
 """Standard uncertainty [m, rad] of what states none, where the other kind does: all of its scatter is estimated."""
@@ -58,12 +58,12 @@ class Quantities:
     @property
     def turned(self) -> NDArray[np.bool_] | None:
         """Which vectors (m,) are orientations; None where none is."""
-        return turned_rows(self.conditions)
+        return self.conditions.turned
 
-
-def turned_rows(conditions: MeasurementConditions) -> NDArray[np.bool_] | None:
-    """Which rows are of orientations; None where none is."""
-    return None if conditions.R_M_S is None else np.asarray(np.isfinite(conditions.R_M_S[:, 0, 0]))
+    def readings_with(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which of the n readings have one of the ``chosen`` (m,) vectors, or both."""
+        n = len(self.reading) if self.turned is None else int(np.count_nonzero(~self.turned))
+        return np.isin(np.arange(n), self.reading[chosen])
 
 
 def measured_orientations(readings: Readings) -> tuple[NDArray[np.intp], Array]:
@@ -118,7 +118,7 @@ def with_probe(geometry: Geometry, q: Array, R_M_S: Array | None) -> Geometry:
     """
     if R_M_S is None:
         return replace(geometry, probe=None)
-    turned = np.isfinite(R_M_S[:, 0, 0])
+    turned = turned_rows(R_M_S)
     R_M_F, _ = flange_poses(geometry, q[turned])
     rotation = mean_rotation(R_M_F.swapaxes(1, 2) @ R_M_S[turned])
     return replace(geometry, probe=rotation_vectors(rotation[None])[0])

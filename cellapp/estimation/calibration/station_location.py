@@ -23,7 +23,15 @@ from scipy.special import chdtrc
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
-from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, rotation_vectors, transform
+from cellapp.robot.kinematics.transforms import (
+    Array,
+    apply,
+    invert,
+    rotation_from_vector,
+    rotation_vectors,
+    transform,
+    twist_columns,
+)
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.posterior import DRAWS
 from cellapp.robot.model.relocation import relocated
@@ -220,14 +228,6 @@ def check_layout(points: Points) -> None:
     refusal = _layout_refusal(np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))]))
     if refusal:
         raise InputError(refusal)
-
-
-def twist_columns(p_M: Array) -> Array:
-    """Motion of points (n, 3) per unit of each twist component, (n, 3, 6)."""
-    columns = np.zeros((len(p_M), 3, 6))
-    columns[:, :, :3] = np.eye(3)
-    columns[:, :, 3:] = np.cross(np.eye(3), p_M[:, None, :]).transpose(0, 2, 1)
-    return columns
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

@@ -145,8 +145,13 @@ class _Fit:
 
 def has_torques(readings: Readings) -> bool:
     """Whether enough readings have torques or currents."""
-    measured = readings.tau_nm if readings.tau_nm is not None else readings.current_a
+    _, measured = _measured(readings)
     return measured is not None and int(np.isfinite(measured).all(axis=1).sum()) >= _FEWEST
+
+
+def _measured(readings: Readings) -> tuple[Kind, Array | None]:
+    """Torques (n, N) [Nm], else currents [A]."""
+    return ("current", readings.current_a) if readings.tau_nm is None else ("tau", readings.tau_nm)
 
 
 def fit_torques(arm: ArmModel, readings: Readings) -> TorqueFit:
@@ -154,8 +159,7 @@ def fit_torques(arm: ArmModel, readings: Readings) -> TorqueFit:
 
     ``arm`` has the identified geometry and the stated masses. Rows of the split ``validate`` judge only.
     """
-    kind: Kind = "current" if readings.tau_nm is None else "tau"
-    measured = readings.current_a if readings.tau_nm is None else readings.tau_nm
+    kind, measured = _measured(readings)
     assert measured is not None
     known = np.isfinite(measured).all(axis=1)
     readings, measured = readings.take(np.flatnonzero(known)), measured[known]
@@ -174,7 +178,7 @@ def fit_torques(arm: ArmModel, readings: Readings) -> TorqueFit:
         wrong = np.asarray(np.any(far[:, usable], axis=1))
     bodies = _bodies(arm.bodies, fit.parameters)
     before = _fitted(rows.take(~held_out & ~wrong), stated, usable, kind, free=False)
-    errors = tuple(_rms_nm(one, rows.take(held_out & ~wrong), usable) for one in (before, fit))
+    stated_nm, found_nm = (_rms_nm(one, rows.take(held_out & ~wrong), usable) for one in (before, fit))
     evidence = _evidence(arm, bodies, readings)
     joints = tuple(_joint(fit, j, kind, fault) for j, fault in enumerate(faults))
     return TorqueFit(
@@ -182,9 +186,9 @@ def fit_torques(arm: ArmModel, readings: Readings) -> TorqueFit:
         readings=int((~held_out & ~wrong).sum()),
         bodies=bodies,
         joints=joints,
-        held_out=(errors[0], errors[1]),
+        held_out=(stated_nm, found_nm),
         evidence=evidence,
-        used=bool(usable.any()) and _better(errors[0], errors[1], evidence),
+        used=bool(usable.any()) and _better(stated_nm, found_nm, evidence),
         faults=_row_faults(fit, rows, readings, wrong, usable, kind),
     )
 
@@ -321,18 +325,17 @@ def _row_faults(
     fit: _Fit, rows: _Rows, readings: Readings, wrong: NDArray[np.bool_], usable: NDArray[np.bool_], kind: Kind
 ) -> tuple[str, ...]:
     """A sentence for each row that was left out."""
-    misses, said = fit.residuals(rows) / fit.scatter, []
+    left, said = fit.residuals(rows), []
     unit = "Nm" if kind == "tau" else "A"
-    name = "tau" if kind == "tau" else "current"
     turned = replace(rows, measured=-rows.measured)
-    with_other_sign = np.abs(fit.residuals(turned)) < 0.2 * np.abs(fit.residuals(rows))
+    with_other_sign = np.abs(fit.residuals(turned)) < 0.2 * np.abs(left)
     for row in np.flatnonzero(wrong).tolist():
-        joint = int(np.argmax(np.where(usable, np.abs(misses[row]), 0.0)))
+        joint = int(np.argmax(np.where(usable, np.abs(left[row]) / fit.scatter, 0.0)))
         got = rows.measured[row, joint]
-        expected = got - fit.residuals(rows)[row, joint]
+        expected = got - left[row, joint]
         why = "; with the opposite sign it fits" if with_other_sign[row, joint] else ""
         said.append(
-            f"configuration {int(readings.configuration[row])}: {name}{joint + 1} is {got:.3g} {unit}, expected"
+            f"configuration {int(readings.configuration[row])}: {kind}{joint + 1} is {got:.3g} {unit}, expected"
             f" {expected:.3g} {unit}{why}"
         )
     return tuple(said)

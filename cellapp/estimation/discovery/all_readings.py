@@ -103,7 +103,7 @@ def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[Searc
     of_named = [review for review in found.reviews if review.term.smooth is None]
     smooth_terms = [(term, term.smooth) for term in terms if term.smooth is not None]
     of_smooth = [Review(term, smooth.evidence, chance, ()) for term, smooth in smooth_terms]
-    return replace(found, data=here, fit=fit, reviews=(*of_named, *of_smooth)), _fitted(weighed, fit)
+    return found.with_fit(here, fit, (*of_named, *of_smooth)), _fitted(weighed, fit)
 
 
 def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: float) -> StructuredProcess:

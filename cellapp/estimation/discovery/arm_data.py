@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
-from cellapp.estimation.calibration.quantities import measured_quantities, turned_rows
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.socket_identification import estimated_in_sockets, identify_in_sockets
 from cellapp.estimation.calibration.socket_points import PointColumns
 from cellapp.estimation.calibration.weights import whitener, with_excess
@@ -156,7 +156,7 @@ class ArmData:
     @cached_property
     def turned(self) -> NDArray[np.bool_] | None:
         """Rows (n,) of orientations; None where there are none."""
-        return turned_rows(self.conditions)
+        return self.conditions.turned
 
     @cached_property
     def context(self) -> EffectContext:

@@ -199,7 +199,7 @@ def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
         return gross_errors_in_sockets(model.geometry, model.nominal, readings)
     its = measured_quantities(readings)
     wrong = gross_errors_of_geometry(model.geometry, model.nominal, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S)
-    return np.isin(np.arange(len(readings)), its.reading[wrong])
+    return its.readings_with(wrong)
 
 
 def _evaluated(name: str, model: ArmModel, result: _Searched, held_out: HeldOut, started: float) -> Discovery:
@@ -296,7 +296,7 @@ def _search_and_refit(
         its = measured_quantities(readings.take(rows), conditions.take(rows))
         computed = result.model.predict(its.readings.q, conditions=its.conditions)
         left = gross_errors(measured_positions(its.readings, computed) - computed, its.turned)
-        wrong = np.isin(np.arange(len(rows)), its.reading[left])
+        wrong = its.readings_with(left)
         if not wrong.any():
             break
         gross[rows[wrong]] = True
@@ -331,7 +331,6 @@ def _search_rows(
         to_all = refit_to_all(found, everything)
         return _Searched(found, to_all, with_posterior(to_all.data, to_all.fit), len(rows))
     to_all, fitted_model = fit_to_all(found, everything, max(found.threshold, SCORE_MARGIN))
-    to_all = replace(to_all, posteriors=None)
     return _Searched(to_all, to_all, fitted_model, len(rows))
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.estimation.calibration.identification import TooFewReadings
-from cellapp.estimation.calibration.linear import inverse_psd
+from cellapp.estimation.calibration.linear import covariance_with_priors
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.calibration.parameters import (
     EXPECTED_SCATTER_M,
@@ -191,9 +191,7 @@ def accuracy_of(
 ) -> PlannedAccuracy:
     """Standard errors from ``information`` (k, k) on the ``estimated`` parameters and their ``priors`` (k,): of SMR
     positions with the columns ``J`` (3, k, n), and of the parameters as the table will have them."""
-    unit = np.where(np.isfinite(priors), priors, 1.0)  # numbers of comparable size
-    precision = (information + np.diag(priors**-2.0)) * unit * unit[:, None]
-    covariance = inverse_psd(precision) * unit * unit[:, None]
+    covariance = covariance_with_priors(information, priors)
     variance = np.einsum("ckn,kl,cln->n", J, covariance, J)
     chosen = determined_set(estimated, information, priors) if estimated.name == "auto" else estimated
     to_table, _ = chosen.from_estimated(estimated)

@@ -25,7 +25,7 @@ from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.records import ClockFit, MotionFit, RecordingFit
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.summary import error_summary
-from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
+from cellapp.estimation.readings import SPLITS, Readings, coordinate_uncertainty, stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Told, ignore, ignore_words
@@ -189,10 +189,8 @@ def _stops(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
     learnt[readings.in_split("identify")] = True
     if not learnt.any():
         return None, None
-    stated = stated_uncertainty(readings)
-    if stated is not None and stated.ndim == 3:
-        stated = np.sqrt(np.trace(stated, axis1=1, axis2=2) / 3.0)
-    return Stops(readings.q, readings.p_M, stated, readings.approach.astype(np.float64)), ~learnt
+    stops = Stops(readings.q, readings.p_M, coordinate_uncertainty(readings), readings.approach.astype(np.float64))
+    return stops, ~learnt
 
 
 def _errors_at_rest(nominal: Geometry, found: Geometry, held_out: Readings) -> dict[Stage, StageErrors]:

@@ -9,11 +9,11 @@ the geometry, the law of the other joints and, in motion, the delay between the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cellapp.estimation.calibration.linear import inverse_psd
+from cellapp.estimation.calibration.linear import covariance_with_priors
 from cellapp.estimation.calibration.parameters import (
     ParameterSet,
     SetName,
@@ -120,9 +120,8 @@ def _smallest(information: Array, priors: Array, laws: list[tuple[JointTerm, ...
     for terms in laws:
         places = np.array([*range(len(priors)), *range(first, first + len(terms)), len(information) - 1])
         sds = np.concatenate([priors, [10.0 * term.prior_sd for term in terms], [_DELAY_SD_S]])
-        unit = np.where(np.isfinite(sds), sds, 1.0)
-        precision = (information[np.ix_(places, places)] + np.diag(sds**-2.0)) * unit * unit[:, None]
-        covariance = (inverse_psd(precision) * unit * unit[:, None])[len(priors) : -1, len(priors) : -1]
+        own = slice(len(priors), -1)
+        covariance = covariance_with_priors(information[np.ix_(places, places)], sds)[own, own]
         if terms[0].law is Law.LAG:
             less_mean = np.eye(len(terms)) - 1.0 / len(terms)
             covariance = less_mean @ covariance @ less_mean.T
@@ -138,4 +137,4 @@ def _smallest(information: Array, priors: Array, laws: list[tuple[JointTerm, ...
 def _aliased(one: LawForecast) -> LawForecast:
     """Lines that stops cannot tell from others."""
     smallest = {name: dict.fromkeys(its) if name == "stops" else its for name, its in one.smallest.items()}
-    return LawForecast(one.effect, one.cycles, one.unit, smallest)
+    return replace(one, smallest=smallest)

@@ -163,8 +163,13 @@ def held_out_rms_mm(problem: Problem, solution: Solution) -> float:
 def _held_out(model: Model, track: Track, number: int, sigma_m: float) -> tuple[Array, NDArray[np.bool_]]:
     """Distances of held-out points from the model [m], and which are no gross errors."""
     misses = np.linalg.norm(residuals(model, track, number, np.flatnonzero(track.held_out)), axis=1)
+    return misses, no_gross_errors(misses, sigma_m)
+
+
+def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
+    """Which points of a recording, from their distances (n,) [m] and the scatter of those learnt from, are none."""
     usual = float(np.median(misses)) / MEDIAN_NORM if len(misses) else 0.0
-    return misses, misses < GROSS * max(sigma_m, usual)
+    return np.asarray(misses < GROSS * max(sigma_m, usual))
 
 
 def _recording_fit(problem: Problem, solution: Solution, model: Model, number: int) -> RecordingFit:

@@ -8,8 +8,7 @@ import numpy as np
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, with_networks
 from cellapp.estimation.calibration.gross_errors import without
-from cellapp.estimation.calibration.weights import MEDIAN_NORM
-from cellapp.estimation.motion.fit import GROSS
+from cellapp.estimation.motion.identify import no_gross_errors
 from cellapp.estimation.motion.records import MotionFit, RecordingFit
 from cellapp.estimation.motion.summary import error_summary
 from cellapp.estimation.readings import Readings
@@ -78,7 +77,5 @@ def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Left:
     q, _ = track.path.at(time_s)
     moved = q - fit.half_play * track.path.direction_at(time_s)
     left_M = track.p_M[rows] - smr_positions(fit.identification.geometry, moved)
-    norm = np.linalg.norm(left_M, axis=1)
-    usual = float(np.median(norm)) / MEDIAN_NORM if len(norm) else 0.0
-    good = norm < GROSS * max(one.scatter_m, usual)
+    good = no_gross_errors(np.linalg.norm(left_M, axis=1), one.scatter_m)
     return _Left(q[good], left_M[good])

@@ -41,7 +41,7 @@ def loops(problem: Problem, solution: Solution, joints: Sequence[int]) -> tuple[
     places = [joint - 1 for joint in joints]
     positions = np.concatenate([track.path.at(track.path.stamps.time_s)[0] for track in problem.tracks])
     low, high = positions.min(axis=0), np.maximum(positions.max(axis=0), positions.min(axis=0) + 1e-9)
-    sums = np.zeros((len(places), 2, 4, _BINS))  # joint; falling, rising; weight, measured, computed, count
+    sums = np.zeros((len(places), 4, 2, _BINS))  # joint; weight, measured, computed, count; falling, rising
     model = problem.model(solution.values)
     hysteresis = [
         (number, term) for number, term in enumerate(problem.layout.terms) if term.law in (Law.PLAY, Law.WINDUP)
@@ -61,10 +61,11 @@ def loops(problem: Problem, solution: Solution, joints: Sequence[int]) -> tuple[
                 measured = np.einsum("an,na->n", J[:, joint], left) + weight * own
                 share = (state.q[:, joint] - low[joint]) / (high[joint] - low[joint])
                 bins = np.clip((share * _BINS).astype(np.intp), 0, _BINS - 1)
-                for side, sign in enumerate((-1.0, 1.0)):
-                    at = sign * state.direction[:, joint] > _CROSSED
-                    for what, values in enumerate((weight, measured, weight * own, np.ones(len(rows)))):
-                        sums[place, side, what] += np.bincount(bins[at], values[at], _BINS)
+                bins += np.where(state.direction[:, joint] > 0.0, _BINS, 0)
+                crossed = np.abs(state.direction[:, joint]) > _CROSSED
+                for what, values in enumerate((weight, measured, weight * own, np.ones(len(rows)))):
+                    found = np.bincount(bins[crossed], values[crossed], 2 * _BINS)
+                    sums[place, what] += found.reshape(2, _BINS)
     middles = (np.arange(_BINS) + 0.5) / _BINS
     return tuple(
         _loop(joint, low[joint - 1] + middles * (high - low)[joint - 1], its) for joint, its in zip(joints, sums)
@@ -72,8 +73,8 @@ def loops(problem: Problem, solution: Solution, joints: Sequence[int]) -> tuple[
 
 
 def _loop(joint: int, middles: Array, sums: Array) -> Loop:
-    sides, bins = np.nonzero(sums[:, 3] >= _FEWEST)
+    sides, bins = np.nonzero(sums[3] >= _FEWEST)
     order = np.lexsort((sides, bins))
     sides, bins = sides[order], bins[order]
-    weight, measured, computed, _ = sums[sides, :, bins].T
+    weight, measured, computed, _ = sums[:, sides, bins]
     return Loop(joint, middles[bins], np.where(sides == 1, 1.0, -1.0), measured / weight, computed / weight)

@@ -25,12 +25,10 @@ _SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class TriggeredClock:
-    """Offset of the tracker's stamps against the controller's by some pulses, at the tracker's stamp ``at_s``, and its
-    standard error [s]."""
+    """Offset of the tracker's stamps against the controller's by some pulses, and its standard error [s]."""
 
     offset_s: float
     standard_error_s: float
-    at_s: float
     pulses: int
 
 
@@ -57,11 +55,9 @@ def triggered_clock(controller_s: Array, tracker_s: Array, at_s: float, period_s
     rate = 0.0
     if np.ptp(stamps) > _RATE_FROM_S:
         rate = float(np.clip(np.polyfit(stamps - at_s, offsets, 1)[0], -_MOST_PPM * 1e-6, _MOST_PPM * 1e-6))
-    offset_s = float(np.median(offsets - rate * (stamps - at_s)))
-    scatter = float(np.std(offsets - rate * (stamps - at_s), ddof=1))
-    return TriggeredClock(
-        offset_s, math.hypot(scatter / math.sqrt(len(stamps)), period_s / math.sqrt(3.0)), at_s, len(stamps)
-    )
+    there = offsets - rate * (stamps - at_s)
+    error_s = math.hypot(float(np.std(there, ddof=1)) / math.sqrt(len(there)), period_s / math.sqrt(3.0))
+    return TriggeredClock(float(np.median(there)), error_s, len(there))
 
 
 def checked(trigger: TriggeredClock | None, offset_s: float, standard_error_s: float) -> TriggerCheck | None:

@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.nests.shape import NestShape, UnseenPair, fit_shape, laid_on
 from cellapp.estimation.nests.stop_groups import StopGroups
-from cellapp.estimation.readings import Readings
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.estimation.readings import Readings, coordinate_uncertainty
+from cellapp.robot.kinematics.transforms import Array, twist_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,17 +100,11 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
     sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(covariance[:, 3:, 3:])[:, -1])
     stated: dict[str, Any] = {"covariance_M": None}
     if groups.stated:
-        stated["sigma_m"] = sigma_m = _sigma_of_rows(one)
+        of_rows = coordinate_uncertainty(one)
+        assert of_rows is not None
+        stated["sigma_m"] = sigma_m = of_rows.copy()
         sigma_m[turned] = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3.0)
     return replace(one, p_M=points, quaternion_M=quaternion, sigma_rad=sigma_rad, **stated)
-
-
-def _sigma_of_rows(one: Readings) -> Array:
-    """Standard uncertainty (n,) [m] of a coordinate, of readings that state one."""
-    if one.covariance_M is not None and not np.isnan(one.covariance_M).any():
-        return np.asarray(np.sqrt(np.einsum("nii->n", one.covariance_M) / 3.0))
-    assert one.sigma_m is not None
-    return one.sigma_m.copy()
 
 
 def _weighted(
@@ -118,11 +112,7 @@ def _weighted(
 ) -> tuple[Array, Array, Array]:
     """Rotations and origins after a step of weighted least squares; covariances (S, 6, 6) of origin and rotation."""
     arms = np.einsum("sab,kb->ska", rotation, points_S)
-    J = np.zeros((*arms.shape[:2], 3, 6))
-    J[..., :3] = np.eye(3)
-    J[..., 0, 4], J[..., 0, 5] = arms[..., 2], -arms[..., 1]
-    J[..., 1, 3], J[..., 1, 5] = -arms[..., 2], arms[..., 0]
-    J[..., 2, 3], J[..., 2, 4] = arms[..., 1], -arms[..., 0]
+    J = twist_columns(arms)
     left = np.nan_to_num(p_M - origin[:, None] - arms)
     weighed = np.einsum("skab,skbi->skai", information, J)
     unit = np.array([1.0, 1.0, 1.0, *(1.0 / max(np.abs(points_S).max(), 1e-6),) * 3])

@@ -52,11 +52,6 @@ class NestShape:
     noise_m: float
 
     @property
-    def size_m(self) -> float:
-        """Largest distance between two nests [m]."""
-        return float(np.linalg.norm(self.points_S[:, None] - self.points_S, axis=2).max())
-
-    @property
     def spans(self) -> bool:
         """Whether the nests do not stand on one line, so that they fix an orientation."""
         singular = np.linalg.svd(self.points_S - self.points_S.mean(axis=0), compute_uv=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.robot.kinematics.transforms import Array
 
 
@@ -70,8 +70,7 @@ class StopGroups:
 
 def _covariances(readings: Readings) -> Array | None:
     """Stated covariances (n, 3, 3) [m^2] of all readings; None where one has none."""
-    if readings.covariance_M is not None and not np.isnan(readings.covariance_M).any():
-        return readings.covariance_M
-    if readings.sigma_m is not None and not np.isnan(readings.sigma_m).any():
-        return np.asarray(readings.sigma_m[:, None, None] ** 2 * np.eye(3))
-    return None
+    stated = stated_uncertainty(readings)
+    if stated is None or stated.ndim == 3:
+        return stated
+    return np.asarray(stated[:, None, None] ** 2 * np.eye(3))

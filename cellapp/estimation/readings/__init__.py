@@ -1,6 +1,13 @@
 """Readings of one arm as arrays, and the names and units of their columns."""
 
 from cellapp.estimation.readings.columns import SPLITS
-from cellapp.estimation.readings.readings import Distance, Reading, Readings, joined, stated_uncertainty
+from cellapp.estimation.readings.readings import (
+    Distance,
+    Reading,
+    Readings,
+    coordinate_uncertainty,
+    joined,
+    stated_uncertainty,
+)
 
-__all__ = ["SPLITS", "Distance", "Reading", "Readings", "joined", "stated_uncertainty"]
+__all__ = ["SPLITS", "Distance", "Reading", "Readings", "coordinate_uncertainty", "joined", "stated_uncertainty"]

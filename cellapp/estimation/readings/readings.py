@@ -289,3 +289,14 @@ def stated_uncertainty(readings: Readings) -> _Floats | None:
         if stated is not None and not np.isnan(stated).any():
             return stated
     return None
+
+
+def coordinate_uncertainty(readings: Readings) -> _Floats | None:
+    """Standard uncertainty (n,) [m] of a coordinate by ``stated_uncertainty``; the rms over all three of a covariance.
+
+    None where that is None.
+    """
+    stated = stated_uncertainty(readings)
+    if stated is None or stated.ndim == 1:
+        return stated
+    return np.asarray(np.sqrt(np.trace(stated, axis1=1, axis2=2) / 3.0))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, transform
+from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, transform, twist_columns
 
 FEWEST_NESTS = 3
 """Common nests of two stations that fix a pose, if they are not on one line."""
@@ -54,10 +54,7 @@ class StationTie:
 
     def uncertainty(self, p_M: Array) -> Array:
         """Standard deviation (n,) of a coordinate that the tie adds to points (n, 3) in the first frame [m]."""
-        J = np.zeros((len(p_M), 3, 6))
-        J[:, :, :3] = np.eye(3)
-        x, y, z = p_M.T
-        J[:, 0, 4], J[:, 0, 5], J[:, 1, 3], J[:, 1, 5], J[:, 2, 3], J[:, 2, 4] = z, -y, -z, x, y, -x
+        J = twist_columns(p_M)
         return np.asarray(np.sqrt(np.einsum("nai,ij,naj->n", J, self.covariance, J) / 3.0))
 
 
@@ -136,9 +133,7 @@ def _equations(
         A[row, :, at : at + 3] = -np.eye(3)
         if one.station != stations[0]:
             k = 6 * (stations.index(one.station) - 1)
-            A[row, :, k : k + 3] = np.eye(3)
-            X, Y, Z = place
-            A[row, :, k + 3 : k + 6] = np.array([[0.0, Z, -Y], [-Z, 0.0, X], [Y, -X, 0.0]])
+            A[row, :, k : k + 6] = twist_columns(place)
         b[row] = x[nests.index(one.nest)] - place
         A[row], b[row] = A[row] / one.sigma_m, b[row] / one.sigma_m
     return A.reshape(-1, A.shape[2]), b.ravel()

@@ -5,17 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from datetime import date
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from cellapp.ground.profile.grown import GrownSection
 from cellapp.ground.results import DecisionRule
 from drivers.quantities import Length
 from drivers.settings import Section
@@ -51,20 +45,7 @@ HumiditySpan = Annotated[tuple[Humidity, Humidity], BeforeValidator(_span_of), A
 """Smallest and largest relative humidity [%]."""
 
 
-class _GrownSection(Section):
-    """A section that got keys later: profiles without them keep the JSON text, and so the hash, of earlier results."""
-
-    later_keys: ClassVar[frozenset[str]] = frozenset()
-    """Left out of the JSON where they have their defaults."""
-
-    @model_serializer(mode="wrap")
-    def _without_later_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        content: dict[str, Any] = handler(self)
-        usual = {key for key in self.later_keys if getattr(self, key) == type(self).model_fields[key].default}
-        return {key: value for key, value in content.items() if key not in usual}
-
-
-class Tolerances(_GrownSection):
+class Tolerances(GrownSection):
     """Largest permissible errors of a cell; what is left out is not judged.
 
     ``position`` is the distance of an arm's SMR from where it was commanded, at any target; ``distance`` the error of
@@ -120,7 +101,7 @@ class TraceableArm(Section):
     asset: str = ""
 
 
-class Traceability(_GrownSection):
+class Traceability(GrownSection):
     """Who measured with what, for certificates. What is left out is reported as not given, never assumed.
 
     ``client`` is for whom the certificate is made, with the address; ``procedure`` the written procedure of the

@@ -10,16 +10,12 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, model_validator
 
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile.acceptance import Tolerances, Traceability
 from cellapp.ground.profile.collection import Collection
+from cellapp.ground.profile.grown import GrownSection
 from cellapp.ground.profile.notify import Notify
 from cellapp.ground.profile.obstacles import Obstacles
 from cellapp.ground.profile.plan import Plan
@@ -247,7 +243,7 @@ class Discovery(Section):
     network: Literal["unknown", "always", "never"] = "unknown"
 
 
-class GeometryErrors(Section):
+class GeometryErrors(GrownSection):
     """Standard deviations of the errors of the true cell against the nominal one; all zero: a perfect cell."""
 
     length: Annotated[Length, Field(ge=0.0)] = 0.3e-3
@@ -259,11 +255,7 @@ class GeometryErrors(Section):
     """Relative error of the mass of each body."""
     probe: Annotated[Angle, Field(ge=0.0)] = 0.0
     """Rotation of a 6-D probe about each axis."""
-
-    @model_serializer(mode="wrap")
-    def _without_probe(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        content: dict[str, Any] = handler(self)
-        return {key: value for key, value in content.items() if key != "probe" or value}
+    later_keys = frozenset({"probe"})
 
 
 class TorqueSensing(Section):
@@ -275,7 +267,7 @@ class TorqueSensing(Section):
     """Motor constant of every joint, at the joint; drives then report currents."""
 
 
-class Plant(Section):
+class Plant(GrownSection):
     """The simulated cell behind the simulated drivers. ``effects`` specifies the hidden physics of each arm."""
 
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
@@ -289,15 +281,10 @@ class Plant(Section):
     """Where the simulated tracker really stands, if that is not ``tracker.pose``, as after it was moved."""
     torques: TorqueSensing | None = None
     """What drives measure of their torques; nothing if left out."""
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        content: dict[str, Any] = handler(self)
-        optional = ("tracker_pose", "torques")
-        return {key: value for key, value in content.items() if key not in optional or value is not None}
+    later_keys = frozenset({"tracker_pose", "torques"})
 
 
-class Profile(Section, defer_build=True):
+class Profile(GrownSection, defer_build=True):
     """A whole cell."""
 
     schema_: Literal["cellapp-profile"] = Field(alias="schema")
@@ -321,17 +308,7 @@ class Profile(Section, defer_build=True):
     tolerances: Tolerances = Tolerances()
     traceability: Traceability = Traceability()
     notify: Notify | None = None
-
-    @model_serializer(mode="wrap")
-    def _without_empty_sections(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Profiles without these sections keep the JSON text, and so the hash, that earlier results rest on."""
-        content: dict[str, Any] = handler(self)
-        for name, empty in (("tolerances", Tolerances()), ("traceability", Traceability())):
-            if getattr(self, name) == empty:
-                content.pop(name, None)
-        if self.notify is None:
-            content.pop("notify", None)
-        return content
+    later_keys = frozenset({"tolerances", "traceability", "notify"})
 
     @property
     def moves_hardware(self) -> bool:

@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import (
-    Field,
-    SerializerFunctionWrapHandler,
-    StrictFloat,
-    StringConstraints,
-    field_validator,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, StrictFloat, StringConstraints, field_validator, model_validator
 
+from cellapp.ground.profile.grown import GrownSection
 from drivers.quantities import Angle, ArmLength, Length, Turn
 from drivers.settings import Section
 
 ArmPoint = tuple[ArmLength, ArmLength, ArmLength]
 NestName = Annotated[str, StringConstraints(pattern=r"^[0-9A-Za-z_-]{1,20}$")]
-
-_OF_MORE: dict[str, Any] = {"name": "1", "nests": {}, "distances": (), "probe": None}
-"""Keys of more than one SMR, with their defaults; a stored profile holds them only where they differ."""
 
 
 class Nest(Section):
@@ -50,7 +40,7 @@ class Probe(Section):
     sigma: Annotated[Angle, Field(gt=0.0, le=0.1)] = 40e-6
 
 
-class Smr(Section):
+class Smr(GrownSection):
     """The retroreflector on a flange.
 
     ``offset: unknown`` identifies it from the data. ``normal`` is the viewing direction, ``acceptance`` the half-angle
@@ -65,6 +55,7 @@ class Smr(Section):
     nests: dict[NestName, Nest] = Field(default_factory=dict)
     distances: tuple[NestDistance, ...] = ()
     probe: Probe | None = None
+    later_keys = frozenset({"name", "nests", "distances", "probe"})
 
     @model_validator(mode="after")
     def _nests_are_told_apart(self) -> Self:
@@ -86,13 +77,6 @@ class Smr(Section):
     def names(self) -> tuple[str, ...]:
         """Names of all SMRs on the flange, this one first."""
         return (self.name, *self.nests)
-
-    @model_serializer(mode="wrap")
-    def _without_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        content: dict[str, Any] = handler(self)
-        return {
-            key: value for key, value in content.items() if key not in _OF_MORE or getattr(self, key) != _OF_MORE[key]
-        }
 
     @field_validator("normal")
     @classmethod

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, frame_poses, jacobian
 from cellapp.robot.kinematics.statics import Bodies, GravityLoads, gravity_loads
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, turned_rows
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,11 @@ class MeasurementConditions:
     other_q: Array | None = None
     record: TemperatureRecord | None = None
     R_M_S: Array | None = None
+
+    @property
+    def turned(self) -> NDArray[np.bool_] | None:
+        """Readings (n,) of an orientation; None where there are none."""
+        return turned_rows(self.R_M_S)
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> MeasurementConditions:
         """Select some of the stops; the temperature record stays whole."""
@@ -166,7 +171,8 @@ class EffectContext:
     @cached_property
     def turned(self) -> Array | None:
         """1 at readings (n, 1) of an orientation, 0 at those of a position; None where all are of positions."""
-        return None if self.conditions.R_M_S is None else self.angles.turned[:, None].astype(np.float64)
+        turned = self.conditions.turned
+        return None if turned is None else turned[:, None].astype(np.float64)
 
     def moved(self, shift_M: Array | None, turn_M: Array | None = None, lever_M: Array | None = None) -> Array:
         """What a small motion (n, 3) in the tracker frame does to each reading, a position [m] or an orientation [rad].

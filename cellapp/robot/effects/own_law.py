@@ -23,7 +23,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cellapp.robot.effects.column import Channel, EffectColumn, joint_column, shift_column
-from cellapp.robot.effects.context import EffectContext, MeasurementConditions, varies
+from cellapp.robot.effects.context import EffectContext, varies
 from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, Tuning
 from cellapp.robot.effects.meaning import Meaning
@@ -88,28 +88,28 @@ class _Stepped:
 
 @dataclass(frozen=True)
 class _Quantity:
-    """What a law may take of the readings: its variable, how it is read, and whether a run's mean stands for it.
+    """What a law may take of the readings: its variable, and how its values (n, N), else (n,), are read.
 
-    ``measured`` gives the values that only some readings have, (n,) or (n, N), None where a context always has them.
+    Where readings ``may_lack`` it, ``of`` gives None or NaN, for which its mean over the run stands.
     """
 
     variable: DriverVariable
-    of: Callable[[EffectContext], Array] = lambda context: context.q
-    measured: Callable[[MeasurementConditions], Array | None] | None = None
+    of: Callable[[EffectContext], Array | None]
     per_joint: bool = False
+    may_lack: bool = False
 
 
 QUANTITIES: Mapping[str, _Quantity] = {
-    "q": _Quantity(DriverVariable.JOINT_ANGLE),
-    "tau": _Quantity(DriverVariable.TORQUE, lambda context: context.torques),
+    "q": _Quantity(DriverVariable.JOINT_ANGLE, lambda context: context.q, per_joint=True),
+    "tau": _Quantity(DriverVariable.TORQUE, lambda context: context.torques, per_joint=True),
     "payload_kg": _Quantity(DriverVariable.PAYLOAD, lambda context: context.payload_kg),
-    "approach": _Quantity(DriverVariable.APPROACH, lambda context: context.approach),
-    "step": _Quantity(DriverVariable.STEP, lambda context: context.step),
-    "dwell_s": _Quantity(DriverVariable.DWELL, measured=lambda conditions: conditions.dwell_s),
-    "time_s": _Quantity(DriverVariable.TIME, measured=lambda conditions: conditions.time_s),
-    "air_c": _Quantity(DriverVariable.AIR_TEMPERATURE, measured=lambda conditions: conditions.air_c),
+    "approach": _Quantity(DriverVariable.APPROACH, lambda context: context.approach, per_joint=True),
+    "step": _Quantity(DriverVariable.STEP, lambda context: context.step, per_joint=True),
+    "dwell_s": _Quantity(DriverVariable.DWELL, lambda context: context.conditions.dwell_s, may_lack=True),
+    "time_s": _Quantity(DriverVariable.TIME, lambda context: context.conditions.time_s, may_lack=True),
+    "air_c": _Quantity(DriverVariable.AIR_TEMPERATURE, lambda context: context.conditions.air_c, may_lack=True),
     "joints_c": _Quantity(
-        DriverVariable.JOINT_TEMPERATURE, measured=lambda conditions: conditions.joints_c, per_joint=True
+        DriverVariable.JOINT_TEMPERATURE, lambda context: context.conditions.joints_c, per_joint=True, may_lack=True
     ),
 }
 """Names of arguments that a law may take: joint positions q (n, N) [rad], torques of gravity tau (n, N) [Nm], signs and
@@ -182,7 +182,7 @@ class _Declared:
         constants += [
             Constant(_typical(name), "", FIXED, per_joint=QUANTITIES[name].per_joint)
             for name in self.taken
-            if QUANTITIES[name].measured is not None
+            if QUANTITIES[name].may_lack
         ]
         return {
             "__doc__": said,
@@ -230,8 +230,9 @@ class _Declared:
         """Zero without its parameters, of the right shape, and linear in each of them."""
         rng = np.random.default_rng(1)
         n, joints = _TRIED_ROWS, _TRIED_JOINTS
-        flat = {"payload_kg", "dwell_s", "time_s", "air_c"}
-        made_up = {name: rng.uniform(-3.0, 3.0, n if name in flat else (n, joints)) for name in self.taken}
+        made_up = {
+            name: rng.uniform(-3.0, 3.0, (n, joints) if QUANTITIES[name].per_joint else n) for name in self.taken
+        }
         constants = {name: one.starts[0] for name, one in self.tuned.items()}
         expected = (n, joints) if self.acts_on == "joints" else (n, 3)
         for name, _, values in self.units(joints):
@@ -253,17 +254,10 @@ class _Declared:
         """The quantities that it takes; typical values of the run where unknown."""
         found = {}
         for name in self.taken:
-            quantity = QUANTITIES[name]
-            if quantity.measured is None:
-                found[name] = quantity.of(context)
-                continue
-            typical = _typical(name)
-            default: float | Array = (
-                np.array([law.constants[f"{typical}{j + 1}"] for j in range(context.joints)])
-                if quantity.per_joint
-                else law.constants[typical]
-            )
-            found[name] = with_default(quantity.measured(context.conditions), default, len(context))
+            values = QUANTITIES[name].of(context)
+            if QUANTITIES[name].may_lack or values is None:
+                values = with_default(values, _mean_over_run(name, law, context.joints), len(context))
+            found[name] = values
         return found
 
 
@@ -275,9 +269,7 @@ class _OwnEffect(Effect):
     def missing_data(self, context: EffectContext) -> str:
         """Needs every quantity that the law takes, varying over the run."""
         for name in self.declared.taken:
-            measured = QUANTITIES[name].measured
-            values = QUANTITIES[name].of(context) if measured is None else measured(context.conditions)
-            if not varies(values):
+            if not varies(QUANTITIES[name].of(context)):
                 return f"{name} is not in the readings, or does not vary"
         return ""
 
@@ -286,11 +278,11 @@ class _OwnEffect(Effect):
         own = self.declared
         typical: dict[str, float] = {}
         for name in own.taken:
-            measured = QUANTITIES[name].measured
-            values = None if measured is None else measured(context.conditions)
+            quantity = QUANTITIES[name]
+            values = quantity.of(context) if quantity.may_lack else None
             if values is None:
                 continue
-            if QUANTITIES[name].per_joint:
+            if quantity.per_joint:
                 typical |= {f"{_typical(name)}{j + 1}": float(np.nanmean(row)) for j, row in enumerate(values.T)}
             else:
                 typical[_typical(name)] = float(np.nanmean(values))
@@ -320,6 +312,14 @@ class _OwnEffect(Effect):
 def _typical(name: str) -> str:
     """Key of the constant that holds a quantity's mean over the run."""
     return f"typical_{name}"
+
+
+def _mean_over_run(name: str, law: Law, joints: int) -> float | Array:
+    """A quantity's mean over the run, as the law's constants have it; one a joint (N,) of quantities of joints."""
+    typical = _typical(name)
+    if QUANTITIES[name].per_joint:
+        return np.array([law.constants[f"{typical}{j + 1}"] for j in range(joints)])
+    return law.constants[typical]
 
 
 def _in_tracker(context: EffectContext, channel: Channel, shift: Array) -> Array:

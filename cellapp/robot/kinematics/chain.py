@@ -39,6 +39,7 @@ from cellapp.robot.kinematics.transforms import (
     rotation_x,
     rotation_y,
     transform,
+    turned_rows,
 )
 from cellapp.robot.kinematics.workspace import Workspace
 
@@ -199,11 +200,9 @@ class JointAngles:
         return cls(np.cos(angles), np.sin(angles), R_M_S)
 
     @cached_property
-    def turned(self) -> NDArray[np.bool_]:
-        """Configurations (n,) at which orientation is computed."""
-        if self.R_M_S is None:
-            return np.zeros(self.count, dtype=np.bool_)
-        return np.asarray(np.isfinite(self.R_M_S[:, 0, 0]))
+    def turned(self) -> NDArray[np.bool_] | None:
+        """Configurations (n,) at which orientation is computed; None where it is at none."""
+        return turned_rows(self.R_M_S)
 
     @cached_property
     def signed_sines(self) -> Array:

@@ -120,6 +120,22 @@ def apply(T_A_B: Array, p_B: Array) -> Array:
     return result
 
 
+def turned_rows(R_M_S: Array | None) -> NDArray[np.bool_] | None:
+    """Rows (n,) at which an orientation was measured: it is NaN (n, 3, 3) at all others; None where none was."""
+    return None if R_M_S is None else np.asarray(np.isfinite(R_M_S[:, 0, 0]))
+
+
+def twist_columns(p: Array) -> Array:
+    """Motion of points (..., 3) per unit of each twist component, (..., 3, 6).
+
+    Three shifts [m/m], then three turns about the axes at the origin [m/rad].
+    """
+    columns = np.zeros((*p.shape, 6))
+    columns[..., :3] = np.eye(3)
+    columns[..., 3:] = np.cross(np.eye(3), p[..., None, :]).swapaxes(-1, -2)
+    return columns
+
+
 def register(p_A: Array, p_B: Array, weights: Array | None = None) -> Array:
     """Rigid ``T_A_B`` (4, 4) that maps points ``p_B`` (n, 3) onto ``p_A`` (n, 3) [m] in weighted least squares.
 

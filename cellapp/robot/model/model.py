@@ -158,8 +158,8 @@ class ArmModel:
         if self.network is None:
             return p_M
         correction_M = self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T
-        if R_M_S is not None:
-            correction_M[np.isfinite(R_M_S[:, 0, 0])] = 0.0  # it learnt positions only
+        if conditions is not None and conditions.turned is not None:
+            correction_M[conditions.turned] = 0.0  # it learnt positions only
         return np.asarray(p_M + correction_M)
 
     def orientation(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
@@ -186,7 +186,7 @@ class ArmModel:
         """
         q = configurations(q, self.geometry.joints)
         variance = np.zeros(len(q))
-        turned = None if conditions is None or conditions.R_M_S is None else np.isfinite(conditions.R_M_S[:, 0, 0])
+        turned = None if conditions is None else conditions.turned
         if self.posterior is not None:
             moved = self.posterior.displacements(self.geometry, self.effects, self.context(q, conditions=conditions))
             variance += np.mean(moved**2, axis=(0, 2))
@@ -201,9 +201,9 @@ class ArmModel:
         At readings of an orientation that of a component of the rotation [rad].
         """
         noise: Array = np.full(len(q), 0.0 if self.posterior is None else self.posterior.noise_m)
-        if conditions is not None and conditions.R_M_S is not None:
+        if conditions is not None and conditions.turned is not None:
             of_turns = None if self.posterior is None else self.posterior.noise_rad
-            noise[np.isfinite(conditions.R_M_S[:, 0, 0])] = of_turns or 0.0
+            noise[conditions.turned] = of_turns or 0.0
         return np.asarray(np.hypot(self.uncertainty(q, conditions), noise))
 
     def flange(self, q: Array, conditions: MeasurementConditions | None = None) -> tuple[Array, Array]:

@@ -57,17 +57,13 @@ def followed(path: CartesianPath, sent: Trajectory, time_s: Array, p_M: Array) -
     """How points ``p_M`` (n, 3) [m] at times (n,) [s] since ``sent`` began followed; None for too few, or at rest."""
     if len(time_s) < _FEWEST or sent.s[-1] <= 0.0:
         return None
-    tried = np.arange(*_DELAYS_S, _STEP_S)
-    costs = [float(np.sum(_beside(path, sent, time_s - delay, p_M) ** 2)) for delay in tried.tolist()]
-    near = float(tried[int(np.argmin(costs))])
-    delay = float(
-        minimize_scalar(
-            lambda delay: float(np.sum(_beside(path, sent, time_s - delay, p_M) ** 2)),
-            bounds=(near - _STEP_S, near + _STEP_S),
-            method="bounded",
-            options={"xatol": 1e-6},
-        ).x
-    )
+
+    def cost(delay: float) -> float:
+        return float(np.sum(_beside(path, sent, time_s - delay, p_M) ** 2))
+
+    near = min(np.arange(*_DELAYS_S, _STEP_S).tolist(), key=cost)
+    bounds = (near - _STEP_S, near + _STEP_S)
+    delay = float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 1e-6}).x)
     when = time_s - delay
     within = (when > 0.0) & (when < sent.duration_s)
     if np.count_nonzero(within) < _FEWEST:
@@ -90,11 +86,11 @@ def _beside(path: CartesianPath, sent: Trajectory, when: Array, p_M: Array) -> A
 def _motion(path: CartesianPath, sent: Trajectory, when: Array) -> tuple[Array, Array]:
     """Wanted speeds (n,) [m/s] and directions (n, 3), zero at rest."""
     half = sent.period_s
-    way = np.diff([np.interp(when + sign * half, sent.time_s, sent.s) for sign in (-1.0, 1.0)], axis=0)[0]
-    ends = [path.positions(np.interp(when + sign * half, sent.time_s, sent.s)) for sign in (-1.0, 1.0)]
-    length = np.linalg.norm(ends[1] - ends[0], axis=1)
-    tangent = np.where(length[:, None] > 1e-9, (ends[1] - ends[0]) / np.maximum(length, 1e-12)[:, None], 0.0)
-    return way / (2.0 * half), tangent
+    before, after = (np.interp(when + sign * half, sent.time_s, sent.s) for sign in (-1.0, 1.0))
+    moved = path.positions(after) - path.positions(before)
+    length = np.linalg.norm(moved, axis=1)
+    tangent = np.where(length[:, None] > 1e-9, moved / np.maximum(length, 1e-12)[:, None], 0.0)
+    return (after - before) / (2.0 * half), tangent
 
 
 def _speed(path: CartesianPath, sent: Trajectory, when: Array, s: Array) -> Speed | None:

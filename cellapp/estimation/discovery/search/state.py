@@ -131,8 +131,9 @@ class SearchResult:
         Score that an effect had to pass.
     improbable : mapping
         Effects that were found but dropped, as they are more probably not there than there, with their probabilities.
-    posteriors : Posteriors or None
-        Of the final model; None after it was fitted to other readings.
+    remaining, posteriors : LawScan, Posteriors, or None
+        Scan of all effects that the final model does not have, and the probabilities; None of another fit than that in
+        which the search ended.
     """
 
     data: ArmData
@@ -144,6 +145,7 @@ class SearchResult:
     dropped: tuple[str, ...]
     threshold: float
     improbable: Mapping[str, float] = field(default_factory=dict)
+    remaining: LawScan | None = None
     posteriors: Posteriors | None = None
 
     @property
@@ -152,10 +154,14 @@ class SearchResult:
         taken = {term.slug for term in self.fit.terms}
         return [slug for slug in EFFECTS if slug not in taken and slug != UNKNOWN]
 
+    def with_fit(self, data: ArmData, fit: JointFit, reviews: tuple[Review, ...]) -> SearchResult:
+        """This result with another fit of the final model."""
+        return replace(self, data=data, fit=fit, reviews=reviews, remaining=None, posteriors=None)
+
     def without_terms(self) -> SearchResult:
         """This result with the geometry alone: everything that was added counts as dropped."""
         dropped = (*self.dropped, *(term.slug for term in self.fit.terms))
-        return replace(self, fit=self.geometry_only, reviews=(), dropped=dropped, posteriors=None)
+        return replace(self.with_fit(self.data, self.geometry_only, ()), dropped=dropped)
 
     @property
     def contradictions(self) -> tuple[str, ...]:

@@ -117,16 +117,16 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
     may take the place of what is dropped, and is held to the same.
     """
     while True:
-        found = replace(found, posteriors=posteriors_of(found, remaining_scan(found)))
-        assert found.posteriors is not None
+        scan = remaining_scan(found)
+        probable = posteriors_of(found, scan)
         named = [
             (probability, number)
-            for number, probability in enumerate(_probability_of_answers(found, found.posteriors))
+            for number, probability in enumerate(_probability_of_answers(found, probable))
             if state.fit.terms[number].slug != UNKNOWN
         ]
-        if not named or min(named)[0] >= _EVEN_ODDS:
-            return found
-        probability, number = min(named)
+        probability, number = min(named, default=(1.0, -1))
+        if probability >= _EVEN_ODDS:
+            return replace(found, remaining=scan, posteriors=probable)
         slug = state.fit.terms[number].slug
         improbable = {**found.improbable, slug: probability}
         problem = replace(problem, slugs=tuple(one for one in problem.slugs if one not in improbable))
@@ -141,7 +141,7 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
 def refit_to_all(found: SearchResult, data: ArmData) -> SearchResult:
     """The outcome of a search among some readings, fitted to all of them."""
     here, fit = refit(data.at(found.fit.model), found.fit.terms)
-    return replace(found, data=here, fit=fit)
+    return found.with_fit(here, fit, found.reviews)
 
 
 @dataclass

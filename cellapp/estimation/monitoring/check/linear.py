@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
-from cellapp.estimation.calibration.station_location import twist_columns
 from cellapp.estimation.monitoring.check.alternatives import Direction, centre_of
 from cellapp.estimation.monitoring.check.belief import network_shift, point_covariance
 from cellapp.estimation.monitoring.check.model import TRACKER, ArmBelief, CheckBelief
 from cellapp.estimation.prior.linear_model import Measured, design
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, twist_columns
 
 _STATION_M = 0.01
 """Standard deviation of a tracker's motion about its fitted pose, where it was set up anew [m, and rad at 1 m]: far

@@ -12,11 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.station_location import FEWEST_POINTS, twist_columns
+from cellapp.estimation.calibration.station_location import FEWEST_POINTS
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows
 from cellapp.estimation.monitoring.check.model import LENGTH_M
 from cellapp.estimation.monitoring.check.statistics import solved
-from cellapp.robot.kinematics.transforms import Array, apply, invert, register, rotation_from_vector, transform
+from cellapp.robot.kinematics.transforms import (
+    Array,
+    apply,
+    invert,
+    register,
+    rotation_from_vector,
+    transform,
+    twist_columns,
+)
 
 LARGE_M = 5e-4
 """Errors above this are registered first: a turn of that size leaves second-order errors below a micrometre."""

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.station_location import twist_columns
 from cellapp.estimation.monitoring.check.alternatives import Direction, centre_of
 from cellapp.estimation.monitoring.check.model import TRACKER, VISIBLE, CheckBelief
 from cellapp.estimation.prior.belief import is_smooth
 from cellapp.estimation.prior.linear_model import Measured, design
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, twist_columns
 from cellapp.robot.model import ArmModel
 
 
