@@ -18,7 +18,7 @@ from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EffectContext, MeasurementConditions
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -132,12 +132,6 @@ class JointProjection:
         damped = gram + 1e-4 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         projected = np.linalg.solve(damped, problem.geometry_residual[..., None])[..., 0]
         return cls(problem, np.einsum("naj,na->nj", J, projected))
-
-    def context(self, *, held_out: bool) -> EffectContext:
-        """Torques and other quantities at the stops."""
-        own = self.problem
-        q, conditions = (own.held_out.q, own.held_out_conditions) if held_out else (own.learn.q, own.learn_conditions)
-        return own.geometry_fit.model.context(q, conditions=conditions)
 
     def predicted(self, offsets: Array) -> Array:
         """SMR positions (m, 3) [m] at the held-out stops with offsets (m, N) [rad] of the joints."""
