@@ -13,7 +13,13 @@ from cellapp.commands.trials.benchmark.methods.registry import METHODS
 from cellapp.commands.trials.benchmark.methods.relevance import relevant_rows
 from cellapp.commands.trials.benchmark.problem import Answer
 from cellapp.commands.trials.benchmark.scoring import scored, set_score
-from cellapp.commands.trials.benchmark.trial import BenchmarkResult, benchmark_table, benchmark_trials, sealed_problem
+from cellapp.commands.trials.benchmark.trial import (
+    BenchmarkResult,
+    benchmark_table,
+    benchmark_trials,
+    refused,
+    sealed_problem,
+)
 from cellapp.commands.trials.sealed import GroundTruth, HiddenLaw
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -30,6 +36,9 @@ def guess(problem):
     from cellapp.commands.trials.benchmark.problem import Answer
     SEEN.append(problem)
     return Answer(problem.predicted(problem.geometry_fit.model), {"backlash": 0.5})
+
+def refuses(problem):
+    raise ValueError("no answer")
 
 def half(problem):
     from cellapp.commands.trials.benchmark.problem import Answer
@@ -53,8 +62,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def stranger(tmp_path: Path) -> Iterator[None]:
-    """Two methods of a distribution that is not ours."""
-    entries = {"guess": "stranger:guess", "half": "stranger:half", "text": "stranger:STRANGER"}
+    """Methods of a distribution that is not ours."""
+    entries = {
+        "guess": "stranger:guess",
+        "half": "stranger:half",
+        "refuses": "stranger:refuses",
+        "text": "stranger:STRANGER",
+    }
     added = add_distribution(
         tmp_path,
         "stranger",
@@ -95,6 +109,13 @@ def test_a_method_that_cannot_be_used_is_named(folder: Path, stranger: None) -> 
         benchmark_trials(small(), folder, ["nobody"], 1, None)
     with pytest.raises(InputError, match=r"predicted shape \(1, 3\), expected \(20, 3\)"):
         benchmark_trials(small(), folder, ["half"], 1, None)
+
+
+def test_every_answer_that_failed_is_named(folder: Path, stranger: None) -> None:
+    result = benchmark_trials(small(), folder, ["geometry", "refuses"], 1, None)
+    assert (len(result.answers), len(result.failed)) == (6, 6)
+    assert result.failed[0].startswith("refuses, one/run-0001, arm left: ")
+    assert refused(result).startswith("trials benchmark: 6 could not be computed: refuses, one/run-0001")
 
 
 @pytest.mark.parametrize("name", METHODS)

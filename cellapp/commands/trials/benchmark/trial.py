@@ -61,17 +61,18 @@ class _Shared(Record):
 
 
 class _Question(Record):
-    """One arm of one sealed run for one method; ``folder`` is that of the set."""
+    """One arm of one sealed run of a kind for one method; ``folder`` is that of all kinds."""
 
     method: str
     folder: str
+    kind: str
     run: str
     arm: str
 
 
 def _answered(shared: _Shared, asked: _Question) -> ScoredAnswer:
     """Let the method answer, then open the truth."""
-    folder = Path(asked.folder)
+    folder = Path(asked.folder) / asked.kind
     problem, measured = sealed_problem(folder, asked.run, asked.arm)
     method = METHODS[asked.method]
     began_s = time.process_time()
@@ -125,13 +126,13 @@ def benchmark_trials(
             seal_trials(profile, own, n, setup, seed=drawn, listener=work.listener, cancel=work.cancel)
         check_seal(own)
     asked = [
-        _Question(method=name, folder=str(folder / kind), run=run.name, arm=arm)
+        _Question(method=name, folder=str(folder), kind=kind, run=run.name, arm=arm)
         for name in names
         for kind in KINDS
         for run in sorted((folder / kind).glob("run-*"))
         for arm in profile.arms
     ]
-    gathered = work.gather(ANSWERS, "benchmark", _Shared(), asked, "{0.method}, {0.run}, arm {0.arm}")
+    gathered = work.gather(ANSWERS, "benchmark", _Shared(), asked, "{0.method}, {0.kind}/{0.run}, arm {0.arm}")
     return _result(folder, names, gathered.found, gathered.failed)
 
 
