@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ from cellapp.commands.trials.benchmark.trial import (
     sealed_problem,
 )
 from cellapp.commands.trials.sealed import GroundTruth, HiddenLaw
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS
 from tests.interfaces.plugins.installed import add_distribution, installed
@@ -116,6 +118,19 @@ def test_every_answer_that_failed_is_named(folder: Path, stranger: None) -> None
     assert (len(result.answers), len(result.failed)) == (6, 6)
     assert result.failed[0].startswith("refuses, one/run-0001, arm left: ")
     assert refused(result).startswith("trials benchmark: 6 could not be computed: refuses, one/run-0001")
+
+
+def test_changed_readings_are_reported(folder: Path, tmp_path: Path) -> None:
+    changed = Path(shutil.copytree(folder, tmp_path / "problems"))
+    connection = sqlite3.connect(changed / "pair" / "run-0001" / "run.sqlite")
+    connection.execute("UPDATE reading SET p_m = '[3.0, 0.5, -0.25]' WHERE arm = 'right' AND configuration = 7")
+    connection.commit()
+    connection.close()
+    with pytest.raises(CheckFailed, match=r"pair/run-0001: its readings are not those that were sealed"):
+        benchmark_trials(small(), changed, ["geometry"], 1, None)
+    shutil.rmtree(changed / "pair" / "run-0001")
+    with pytest.raises(InputError, match=r"pair/run-0001 is missing, but was sealed"):
+        benchmark_trials(small(), changed, ["geometry"], 1, None)
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -12,7 +12,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED
 from cellapp.commands.trials.benchmark.problem import Problem
 from cellapp.commands.trials.benchmark.scoring import ScoredAnswer, SetScore, by_set, scored, set_score
-from cellapp.commands.trials.sealed import TRUTH_FILE, check_seal, open_truth, seal_trials
+from cellapp.commands.trials.sealed import TRUTH_FILE, check_readings, check_seal, open_truth, seal_trials
 from cellapp.commands.trials.sealed_cases import ONE, OUT, PAIR
 from cellapp.commands.trials.sealed_setup import Setup
 from cellapp.commands.trials.skeleton import IN_PLACE, Work, not_computed
@@ -111,9 +111,9 @@ def benchmark_trials(
     Raises
     ------
     InputError
-        For a method that is not known, or a folder that holds something else.
+        For a method that is not known, a folder that holds something else, or a run that is missing.
     CheckFailed
-        If a seal is broken.
+        If a seal is broken, or the readings of a run are not those that were sealed.
     Cancelled
         On request.
     """
@@ -133,6 +133,9 @@ def benchmark_trials(
         for arm in profile.arms
     ]
     gathered = work.gather(ANSWERS, "benchmark", _Shared(), asked, "{0.method}, {0.kind}/{0.run}, arm {0.arm}")
+    for kind in KINDS:
+        for truth in open_truth(folder / kind).trials:
+            check_readings(folder / kind, truth)
     return _result(folder, names, gathered.found, gathered.failed)
 
 
