@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import sqlite3
 from collections.abc import Iterator
@@ -22,9 +23,11 @@ from cellapp.commands.trials.benchmark.trial import (
     refused,
     sealed_problem,
 )
-from cellapp.commands.trials.sealed import GroundTruth, HiddenLaw
+from cellapp.commands.trials.sealed import SEAL_FILE, TRUTH_FILE, GroundTruth, HiddenLaw
+from cellapp.commands.trials.skeleton import Work
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.scale.executor import Resources
 from cellapp.robot.effects import EFFECTS
 from tests.interfaces.plugins.installed import add_distribution, installed
 from tests.twin import small_twin
@@ -131,6 +134,20 @@ def test_changed_readings_are_reported(folder: Path, tmp_path: Path) -> None:
     shutil.rmtree(changed / "pair" / "run-0001")
     with pytest.raises(InputError, match=r"pair/run-0001 is missing, but was sealed"):
         benchmark_trials(small(), changed, ["geometry"], 1, None)
+
+
+def test_a_store_has_no_answers_to_other_problems_of_the_same_folder(folder: Path, tmp_path: Path) -> None:
+    own = Path(shutil.copytree(folder, tmp_path / "problems"))
+    said: list[str] = []
+    work = Work(Resources(jobs=1, store=tmp_path / "store"), lambda event: said.append(event.note))
+    for expected in ("", "6 in the store", "6 there of another program or other data are not used"):
+        if expected.endswith("used"):
+            truth = (own / "pair" / TRUTH_FILE).read_bytes() + b"\n"
+            (own / "pair" / TRUTH_FILE).write_bytes(truth)
+            (own / "pair" / SEAL_FILE).write_text(f"{hashlib.sha256(truth).hexdigest()}  {TRUTH_FILE}\n")
+        said.clear()
+        assert benchmark_trials(small(), own, ["geometry"], 1, None, work).total.n == 6
+        assert said[0] == expected
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import time
 from collections.abc import Mapping, Sequence
@@ -57,7 +58,9 @@ class BenchmarkResult(Result, schema="cellapp-trials-benchmark"):
 
 
 class _Shared(Record):
-    """Nothing is shared but the program."""
+    """SHA-256 of the truth of each set: a store has no answers to problems that were made anew in the same folder."""
+
+    truths: tuple[str, ...]
 
 
 class _Question(Record):
@@ -117,14 +120,14 @@ def benchmark_trials(
     Cancelled
         On request.
     """
-    names = _known(methods)
+    names, truths = _known(methods), []
     for place, kind in enumerate(KINDS):
         own = folder / kind
         if not (own / TRUTH_FILE).is_file():
             setup = Setup(kind=kind, laws="same" if kind == OUT else "other")
             drawn = None if seed is None else seed + place
             seal_trials(profile, own, n, setup, seed=drawn, listener=work.listener, cancel=work.cancel)
-        check_seal(own)
+        truths.append(hashlib.sha256(check_seal(own)).hexdigest())
     asked = [
         _Question(method=name, folder=str(folder), kind=kind, run=run.name, arm=arm)
         for name in names
@@ -132,7 +135,8 @@ def benchmark_trials(
         for run in sorted((folder / kind).glob("run-*"))
         for arm in profile.arms
     ]
-    gathered = work.gather(ANSWERS, "benchmark", _Shared(), asked, "{0.method}, {0.kind}/{0.run}, arm {0.arm}")
+    shared, name = _Shared(truths=tuple(truths)), "{0.method}, {0.kind}/{0.run}, arm {0.arm}"
+    gathered = work.gather(ANSWERS, "benchmark", shared, asked, name)
     for kind in KINDS:
         for truth in open_truth(folder / kind).trials:
             check_readings(folder / kind, truth)
