@@ -37,7 +37,7 @@ from cellapp.estimation.readings import Distance, Readings, joined
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.smr import Smr
 from cellapp.robot.kinematics.transforms import register
-from cellapp.robot.model import ArmModel
+from cellapp.robot.model import ArmModel, CellModel
 from drivers.plant import Plant
 from drivers.plant.changes import zero_shifted
 from drivers.plant.sockets import touches
@@ -181,10 +181,15 @@ def calibrated(profile: Profile, measured: Readings, *, discover: bool) -> ArmMo
         run.add_readings(name, measured)
         if measured.distances:
             run.write_result(DISTANCES_RESULT, distances_text({name: measured}))
-        calibrate_run(run)
-        if discover:
-            discover_run(run)
-        return model_of(run, stage_in_force(run, read_stages(run))).arms[name]
+        return fitted(run, discover=discover).arms[name]
+
+
+def fitted(run: RunFile, *, discover: bool) -> CellModel:
+    """The model in force of a run that is calibrated, and searched if asked."""
+    calibrate_run(run)
+    if discover:
+        discover_run(run)
+    return model_of(run, stage_in_force(run, read_stages(run)))
 
 
 def simulated(seed: int, stops: int, *, discover: bool) -> Iterator[tuple[str, Errors]]:
@@ -208,10 +213,7 @@ def after_a_change(bench: Bench, profile: Profile, *, discover: bool) -> Iterato
     plant.change_mechanism("left", lambda one: zero_shifted(one, CHANGED_JOINT - 1, CHANGE_RAD))
     with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
         run.add_readings("left", bench.measured(profile))
-        calibrate_run(run)
-        if discover:
-            discover_run(run)
-        arm = model_of(run, stage_in_force(run, read_stages(run))).arms["left"]
+        arm = fitted(run, discover=discover).arms["left"]
         yield "earlier calibration, joint 3 changed", now.errors(arm)
         T_M_B, rng = plant.true_T_M_B("left"), np.random.default_rng([bench.seed, 5])
         socket_M = T_M_B[:3, :3] @ _PLACES[0] + T_M_B[:3, 3]

@@ -89,9 +89,14 @@ def change_sentence(change: FoundChange) -> str:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
+def _in_unit(unit: str) -> tuple[float, str]:
+    """Factor and display unit of a change: lengths in mm, angles in mrad."""
+    return _UNITS.get(unit, (1.0, unit))
+
+
 def _shown(change: FoundChange) -> tuple[float | None, float | None, str]:
-    """Amount, standard error and unit for people: lengths in mm, angles in mrad."""
-    scale, unit = _UNITS.get(change.unit, (1.0, change.unit))
+    """Amount, standard error and unit for people."""
+    scale, unit = _in_unit(change.unit)
     error = None if change.standard_error is None else change.standard_error * scale
     return None if change.value is None else change.value * scale, error, unit
 
@@ -145,8 +150,8 @@ def _weak_table(result: CheckResult) -> Table:
         result.weak,
         ("where", "arm"),
         ("what", "what"),
-        ("found from", lambda one: one.detected * _UNITS.get(one.unit, (1.0, ""))[0], ".2g"),
-        ("unit", lambda one: _UNITS.get(one.unit, (1.0, one.unit))[1]),
+        ("found from", lambda one: one.detected * _in_unit(one.unit)[0], ".2g"),
+        ("unit", lambda one: _in_unit(one.unit)[1]),
     )
 
 

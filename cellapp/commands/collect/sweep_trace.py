@@ -17,12 +17,15 @@ _GAP = 3.0
 
 def last_sweep(run: RunFile) -> SweepTrace | None:
     """The trace of the sweep that was recorded last; None where none was planned or is recorded."""
-    planned, states = read_sweeps(run), recording_states(run)
-    its = [state for state in states if state.part_of or any(state.name == sweep.name for sweep in planned)]
-    if not planned or not its:
+    places = {(sweep.arm, sweep.name): place for place, sweep in enumerate(read_sweeps(run))}
+    found = [
+        (places[key], state)
+        for state in recording_states(run)
+        if (key := (state.arm, state.part_of or state.name)) in places
+    ]
+    if not found:
         return None
-    stops = {(sweep.arm, sweep.name): place for place, sweep in enumerate(planned)}
-    newest = max(its, key=lambda state: (stops.get((state.arm, state.part_of or state.name), -1), state.name))
+    _, newest = max(found, key=lambda one: (one[0], one[1].name))
     columns, _ = read_stream(run, newest, "points")
     time_s, p_M = columns["time_s"], np.column_stack([columns[name] for name in POINT])
     rows = np.linspace(0, len(time_s) - 1, min(len(time_s), _MOST_DRAWN)).astype(np.intp)
@@ -32,9 +35,11 @@ def last_sweep(run: RunFile) -> SweepTrace | None:
     return SweepTrace(
         arm=newest.arm,
         name=newest.name,
-        recorded=len({(state.arm, state.part_of or state.name) for state in its}),
-        planned=len(planned),
+        recorded=len({place for place, _ in found}),
+        planned=len(places),
         lost=newest.points.lost,
         time_s=tuple((0.5 * (time_s[rows][1:] + time_s[rows][:-1]) - time_s[0]).round(3).tolist()),
-        speed_mm_s=tuple(one if there else None for one, there in zip(speed.round(2).tolist(), seen.tolist())),
+        speed_mm_s=tuple(
+            one if there else None for one, there in zip(speed.round(2).tolist(), seen.tolist(), strict=True)
+        ),
     )

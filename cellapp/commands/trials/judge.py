@@ -21,13 +21,13 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
 from cellapp.commands.trials.run_score import score_run
 from cellapp.commands.trials.scoring import scores
-from cellapp.commands.trials.sealed import GroundTruth, check_seal, digest_of, open_truth
+from cellapp.commands.trials.sealed import GroundTruth, check_readings, check_seal, open_truth
 from cellapp.commands.trials.skeleton import IN_PLACE, Work
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
 from cellapp.estimation.discovery.terms import UNKNOWN
-from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, Record
 from cellapp.ground.scale.gather import gather
@@ -197,14 +197,8 @@ def _compare(
     """Score every run that was judged; also the program's state for each, and a sentence for each other run."""
     scored, sources, failed = [], [], []
     for truth in truths:
-        path = folder / truth.run
-        if not path.is_dir():
-            raise InputError(f"{path} is missing, but was sealed; put it back, or seal new trials")
-        with RunFile.open(path) as run:
-            digest = digest_of({name: run.readings(name) for name in run.arms()})
-        if digest != truth.readings:
-            raise CheckFailed(f"{path}: its readings are not those that were sealed; seal new trials")
-        stored = _stored(path)
+        check_readings(folder, truth)
+        stored = _stored(folder / truth.run)
         if stored is None or truth.run in failures:
             failed.append(f"{truth.run}: {failures.get(truth.run, 'not judged')}")
             continue

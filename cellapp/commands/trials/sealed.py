@@ -218,6 +218,25 @@ def open_truth(folder: Path) -> TruthFile:
     return TruthFile.from_json(check_seal(folder).decode("utf-8", "replace"), str(folder / TRUTH_FILE))
 
 
+def check_readings(folder: Path, truth: GroundTruth) -> None:
+    """Refuse a run of a folder that is not as it was sealed.
+
+    Raises
+    ------
+    InputError
+        If it is missing.
+    CheckFailed
+        If its readings were changed.
+    """
+    path = folder / truth.run
+    if not path.is_dir():
+        raise InputError(f"{path} is missing, but was sealed; put it back, or seal new trials")
+    with RunFile.open(path) as run:
+        digest = digest_of({name: run.readings(name) for name in run.arms()})
+    if digest != truth.readings:
+        raise CheckFailed(f"{path}: its readings are not those that were sealed; seal new trials")
+
+
 def digest_of(readings: Mapping[str, Readings]) -> str:
     """SHA-256 of the joint positions and points of all arms, in the arms' order by name."""
     found = hashlib.sha256()

@@ -59,11 +59,6 @@ class Verdict:
     sentence: str
 
 
-def judgement_words(judgement: Judgement) -> str:
-    """What is judged, and where."""
-    return f"{CHARACTERISTIC_WORDS[judgement.characteristic]}, {judgement.where}"
-
-
 def verdict_of(judgements: Sequence[Judgement]) -> Verdict:
     """All judgements in a title and a sentence."""
     state = overall(judgements) or "cannot say"

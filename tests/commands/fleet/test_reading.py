@@ -55,7 +55,6 @@ def identities(folder: Path, profile: Profile, serials: dict[str, str]) -> dict[
         return dict(arm_identities(run))
 
 
-@pytest.mark.fast
 def test_keys_of_another_version_are_passed_over(finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
         stored = read_stages(run).current[VERIFY]
@@ -70,6 +69,7 @@ def test_keys_of_another_version_are_passed_over(finished_copy: Path) -> None:
     assert values[0::2] == values[1::2] != []
 
 
+@pytest.mark.fast
 def test_an_arm_is_known_by_its_controller_then_by_the_profile_then_by_names(tmp_path: Path) -> None:
     profile = two_arms()
     given = profile.model_copy(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
+import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,10 +16,18 @@ from cellapp.commands.trials.benchmark.methods.registry import METHODS
 from cellapp.commands.trials.benchmark.methods.relevance import relevant_rows
 from cellapp.commands.trials.benchmark.problem import Answer
 from cellapp.commands.trials.benchmark.scoring import scored, set_score
-from cellapp.commands.trials.benchmark.trial import BenchmarkResult, benchmark_table, benchmark_trials, sealed_problem
-from cellapp.commands.trials.sealed import GroundTruth, HiddenLaw
-from cellapp.ground.errors import InputError
+from cellapp.commands.trials.benchmark.trial import (
+    BenchmarkResult,
+    benchmark_table,
+    benchmark_trials,
+    refused,
+    sealed_problem,
+)
+from cellapp.commands.trials.sealed import SEAL_FILE, TRUTH_FILE, GroundTruth, HiddenLaw
+from cellapp.commands.trials.skeleton import Work
+from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.scale.executor import Resources
 from cellapp.robot.effects import EFFECTS
 from tests.interfaces.plugins.installed import add_distribution, installed
 from tests.twin import small_twin
@@ -30,6 +41,9 @@ def guess(problem):
     from cellapp.commands.trials.benchmark.problem import Answer
     SEEN.append(problem)
     return Answer(problem.predicted(problem.geometry_fit.model), {"backlash": 0.5})
+
+def refuses(problem):
+    raise ValueError("no answer")
 
 def half(problem):
     from cellapp.commands.trials.benchmark.problem import Answer
@@ -53,8 +67,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def stranger(tmp_path: Path) -> Iterator[None]:
-    """Two methods of a distribution that is not ours."""
-    entries = {"guess": "stranger:guess", "half": "stranger:half", "text": "stranger:STRANGER"}
+    """Methods of a distribution that is not ours."""
+    entries = {
+        "guess": "stranger:guess",
+        "half": "stranger:half",
+        "refuses": "stranger:refuses",
+        "text": "stranger:STRANGER",
+    }
     added = add_distribution(
         tmp_path,
         "stranger",
@@ -95,6 +114,40 @@ def test_a_method_that_cannot_be_used_is_named(folder: Path, stranger: None) -> 
         benchmark_trials(small(), folder, ["nobody"], 1, None)
     with pytest.raises(InputError, match=r"predicted shape \(1, 3\), expected \(20, 3\)"):
         benchmark_trials(small(), folder, ["half"], 1, None)
+
+
+def test_every_answer_that_failed_is_named(folder: Path, stranger: None) -> None:
+    result = benchmark_trials(small(), folder, ["geometry", "refuses"], 1, None)
+    assert (len(result.answers), len(result.failed)) == (6, 6)
+    assert result.failed[0].startswith("refuses, one/run-0001, arm left: ")
+    assert refused(result).startswith("trials benchmark: 6 could not be computed: refuses, one/run-0001")
+
+
+def test_changed_readings_are_reported(folder: Path, tmp_path: Path) -> None:
+    changed = Path(shutil.copytree(folder, tmp_path / "problems"))
+    connection = sqlite3.connect(changed / "pair" / "run-0001" / "run.sqlite")
+    connection.execute("UPDATE reading SET p_m = '[3.0, 0.5, -0.25]' WHERE arm = 'right' AND configuration = 7")
+    connection.commit()
+    connection.close()
+    with pytest.raises(CheckFailed, match=r"pair/run-0001: its readings are not those that were sealed"):
+        benchmark_trials(small(), changed, ["geometry"], 1, None)
+    shutil.rmtree(changed / "pair" / "run-0001")
+    with pytest.raises(InputError, match=r"pair/run-0001 is missing, but was sealed"):
+        benchmark_trials(small(), changed, ["geometry"], 1, None)
+
+
+def test_a_store_has_no_answers_to_other_problems_of_the_same_folder(folder: Path, tmp_path: Path) -> None:
+    own = Path(shutil.copytree(folder, tmp_path / "problems"))
+    said: list[str] = []
+    work = Work(Resources(jobs=1, store=tmp_path / "store"), lambda event: said.append(event.note))
+    for expected in ("", "6 in the store", "6 there of another program or other data are not used"):
+        if expected.endswith("used"):
+            truth = (own / "pair" / TRUTH_FILE).read_bytes() + b"\n"
+            (own / "pair" / TRUTH_FILE).write_bytes(truth)
+            (own / "pair" / SEAL_FILE).write_text(f"{hashlib.sha256(truth).hexdigest()}  {TRUTH_FILE}\n")
+        said.clear()
+        assert benchmark_trials(small(), own, ["geometry"], 1, None, work).total.n == 6
+        assert said[0] == expected
 
 
 @pytest.mark.parametrize("name", METHODS)

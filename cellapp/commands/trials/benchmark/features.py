@@ -1,11 +1,13 @@
-"""Named features of a joint for methods without a library of effects, and the effects that they stand for."""
+"""Named features of a joint for methods without a library, the effects that they stand for, and regression by joint."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.commands.trials.benchmark.problem import Answer, JointProjection, Problem
 from cellapp.robot.effects import EffectContext
 from cellapp.robot.kinematics.transforms import Array
 
@@ -61,3 +63,27 @@ class Scaling:
         """Standardised values (n, m)."""
         table = np.column_stack([one.values for one in features]) - self.mean
         return np.where(self.sd > 0.0, table / np.where(self.sd > 0.0, self.sd, 1.0), 0.0)
+
+
+JointRule = Callable[[Array], Array]
+"""Standardised features (n, m) of a joint -> its offsets (n,) [rad]."""
+Regression = Callable[[Array, Array], tuple[JointRule, Mapping[int, float]]]
+"""Learns standardised features (n, m) and offsets (n,) [rad]; the probability of each feature that the rule needs."""
+
+
+def regressed_by_joint(problem: Problem, regression: Regression) -> Answer:
+    """Predict the offsets of each joint by its features, and name the effects of the features that are needed."""
+    model, projection = problem.geometry_fit.model, JointProjection.of(problem)
+    learn = model.context(problem.learn.q, conditions=problem.learn_conditions)
+    held = model.context(problem.held_out.q, conditions=problem.held_out_conditions)
+    predicted = np.zeros((len(held), held.joints))
+    names: dict[str, float] = {}
+    for joint in range(learn.joints):
+        features = joint_features(learn, joint)
+        scaling = Scaling.of(features)
+        rule, needed = regression(scaling.table(features), projection.offsets[:, joint])
+        predicted[:, joint] = rule(scaling.table(joint_features(held, joint)))
+        for place, probability in needed.items():
+            slug = features[place].slug
+            names[slug] = max(probability, names.get(slug, 0.0))
+    return Answer(projection.predicted(predicted), names)

@@ -18,7 +18,7 @@ from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EffectContext, MeasurementConditions
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -80,6 +80,11 @@ class Problem:
         """Least squares of the geometry alone, weighted by the stated uncertainty."""
         return fit_terms(self.data, ())
 
+    @cached_property
+    def geometry_residual(self) -> Array:
+        """What that fit leaves of the points to learn from, (n, 3) [m]."""
+        return self.learn.p_M - self.geometry_fit.model.predict(self.learn.q, conditions=self.learn_conditions)
+
     def predicted(self, model: ArmModel) -> Array:
         """SMR positions (m, 3) [m] at the held-out stops by a model."""
         return model.predict(self.held_out.q, conditions=self.held_out_conditions)
@@ -122,18 +127,11 @@ class JointProjection:
     @classmethod
     def of(cls, problem: Problem) -> JointProjection:
         """Project the residual that the best geometry leaves."""
-        fit = problem.geometry_fit
-        J = _by_joints(fit.model, problem.learn.q)
-        residual = problem.learn.p_M - fit.model.predict(problem.learn.q, conditions=problem.learn_conditions)
+        J = _by_joints(problem.geometry_fit.model, problem.learn.q)
         gram = np.einsum("naj,nbj->nab", J, J)
         damped = gram + 1e-4 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-        return cls(problem, np.einsum("naj,na->nj", J, np.linalg.solve(damped, residual[..., None])[..., 0]))
-
-    def context(self, *, held_out: bool) -> EffectContext:
-        """Torques and other quantities at the stops."""
-        own = self.problem
-        q, conditions = (own.held_out.q, own.held_out_conditions) if held_out else (own.learn.q, own.learn_conditions)
-        return own.geometry_fit.model.context(q, conditions=conditions)
+        projected = np.linalg.solve(damped, problem.geometry_residual[..., None])[..., 0]
+        return cls(problem, np.einsum("naj,na->nj", J, projected))
 
     def predicted(self, offsets: Array) -> Array:
         """SMR positions (m, 3) [m] at the held-out stops with offsets (m, N) [rad] of the joints."""

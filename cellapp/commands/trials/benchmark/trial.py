@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import time
 from collections.abc import Mapping, Sequence
@@ -12,7 +13,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED
 from cellapp.commands.trials.benchmark.problem import Problem
 from cellapp.commands.trials.benchmark.scoring import ScoredAnswer, SetScore, by_set, scored, set_score
-from cellapp.commands.trials.sealed import TRUTH_FILE, check_seal, open_truth, seal_trials
+from cellapp.commands.trials.sealed import TRUTH_FILE, check_readings, check_seal, open_truth, seal_trials
 from cellapp.commands.trials.sealed_cases import ONE, OUT, PAIR
 from cellapp.commands.trials.sealed_setup import Setup
 from cellapp.commands.trials.skeleton import IN_PLACE, Work, not_computed
@@ -57,21 +58,24 @@ class BenchmarkResult(Result, schema="cellapp-trials-benchmark"):
 
 
 class _Shared(Record):
-    """Nothing is shared but the program."""
+    """SHA-256 of the truth of each set: a store has no answers to problems that were made anew in the same folder."""
+
+    truths: tuple[str, ...]
 
 
 class _Question(Record):
-    """One arm of one sealed run for one method; ``folder`` is that of the set."""
+    """One arm of one sealed run of a kind for one method; ``folder`` is that of all kinds."""
 
     method: str
     folder: str
+    kind: str
     run: str
     arm: str
 
 
 def _answered(shared: _Shared, asked: _Question) -> ScoredAnswer:
     """Let the method answer, then open the truth."""
-    folder = Path(asked.folder)
+    folder = Path(asked.folder) / asked.kind
     problem, measured = sealed_problem(folder, asked.run, asked.arm)
     method = METHODS[asked.method]
     began_s = time.process_time()
@@ -110,28 +114,32 @@ def benchmark_trials(
     Raises
     ------
     InputError
-        For a method that is not known, or a folder that holds something else.
+        For a method that is not known, a folder that holds something else, or a run that is missing.
     CheckFailed
-        If a seal is broken.
+        If a seal is broken, or the readings of a run are not those that were sealed.
     Cancelled
         On request.
     """
-    names = _known(methods)
+    names, truths = _known(methods), []
     for place, kind in enumerate(KINDS):
         own = folder / kind
         if not (own / TRUTH_FILE).is_file():
             setup = Setup(kind=kind, laws="same" if kind == OUT else "other")
             drawn = None if seed is None else seed + place
             seal_trials(profile, own, n, setup, seed=drawn, listener=work.listener, cancel=work.cancel)
-        check_seal(own)
+        truths.append(hashlib.sha256(check_seal(own)).hexdigest())
     asked = [
-        _Question(method=name, folder=str(folder / kind), run=run.name, arm=arm)
+        _Question(method=name, folder=str(folder), kind=kind, run=run.name, arm=arm)
         for name in names
         for kind in KINDS
         for run in sorted((folder / kind).glob("run-*"))
         for arm in profile.arms
     ]
-    gathered = work.gather(ANSWERS, "benchmark", _Shared(), asked, "{0.method}, {0.run}, arm {0.arm}")
+    shared, name = _Shared(truths=tuple(truths)), "{0.method}, {0.kind}/{0.run}, arm {0.arm}"
+    gathered = work.gather(ANSWERS, "benchmark", shared, asked, name)
+    for kind in KINDS:
+        for truth in open_truth(folder / kind).trials:
+            check_readings(folder / kind, truth)
     return _result(folder, names, gathered.found, gathered.failed)
 
 

@@ -27,8 +27,7 @@ def gaussian_process(problem: Problem) -> Answer:
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-    model = problem.geometry_fit.model
-    residual = problem.learn.p_M - model.predict(problem.learn.q, conditions=problem.learn_conditions)
+    model, residual = problem.geometry_fit.model, problem.geometry_residual
     scale = float(residual.std()) or 1.0
     table = on_circles(problem.learn.q)
     kernel = ConstantKernel(1.0) * RBF(np.full(table.shape[1], 2.0), (0.05, 100.0)) + WhiteKernel(0.5, (1e-4, 10.0))

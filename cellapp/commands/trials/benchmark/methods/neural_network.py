@@ -17,8 +17,7 @@ _SEED = 0
 
 def neural_network(problem: Problem) -> Answer:
     """Predict by geometry and network; training ends where left-out rows get worse."""
-    model = problem.geometry_fit.model
-    residual = problem.learn.p_M - model.predict(problem.learn.q, conditions=problem.learn_conditions)
+    model, residual = problem.geometry_fit.model, problem.geometry_residual
     scale = float(residual.std()) or 1.0
     found = _trained(on_circles(problem.learn.q), residual / scale, on_circles(problem.held_out.q))
     return Answer(problem.predicted(model) + scale * found)

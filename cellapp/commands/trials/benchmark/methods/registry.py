@@ -24,21 +24,22 @@ def _method(name: str, found: object) -> Method:
     return cast(Method, found)
 
 
-NEEDED: Mapping[str, str] = {
-    "sparse-regression": "pysindy",
-    "symbolic-regression": "gplearn",
-    "gaussian-process": "sklearn",
-    "neural-network": "torch",
+_BUILT_IN: Mapping[str, tuple[Method, str]] = {
+    "cellapp": (search_of_effects, ""),
+    "geometry": (geometry, ""),
+    "forward-bic": (forward_bic, ""),
+    "ard": (ard, ""),
+    "sparse-regression": (sparse_regression, "pysindy"),
+    "symbolic-regression": (symbolic_regression, "gplearn"),
+    "gaussian-process": (gaussian_process, "sklearn"),
+    "neural-network": (neural_network, "torch"),
 }
-"""Package that a built-in method needs beyond those of cellapp; ``cellapp[benchmark]`` has them all."""
-_BUILT_IN: Mapping[str, Method] = {
-    "cellapp": search_of_effects,
-    "geometry": geometry,
-    "forward-bic": forward_bic,
-    "ard": ard,
-    "sparse-regression": sparse_regression,
-    "symbolic-regression": symbolic_regression,
-    "gaussian-process": gaussian_process,
-    "neural-network": neural_network,
-}
-METHODS: Registry[Method] = Registry("cellapp.trials.methods", "method of the benchmark", _BUILT_IN, _method)
+"""Each with the package that it needs beyond those of cellapp, if any."""
+NEEDED: Mapping[str, str] = {name: package for name, (_, package) in _BUILT_IN.items() if package}
+"""Built-in method -> that package; ``cellapp[benchmark]`` has them all."""
+METHODS: Registry[Method] = Registry(
+    "cellapp.trials.methods",
+    "method of the benchmark",
+    {name: method for name, (method, _) in _BUILT_IN.items()},
+    _method,
+)

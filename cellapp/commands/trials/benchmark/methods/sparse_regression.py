@@ -11,9 +11,9 @@ import warnings
 
 import numpy as np
 
-from cellapp.commands.trials.benchmark.features import Scaling, joint_features
+from cellapp.commands.trials.benchmark.features import JointRule, regressed_by_joint
 from cellapp.commands.trials.benchmark.methods.forward_selection import even_odds
-from cellapp.commands.trials.benchmark.problem import Answer, JointProjection, Problem
+from cellapp.commands.trials.benchmark.problem import Answer, Problem
 from cellapp.robot.kinematics.transforms import Array
 
 _THRESHOLDS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -22,21 +22,15 @@ _THRESHOLDS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
 
 def sparse_regression(problem: Problem) -> Answer:
     """Name the effects of the features that are kept."""
-    projection = JointProjection.of(problem)
-    learn, held = projection.context(held_out=False), projection.context(held_out=True)
-    predicted = np.zeros((len(held), held.joints))
-    names: dict[str, float] = {}
-    for joint in range(learn.joints):
-        features = joint_features(learn, joint)
-        scaling = Scaling.of(features)
-        offset = projection.offsets[:, joint]
-        scale = float(offset.std()) or 1.0
-        coefficients, gain = _thresholded(scaling.table(features), (offset - offset.mean()) / scale)
-        predicted[:, joint] = scale * (scaling.table(joint_features(held, joint)) @ coefficients) + offset.mean()
-        for feature, value in zip(features, coefficients.tolist(), strict=True):
-            if value:
-                names[feature.slug] = max(even_odds(gain), names.get(feature.slug, 0.0))
-    return Answer(projection.predicted(predicted), names)
+    return regressed_by_joint(problem, _sparse)
+
+
+def _sparse(table: Array, offset: Array) -> tuple[JointRule, dict[int, float]]:
+    """The rule of the features that are kept, all as probable as the rule."""
+    mean, scale = offset.mean(), float(offset.std()) or 1.0
+    coefficients, gain = _thresholded(table, (offset - mean) / scale)
+    kept = dict.fromkeys(np.flatnonzero(coefficients).tolist(), even_odds(gain))
+    return lambda asked: scale * (asked @ coefficients) + mean, kept
 
 
 def _thresholded(table: Array, y: Array) -> tuple[Array, float]:
