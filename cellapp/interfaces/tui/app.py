@@ -226,6 +226,11 @@ class CellApp(JobKeys):
         """The screen of the day that is shown, below any dialog."""
         return next(screen for screen in reversed(self.screen_stack) if isinstance(screen, DayScreen))
 
+    @property
+    def _made_screen(self) -> DayScreen | None:
+        """The screen of the day, None while it is being made: what only half of it has drawn is not drawn again."""
+        return self.day_screen if self.day_screen.is_mounted else None
+
     def _screen_of(self, step: Step) -> DayScreen:
         if step not in self._screens:
             screen = next(entry for entry in SCREENS if entry.step == step).make()
@@ -410,9 +415,8 @@ class CellApp(JobKeys):
     def draw_all(self) -> None:
         """Draw the present screen whole."""
         with contextlib.suppress(NoMatches, StopIteration):  # no screen is mounted yet, or they go away
-            screen = self.day_screen
             self._draw_message()
-            if screen.is_mounted:  # else half of it is there; it is drawn whole when it is shown
+            if (screen := self._made_screen) is not None:
                 screen.show_workspace(self.workspace)
                 screen.draw_state()
                 screen.show_job(self.record)
@@ -434,8 +438,7 @@ class CellApp(JobKeys):
             return
         self._drawn = self.record.changes
         with contextlib.suppress(NoMatches, StopIteration):
-            screen = self.day_screen
-            if screen.is_mounted:
+            if (screen := self._made_screen) is not None:
                 screen.draw_state()
                 screen.show_job(self.record)
         if self.record.state != state:
@@ -444,8 +447,8 @@ class CellApp(JobKeys):
     def _tick(self) -> None:
         """The time that is left goes down, and the terminal's title says how far the job is."""
         with contextlib.suppress(NoMatches, StopIteration):
-            if self.jobs.running:
-                self.day_screen.draw_state()
+            if self.jobs.running and (screen := self._made_screen) is not None:
+                screen.draw_state()
         title = night.title_words(self.state, self.record)
         if title != self._titled:
             self._titled = title

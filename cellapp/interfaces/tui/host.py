@@ -40,7 +40,7 @@ class Host(App[None]):
     waits : str
         A run that waits to be gone on with, in words; empty if none was found.
     reading : str
-        That what the last job stored is being read, as a sentence; empty once it is.
+        That the first profile, or what the last job stored, is being read, as a sentence; empty once it is.
     """
 
     def __init__(self, profiles: Path, logs: Path) -> None:

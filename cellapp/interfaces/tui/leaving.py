@@ -7,7 +7,7 @@ import os
 import threading
 import time
 
-from cellapp.ground.signals import TERMINAL_CLOSED, available, ended_by, watch_signals
+from cellapp.ground.signals import HANGUP, INTERRUPTS, TERMINAL_CLOSED, available, ended_by, watch_signals
 from cellapp.interfaces.tui.endings import STOPPED, forget_terminal
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.messages import LeaveAsked
@@ -15,8 +15,6 @@ from cellapp.interfaces.tui.messages import LeaveAsked
 LEFT = "a person left the application"
 ENDED = "the terminal application ended"
 """What a run records as the cause of the halt."""
-_ENDING = available("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
-_CLOSED = available("SIGHUP")
 _PAUSING = available("SIGTSTP")
 _LAST_WORDS_S = 5.0
 """After the end of the job, for leaving the screen; usually some 0.1 s."""
@@ -41,7 +39,7 @@ class Leaving:
     def watch(self) -> None:
         """Listen to signals, in the main thread, after Textual has set its own: Ctrl-Z would freeze the program."""
         if threading.current_thread() is threading.main_thread():
-            self._signals.enter_context(watch_signals((*_ENDING, *_PAUSING), self._react, lambda *_: None))
+            self._signals.enter_context(watch_signals((*INTERRUPTS, *HANGUP, *_PAUSING), self._react, lambda *_: None))
 
     def close(self) -> None:
         """Listen no more."""
@@ -50,9 +48,9 @@ class Leaving:
     def _react(self, number: int) -> None:
         """In the thread that watches the signals."""
         control = self._app.jobs.control
-        if number in _CLOSED:
+        if number in HANGUP:
             self.close_terminal()
-        elif number in _ENDING:
+        elif number in INTERRUPTS:
             control.leave(ended_by(number))
             self._end(_LAST_WORDS_S)
         elif control.request == "pause":

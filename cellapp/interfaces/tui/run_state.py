@@ -81,7 +81,7 @@ class RunState:
     drift : bool
         Whether the newest references are beyond their limit.
     reading : str
-        That what a job stored is being read, as a sentence; empty if what is shown is what the run holds.
+        That the first profile, or what a job stored, is being read, as a sentence; empty if that is shown already.
     marks : mapping
         Step -> its mark.
     """
@@ -207,7 +207,7 @@ def run_state(
 ) -> RunState:
     """The state of what is open and of the job that runs.
 
-    ``waits`` is a run that was found at the start, ``reading`` says that what a job stored is not read yet.
+    ``waits`` is a run that was found at the start, ``reading`` says what is not read yet.
     """
     job = _job_now(record, running)
     here = job is not None and not job.replays and (job.folder is None or job.folder == workspace.folder)

@@ -82,6 +82,7 @@ def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
     assert ending_words(-3.0, datetime(2026, 1, 2)) == "any moment"
     assert Pace(0.0, 15, 100.0).per_minute(215) == pytest.approx(120.0)
     assert Pace(0.0, 15, 100.0).per_minute(15) is None
+    assert all(one.waits for one in parts_of(record(HALF, LOST)))
 
 
 @pytest.mark.fast
@@ -89,7 +90,6 @@ def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
 def test_a_rate_has_no_power_of_ten(span_s: float, words: str) -> None:
     part = Part("collect", Progress("collect", 79, 400), pace=Pace(0.0, 15, span_s))
     assert words in _line(part, 200, datetime.now()).plain
-    assert all(one.waits for one in parts_of(record(HALF, LOST)))
 
 
 def shows(app: CellApp, words: str) -> bool:

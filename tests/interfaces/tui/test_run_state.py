@@ -28,6 +28,7 @@ from cellapp.interfaces.tui.marks import SIGNS, marks_of
 from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.collect import CollectScreen
+from cellapp.interfaces.tui.widgets.tables import TablesView
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.cell.run.small_runs import planned_run
 from tests.handbook.declarations import with_declarations
@@ -200,6 +201,28 @@ async def test_a_screen_that_is_drawn_while_it_is_being_made_says_the_state() ->
                     app.draw_all()
                     await asyncio.sleep(0.0)
             await until(pilot, lambda: sentence in words(app), f"{step}: {sentence}")  # noqa: B023
+
+
+async def test_a_screen_that_is_made_while_the_time_of_a_job_goes_down_says_the_state() -> None:
+    planned_run(RUN).close()
+    app, held = CellApp(PROFILES), HeldJob(events("running"), patience_s=10 * WAIT_S)
+    async with app.run_test(size=SIZE) as pilot:
+        await opened(pilot, app)
+        app.open_run(RUN)
+        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+        app.start_job(held.job(folder=RUN))
+        await until(pilot, lambda: app.state.collecting and app.state.measured == 3, "the job")
+        for step in ("calibrate", "discover", "accept"):
+            app.action_show(step)
+            async with asyncio.timeout(WAIT_S):
+                while not app.day_screen.is_mounted:
+                    app._tick()
+                    await asyncio.sleep(0.0)
+            await settle(pilot)
+            said = [str(one.render()) for view in app.day_screen.query(TablesView) for one in view.children]
+            assert any("Not calibrated yet: 'collect' runs" in text for text in said), step
+        held.go_on.set()
+        await ended(pilot, app)
 
 
 async def test_until_what_a_job_stored_is_read_no_sentence_says_what_was_true_before(

@@ -203,12 +203,12 @@ tables; chapter *exports*.
         """Draw the calibration of the run."""
         if workspace is self._drawn:
             return
+        self._drawn = workspace
         result = self._result
         tables, parameters = (
             self.query_one("#stage-tables", TablesView),
             self.query_one("#parameter-tables", TablesView),
         )
-        self._drawn = workspace  # only now: where a tab was not there yet, the next time draws it
         if result is None or workspace.results is None:
             tables.show([])
             parameters.show([])
@@ -223,8 +223,8 @@ tables; chapter *exports*.
 
     def show_state(self, state: RunState) -> None:
         """Say why there is no calibration."""
-        for name in ("#stage-tables", "#parameter-tables"):  # by name: what is not there yet must not pass for drawn
-            self.query_one(name, TablesView).say_empty(state.nothing(self.STEP, ""))
+        for view in self.query(TablesView):
+            view.say_empty(state.nothing(self.STEP, ""))
 
     @in_thread(thread=True, exclusive=True)
     def _read(self, workspace: Workspace) -> None:

@@ -151,9 +151,9 @@ The handbook explains each effect.
         """Draw the discovery of the run."""
         if workspace is self._drawn:
             return
+        self._drawn = workspace
         found = self._result
         tables = self.query_one("#name-tables", WrappedTables)
-        self._drawn = workspace  # only now: where a tab was not there yet, the next time draws it
         if found is None or workspace.results is None:
             tables.show([])
             self.query_one("#proposal", Static).update(_NO_PROPOSAL)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 from textual import on, work
@@ -37,6 +36,7 @@ class CellMap(ChartPlot):
         self._number = 0
         self._profile: Profile | None = None
         self._stops: Sequence[PlannedStop] = ()
+        self._record: JobRecord | None = None
         self._measured: frozenset[int] = frozenset()
         self._waits = False
 
@@ -47,16 +47,17 @@ class CellMap(ChartPlot):
 
     def follow(self, record: JobRecord | None) -> None:
         """Mark what the job that collects has measured by now, every few seconds; None if none collects."""
+        self._record = record
         reports = () if record is None else record.stops.values()
         measured = frozenset(report.stop for arm in reports for report in arm)
         if not self._waits and measured != self._measured:
             self._measured, self._waits = measured, True
             self._draw_cell()
-            self.set_timer(_FOLLOWS_S, partial(self._follow_again, record))
+            self.set_timer(_FOLLOWS_S, self._follow_again)
 
-    def _follow_again(self, record: JobRecord | None) -> None:
+    def _follow_again(self) -> None:
         self._waits = False
-        self.follow(record)
+        self.follow(self._record)  # by now there may be none, or another one
 
     def _draw_cell(self) -> None:
         self._number += 1
