@@ -97,7 +97,7 @@ class Problem:
         return replace(
             self,
             layout=layout,
-            mean=np.insert(self.mean, at, np.zeros(len(added))),
+            mean=np.insert(self.mean, at, [term.start for term in added]),
             precision=np.insert(self.precision, at, precisions),
         )
 

@@ -7,11 +7,13 @@ positions. Joints are interpolated to the tracker's times, not the reverse: join
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
 
+from cellapp.estimation.motion.responses import EvenPath, even_grid
 from cellapp.estimation.motion.stamps import Stamps, read_stamps
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.robot.kinematics.transforms import Array
@@ -66,6 +68,13 @@ class JointPath:
     def acceleration_at(self, time_s: Array) -> Array:
         """Accelerations at times (n,) [s], (n, N) [rad/s^2]."""
         return np.asarray(self._acceleration(time_s))
+
+    @cached_property
+    def even(self) -> EvenPath:
+        """The same on even grids between gaps."""
+        t = self.stamps.time_s
+        time_s, runs = even_grid([(float(t[first]), float(t[last - 1])) for first, last in _runs(self.stamps)])
+        return EvenPath(time_s, self.at(time_s)[0], self.acceleration_at(time_s), runs)
 
     def direction_at(self, time_s: Array) -> Array:
         """Side on which a joint with lost motion lies at times (n,) [s], (n, N), -1 to 1; 0 before it first moved."""
