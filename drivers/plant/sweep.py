@@ -177,8 +177,8 @@ def _points(plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, be
         phase = phase_of(arm, began_s)
         for at in range(0, len(rows), _AT_ONCE):
             some = rows[at : at + _AT_ONCE]
-            of_course = {"inertia": inertia[some], "response": added[some]}
-            points[some], _ = smr_in(plant, arm, phase, q_seen[some], began_s + seen[some], moving=True, **of_course)
+            at_s, turn, more = began_s + seen[some], inertia[some], added[some]
+            points[some], _ = smr_in(plant, arm, phase, q_seen[some], at_s, moving=True, inertia=turn, response=more)
         _note_turn(arm, q[first], q[turns[number + 1]], q[min(turns[number + 1] + 1, len(q) - 1)])
     return points
 

@@ -3,14 +3,14 @@
     python -m tests.trials.sweeps --seeds 10
 
 Each seed is another cell: true geometry, and an effect of each arm, drawn by a law of another shape than the library's
-(``other``), by the library's (``same``), or those of ``profiles/twin.yaml`` (``twin``). Everything is the product's own:
-plan, collect, calibrate, discover, compensate, measure.
+(``other``), by the library's (``same``), or those of ``profiles/twin.yaml`` (``twin``). Everything is the product's
+own: plan, collect, calibrate, discover, compensate, measure.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -63,15 +63,26 @@ def hidden_effects(seed: int, laws: str) -> dict[str, dict[str, Any]]:
     return found
 
 
-def reached(
-    profile: Profile, sweeps: int | None, targets: Callable[[CellModel], Sequence[Target]]
-) -> dict[str, Reached]:
-    """Calibrate the cell of ``profile`` and measure ``targets`` of the calibrated model."""
+class _Targets:
+    """Targets that are drawn once, by the first model that asks for them."""
+
+    def __init__(self, profile: Profile, count: int, seed: int) -> None:
+        self._profile, self._count, self._seed = profile, count, seed
+        self._drawn: list[Target] = []
+
+    def of(self, model: CellModel) -> Sequence[Target]:
+        """The targets."""
+        self._drawn = self._drawn or draw_targets(self._profile, model, self._count, self._seed)
+        return self._drawn
+
+
+def reached(profile: Profile, sweeps: int | None, targets: _Targets) -> dict[str, Reached]:
+    """Calibrate the cell of ``profile`` and measure ``targets``."""
     with TemporaryDirectory() as folder, new_planned_run(profile, Path(folder) / "run", sweeps=sweeps) as run:
         collect_stops(run)
         calibrate_run(run)
         found = discover_run(run)
-        wanted = targets(model_of(run, read_stages(run).current[CALIBRATE]))
+        wanted = targets.of(model_of(run, read_stages(run).current[CALIBRATE]))
         measured = push_run(run, wanted, verify=True).targets
     errors = {name: [one.compensated_mm for one in measured if one.arm == name] for name in profile.arms}
     return {
@@ -98,22 +109,17 @@ def main(
         profile = with_hidden(whole_twin(), hidden, seed)
         plan = profile.plan.model_copy(update={"stops": stops})
         began = time.process_time()
-        wanted: list[Target] = []
-
-        def drawn(model: CellModel) -> Sequence[Target]:
-            if not wanted:  # the same targets for both
-                wanted.extend(draw_targets(profile, model, targets, seed))  # noqa: B023
-            return wanted  # noqa: B023
-
-        by_stops = reached(profile.model_copy(update={"plan": plan}), None, drawn)
+        wanted = _Targets(profile, targets, seed)
+        by_stops = reached(profile.model_copy(update={"plan": plan}), None, wanted)
         middle = time.process_time()
-        by_sweeps = reached(profile, sweeps, drawn)
+        by_sweeps = reached(profile, sweeps, wanted)
         seconds = f"{middle - began:.0f} + {time.process_time() - middle:.0f} s"
         for name, stop in by_stops.items():
             sweep = by_sweeps[name]
             typer.echo(
-                f"{seed:3d} {name:6s} hidden {'+'.join(hidden[name]):22s} stops {stop.rms_mm:.4f} {'+'.join(stop.names):30s}"
-                f" sweeps {sweep.rms_mm:.4f} {'+'.join(sweep.names):30s} ratio {sweep.rms_mm / stop.rms_mm:.3f}  {seconds}"
+                f"{seed:3d} {name:6s} hidden {'+'.join(hidden[name]):22s} stops {stop.rms_mm:.4f}"
+                f" {'+'.join(stop.names):30s} sweeps {sweep.rms_mm:.4f} {'+'.join(sweep.names):30s}"
+                f" ratio {sweep.rms_mm / stop.rms_mm:.3f}  {seconds}"
             )
 
 

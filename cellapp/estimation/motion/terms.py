@@ -22,13 +22,13 @@ from enum import Enum
 
 import numpy as np
 
-from cellapp.estimation.motion.joint_path import JointPath
+from cellapp.estimation.motion.joint_path import BEND_S, JointPath
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 
-_STEP_S = 0.02
-"""Step of the second difference that gives accelerations of the masses: short against any motion."""
+_OWN_INERTIA = 0.02
+"""Of a joint's own link about its axis [kg m^2], which point masses on the axis do not have."""
 
 
 class Law(Enum):
@@ -105,7 +105,7 @@ class JointTerm:
 
     @property
     def start(self) -> float:
-        """Value about which its prior lies and a fit begins."""
+        """Value at which a fit begins; about it lies the prior of a frequency or a damping."""
         return self.shape[self.part] if self.shape else 0.0
 
     @property
@@ -145,13 +145,12 @@ class JointTerm:
             return np.zeros(len(state.q))
         (path, time_s), j = state.course, self.joint
         if self.law is Law.INERTIA:
-            return np.asarray(-path.acceleration_at(time_s)[:, j])
+            return -path.even.at(path.even.qdd[:, j], time_s)
         if self.law is Law.TIME_CONSTANT:
             return path.even.at(path.even.lagging(j, self.shape[0])[1], time_s)
         gain, frequency, damping = self.shape
-        if self.part:
-            return gain * path.even.at(path.even.by_shape(j, frequency, damping, self.part), time_s)
-        return path.even.at(path.even.vibrating(j, frequency, damping), time_s)
+        answer = path.even.at(path.even.of_shape(j, frequency, damping, self.part), time_s)
+        return gain * answer if self.part else answer
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +181,15 @@ class Masses:
     bodies: Bodies
     up_M: Array
 
+    def matrix(self, q: Array) -> Array:
+        """Mass matrix (n, N, N) [kg m^2] of point masses at ``q`` (n, N): ``sum_k m_k (z_i x r_ik) . (z_j x r_jk)``
+        over the masses beyond both joints."""
+        loads, joints = gravity_loads(frame_poses(self.geometry, q), self.bodies, self.up_M), q.shape[1]
+        levers = loads.centers[None] - loads.origins[:-1, None]
+        moved = np.cross(loads.rotations[:-1, None, :, :, 2], levers)  # (joint, mass, n, 3)
+        moved[np.arange(joints)[:, None] > np.arange(joints + 1)[None]] = 0.0
+        return np.asarray(np.einsum("iknx,jknx,kn->nij", moved, moved, loads.masses) + _OWN_INERTIA * np.eye(joints))
+
 
 def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, torques: bool) -> JointState:
     """State of the joints at times (n,) of the controller [s]."""
@@ -205,9 +213,9 @@ def torques_in_motion(path: JointPath, time_s: Array, masses: Masses) -> Array:
     now = gravity_loads(frame_poses(masses.geometry, path.at(time_s)[0]), masses.bodies, masses.up_M)
     before, after = (
         gravity_loads(frame_poses(masses.geometry, path.at(time_s + step)[0]), masses.bodies, masses.up_M).centers
-        for step in (-_STEP_S, _STEP_S)
+        for step in (-BEND_S, BEND_S)
     )
-    acceleration = (after - 2.0 * now.centers + before) / _STEP_S**2
+    acceleration = (after - 2.0 * now.centers + before) / BEND_S**2
     force = now.masses[:, :, None] * (now.gravity - acceleration)
     moment = np.cross(now.centers, force)
     force, moment = np.cumsum(force[::-1], axis=0)[::-1], np.cumsum(moment[::-1], axis=0)[::-1]
