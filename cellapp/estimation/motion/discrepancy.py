@@ -10,8 +10,8 @@ with the fit's columns X and parameters b; laws Z of joints that the fit does no
 compliance where masses are known), u_g ~ N(0, s_g) for each law; functions B of posture, orthonormal along the path,
 a_k ~ N(0, s S_k^2 + s_0) with the singular values S_k of a table of functions, smooth ones first; and noise n in bands
 of frequency, orthogonal to B. The variances are those of restricted maximum likelihood (Patterson, Thompson, Biometrika
-58 (1971) 545) under wide priors of their logarithms, as one run tells little of what its geometry has absorbed. As
-likely as not nothing lacks: s_g and s are zero then, and the evidence of both (Laplace) tells how probable each is; the
+58 (1971) 545) under wide priors of their logarithms, as one run tells little of what its geometry has absorbed. It
+may be that nothing lacks: s_g and s are zero then, and the evidence of both (Laplace) tells how probable each is; the
 variances are the means over both.
 
 The clocks are the generalised least squares estimate under this covariance. The arm stays the least squares estimate,
@@ -49,6 +49,8 @@ _SAME = 1e-4
 _MOST_TRIED = 400
 _LOG_STEP = 0.2
 """Step of the logarithm of a variance by which the curvature of the likelihood is found."""
+_USUALLY = 0.9
+"""Probability that a model lacks something, before its residuals are seen: most arms have an effect or two."""
 _NOTHING = 1e8
 """Precision of a law that the arm does not have, in the inverse square of the standard deviation of its term."""
 _FEWEST_FREE = 4.0
@@ -250,7 +252,7 @@ def _missing(seen: _Seen, level: tuple[float, ...], precision: Array, towards_pr
     """Sizes of what lacks by restricted maximum likelihood, times the probability that anything does."""
     likelihood = _Likelihood.of(seen, level, precision, towards_prior)
     (nothing, alone), (some, beside) = (likelihood.best(count) for count in (1, len(likelihood.centre)))
-    share = float(expit(beside - alone))
+    share = float(expit(beside - alone + math.log(_USUALLY / (1.0 - _USUALLY))))
     without, lacking = likelihood.sizes(nothing), likelihood.sizes(some)
     variance = share * lacking.variance + (1.0 - share) * without.variance
     return _Missing(variance, 1.0 / (share / lacking.precision + (1.0 - share) / without.precision))
