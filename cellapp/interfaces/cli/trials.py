@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cellapp.commands.power.request import FEWEST_TRIALS
+from cellapp.commands.power.request import TRIALS as TRIALS_OF_EACH
 from cellapp.ground.counting import counted
 from cellapp.ground.outputs import Writes
 from cellapp.interfaces.cli.command_outputs import Commands
@@ -346,3 +348,23 @@ def cost(
 
     result = cost_of(store, tasks)
     return Stated(result, [cost_table(result)])
+
+
+@trial(trials_app, "power")
+def power(
+    work: Work,
+    profile: ProfilePath,
+    trials: Annotated[
+        int, typer.Option("--trials", min=FEWEST_TRIALS, max=400, help="Trials of each effect and arm.")
+    ] = TRIALS_OF_EACH,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws laws, true geometry and noise.")] = 0,
+) -> Stated:
+    """Before measuring: which effects of which size this cell, plan and tracker would have named."""
+    from cellapp.cell.profile import load_profile
+    from cellapp.commands.power.run import power_of_profile
+    from cellapp.commands.power.view import power_sentence, power_table
+    from cellapp.commands.trials.skeleton import Stated, not_computed
+
+    result = power_of_profile(load_profile(profile), trials, seed, work)
+    tables = [power_table(name, arm) for name, arm in result.arms.items()]
+    return Stated(result, tables, [power_sentence(result)], not_computed(result.failed))
