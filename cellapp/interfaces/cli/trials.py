@@ -361,8 +361,8 @@ def power(
 ) -> Stated:
     """Before measuring: which effects of which size this cell, plan and tracker would have named."""
     from cellapp.cell.profile import load_profile
-    from cellapp.commands.power.run import power_of_profile
-    from cellapp.commands.power.view import power_sentence, power_table
+    from cellapp.commands.trials.power.rounds import power_of_profile
+    from cellapp.commands.trials.power.tables import power_sentence, power_table
     from cellapp.commands.trials.skeleton import Stated, not_computed
 
     result = power_of_profile(load_profile(profile), trials, seed, work)

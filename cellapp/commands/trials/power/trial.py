@@ -18,8 +18,8 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.duration import stop_times_of
 from cellapp.cell.planning.planned_stops import PlannedStops, last_motions
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.commands.power.result import NamingTrial
 from cellapp.commands.trials.blind import with_hidden
+from cellapp.commands.trials.power.result import NamingTrial
 from cellapp.commands.trials.visible_size import beyond_geometry, registered_model
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
@@ -27,12 +27,10 @@ from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.plan_forecast import OFF_AXIS
 from cellapp.estimation.discovery.records import AcceptedEffect, SmallestSize
 from cellapp.estimation.readings import Readings
-from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant as PlantSection
 from cellapp.ground.results import Record
 from cellapp.ground.scale.task import TaskKind
-from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from drivers.plant import Plant, suggest_other_law
@@ -158,13 +156,12 @@ def naming_trial(cell: TrialCell, asked: NamingTrial) -> NamingTrial:
     duration_s = float(cell.readings[name].time_s[-1])
     law: Mapping[str, Any] = suggest_other_law(asked.effect, rng, config, duration_s)
     hidden = build_plant(with_hidden(cell.simulated, {name: {asked.effect: law}}, without.plant.seed))
-    with one_blas_thread():
-        measured = _measured(cell, name, plant, hidden, 1e-3 * asked.size_mm, rng)
-        return asked if measured is None else _searched(cell, asked, *measured)
+    measured = _measured(cell, name, plant, hidden, 1e-3 * asked.size_mm, rng)
+    return asked if measured is None else _searched(cell, asked, *measured)
 
 
 NAMING_TRIALS = TaskKind(
-    "cellapp.commands.power.trial:NAMING_TRIALS", PlannedCell, NamingTrial, NamingTrial, trial_cell, naming_trial
+    "cellapp.commands.trials.power.trial:NAMING_TRIALS", PlannedCell, NamingTrial, NamingTrial, trial_cell, naming_trial
 )
 
 
@@ -184,8 +181,6 @@ def _simulated(profile: Profile) -> Profile:
         else arm.model_copy(update={"smr": arm.smr.model_copy(update={"offset": tuple(OFF_AXIS.tolist())})})
         for name, arm in profile.arms.items()
     }
-    if profile.tracker.pose is None:
-        raise InputError(f"profile {profile.name}: tracker.pose is needed to try a plan")
     return profile.model_copy(update={"plant": plant, "arms": arms})
 
 
