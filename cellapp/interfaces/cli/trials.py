@@ -201,6 +201,31 @@ def blind_matrix(
     return Stated(result, matrix_tables(result), matrix_sentences(result), refused(result))
 
 
+@trial(trials_app, "truth", "store")
+def truth(
+    work: Work,
+    profile: SimulatedCell = DEFAULT_CELL,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder of the sealed runs, by set."), Writes.OWN_FOLDER
+    ] = Path("trials/truth"),
+    runs: Annotated[
+        str,
+        typer.Option("--runs", metavar="LIST", help="Runs of sets in place of the usual, as clean=50,few=0."),
+    ] = "",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws everything.")] = 0,
+    minutes: Annotated[
+        float | None, typer.Option("--minutes", min=0.0, help="Begin no block after that; the next call goes on.")
+    ] = None,
+) -> Stated:
+    """1300 sealed runs in sets (clean, single, pair, outside, narrow, unstated, few stops), stated with intervals."""
+    from cellapp.cell.profile import load_profile
+    from cellapp.commands.trials.skeleton import Stated, not_computed
+    from cellapp.commands.trials.truth import sizes_of, truth_sentence, truth_table, truth_trials
+
+    result = truth_trials(load_profile(profile), out, sizes_of(runs), seed, work, minutes=minutes)
+    return Stated(result, (truth_table(result),), (truth_sentence(result),), not_computed(result.failed))
+
+
 @trial(trials_app, "plans")
 def plans(
     work: Work,
