@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.live_sweep import LiveSweep
 from cellapp.cell.driving.motion import WRONG_TARGET_M, Mover
 from cellapp.cell.driving.reaction import StopCause, StopReaction, cause_of
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
@@ -101,8 +102,10 @@ class SweepDriver:
     control: JobControl
     interval_s: float
 
-    def drive(self, name: str, sweep: Sweep, note: Callable[[str], None]) -> Iterator[SweepPart]:
+    def drive(self, name: str, sweep: Sweep, note: Callable[[str], None], live: LiveSweep) -> Iterator[SweepPart]:
         """Drive a motion at whose beginning the arm is, and give each part when it is recorded.
+
+        ``live`` is told what comes.
 
         Raises
         ------
@@ -121,7 +124,7 @@ class SweepDriver:
             try:
                 if part > 1:
                     self._find_again(name)
-                found = self._recorded(name, q, s_s)
+                found = self._recorded(name, q, s_s, live)
             except (TargetLost, WrongTarget) as error:
                 if part == 1:
                     raise
@@ -136,13 +139,17 @@ class SweepDriver:
         q, s_s = _rest_of(sweep, from_s, arm.path_period_s)
         self.mover.follow(name, q, s_s, arm.path_period_s)
 
-    def _recorded(self, name: str, q: Array, s_s: Array) -> SweepPart:
+    def _recorded(self, name: str, q: Array, s_s: Array, live: LiveSweep) -> SweepPart:
         """Follow ``q`` (m, N), which is at ``s_s`` (m,) [s] of the motion, on record."""
         arm, streaming = self.cell.arms[name], stream_of(self.cell.tracker)
         assert isinstance(arm, RecordingArm)
         assert isinstance(arm, PathFollower)
         assert streaming is not None
         beam, recorded = _Beam(), False
+
+        def received(packet: Packet) -> None:
+            beam.received(packet)
+            live.received(packet)
 
         def lost(error: TrackerError) -> None:
             beam.error = error
@@ -156,10 +163,11 @@ class SweepDriver:
             arm.start_recording()
             recorded = True
             expected_M = predicted_smr(self.bodies, name, q[:1])[0]
-            streaming.start_track(expected_M, self.interval_s, lost, beam.received)
+            streaming.start_track(expected_M, self.interval_s, lost, received)
             self._rest(arm)
             self._require_own(name, beam, expected_M)
-            followed = self.mover.follow(name, q, s_s, arm.path_period_s)
+            live.begin(arm, self.cell.clock, s_s, arm.path_period_s)
+            followed = self.mover.follow(name, q, s_s, arm.path_period_s, live.look)
             self._rest(arm)
             joints, recorded = arm.end_recording(), False
             track = streaming.end_track()
@@ -171,6 +179,7 @@ class SweepDriver:
             raise
         early = followed.reached < len(q) - 1
         reached_s = float(np.interp(followed.reached, np.arange(len(s_s)), s_s)) if early else None
+        live.end(joints, track, reached_s)
         return SweepPart(joints, track, reached_s)
 
     def _rest(self, arm: RecordingArm) -> None:
