@@ -164,7 +164,7 @@ def test_the_certificate_states_rotations_with_their_own_budget(run: RunFile, ve
     assert made.orientation_contributions is not None
     assert made.orientation_contributions[0].source == "6-D probe"
     assert made.arms["left"].expanded_mrad == pytest.approx(
-        2.0 * np.linalg.norm([one.standard_mrad for one in made.orientation_contributions])
+        2.0 * np.linalg.norm([one.standard_mrad or np.nan for one in made.orientation_contributions])
     )
     titles = [table.title for table in certificate_tables(made)]
     assert "Errors of orientation as found and as left [mrad]" in titles
