@@ -129,7 +129,7 @@ def _in_figures(one: MotionEffectResult) -> str:
     parts = []
     for begins, (unit, factor, digits) in _IN_UNITS.items():
         its = [value for name, value in one.parameters.items() if name.rstrip("0123456789") == begins]
-        figures = [f"{factor * v.value:.{digits}f} ± {factor * v.standard_error:.{digits}f}" for v in its]
+        figures = [f"{factor * v.value:.{digits}f} ± {factor * (v.standard_error or 0.0):.{digits}f}" for v in its]
         if figures:
             parts.append(f"{', '.join(figures)} {unit}")
     return f": {'; '.join(parts)}" if parts else ""
