@@ -40,7 +40,7 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
     for score in scan.ranked(residual)[:_TRIED]:
         if score.value <= problem.threshold:
             break
-        term = _impossible_term(state, score)
+        term = None if _left_over(state, score) else _impossible_term(state, score)
         if term is None:
             continue
         possible = within_bounds(state.data, fit.terms, residual, score)
@@ -52,6 +52,16 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
         ):
             return problem.step(UNKNOWN, term.note, score.value, (*fit.terms, term))
     return None
+
+
+def _left_over(state: SearchState, score: LawScore) -> bool:
+    """Whether a named look-alike explains more: an impossible law beside it is what it leaves over."""
+    explained = score.explained_share * state.fit.projected_residual.square
+    return any(
+        explained < state.fit.removed_square(number)
+        for number, term in enumerate(state.fit.terms)
+        if term.is_library_effect and score.slug in EFFECTS[term.slug].look_alikes
+    )
 
 
 def _unused(state: SearchState, candidates: list[CandidateLaw]) -> list[CandidateLaw]:
