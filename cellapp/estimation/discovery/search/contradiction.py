@@ -12,7 +12,7 @@ from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
-from cellapp.estimation.discovery.search.bounds import within_bounds
+from cellapp.estimation.discovery.search.bounds import NEARLY, impossible_blocks, within_bounds
 from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
@@ -40,7 +40,9 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
     for score in scan.ranked(residual)[:_TRIED]:
         if score.value <= problem.threshold:
             break
-        term = None if _left_over(state, score) else _impossible_term(state, score)
+        term = None
+        if impossible_blocks(residual, score, NEARLY)[0] and not _left_over(state, score):
+            term = _impossible_term(state, score)
         if term is None:
             continue
         possible = within_bounds(state.data, fit.terms, residual, score)
