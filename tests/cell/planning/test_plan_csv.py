@@ -31,7 +31,7 @@ def written(path: Path) -> list[str]:
 
 
 def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
-    for stops in (some_stops(9), straight_stops(some_stops(3).q)):
+    for stops in (some_stops(9), some_stops(9, loads=True), straight_stops(some_stops(3).q)):
         write_plan_csv(stops, tmp_path / "plan.csv", RENEWED)
         back = read_plan_csv(tmp_path / "plan.csv", PROFILE)
         same_stops(back.stops, stops)
