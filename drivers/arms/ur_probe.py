@@ -185,7 +185,8 @@ class UrProbe:
         return self.model
 
     def report(self) -> DeviceReport:
-        """Identity, modes and joint temperatures."""
+        """Identity, modes, joint temperatures and the D-H rows that the controller computes with."""
+        kinematics = self.kinematics
         modes = [mode for mode in (self.robot_mode, self.safety_mode) if mode is not None]
         return DeviceReport(
             model=self.full_model,
@@ -193,6 +194,8 @@ class UrProbe:
             software=f"PolyScope {self.software}",
             state=", ".join(modes) or None,
             joints_c=None if self.sample is None else self.sample.joints_c,
+            dh_rows=None if kinematics is None else tuple(map(tuple, kinematics.rows.tolist())),
+            dh_checksum=None if kinematics is None else kinematics.checksum,
         )
 
 

@@ -291,6 +291,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             noise=settings.noise,
             floor=profile.plan.floor,
             torques=None if torques is None else TorqueSensing(**torques.model_dump()),
+            factory=None if settings.factory is None else GeometryErrors(**settings.factory.model_dump()),
         )
         return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)
     except ValueError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
@@ -24,6 +25,7 @@ from drivers.emulators.ur_controller import (
     UrControllerServer,
 )
 from drivers.plant import Plant
+from drivers.plant.factory import factory_calibration
 from drivers.plant.sweep import recorder_of
 from drivers.priority import in_real_time
 from drivers.settings import SettingError
@@ -36,6 +38,8 @@ _LATE_S = 0.04
 """Packets of the tracker's stream come late by up to this much [s]."""
 _JOINTS = 6
 """Of every UR arm."""
+_CALIBRATED = 2
+"""Calibration status of a controller that has been calibrated in the factory."""
 
 
 def run(request: EmulateRequest, work: Work) -> EmulateResult:
@@ -203,7 +207,7 @@ def emulate(
 
 def _server(profile: Profile, arms: Sequence[EmulatedArm], plant: Plant | None, pace: float) -> UrControllerServer:
     try:
-        return UrControllerServer([_config(arm, profile.arms[arm.arm]) for arm in arms], plant, pace)
+        return UrControllerServer([_config(arm, profile.arms[arm.arm], plant) for arm in arms], plant, pace)
     except ValueError as error:
         raise InputError(f"profile {profile.name}: {error}") from error
 
@@ -230,14 +234,14 @@ def _listening(arm: EmulatedArm, addresses: Addresses) -> EmulatedArm:
     return arm.model_copy(update={**ports, "control_port": addresses.control[1]})
 
 
-def _config(emulated: EmulatedArm, arm: Arm) -> ControllerConfig:
+def _config(emulated: EmulatedArm, arm: Arm, plant: Plant | None) -> ControllerConfig:
     joints = arm.type.joints
     limits = tuple((joint.limit[0], joint.limit[1]) for joint in joints)
     home = arm.home or tuple(min(max(0.0, low), high) for low, high in limits)
     return ControllerConfig(
         name=emulated.arm,
         host=emulated.host,
-        personality=emulated.controller,
+        personality=_as_calibrated(emulated, plant),
         ports={
             "dashboard": emulated.dashboard_port,
             "primary": emulated.primary_port,
@@ -251,6 +255,15 @@ def _config(emulated: EmulatedArm, arm: Arm) -> ControllerConfig:
         payload_mass=arm.payload.mass,
         payload_center=arm.payload.center_of_mass,
     )
+
+
+def _as_calibrated(emulated: EmulatedArm, plant: Plant | None) -> Personality:
+    """The controller with the factory's calibration of its arm, if the simulated cell has one."""
+    own = None if plant is None else factory_calibration(plant, emulated.arm)
+    if own is None:
+        return emulated.controller
+    rows = tuple((theta, d, a, alpha) for theta, d, a, alpha in own.rows.tolist())
+    return replace(emulated.controller, rows=rows, checksums=own.checksums, calibration_status=_CALIBRATED)
 
 
 def _personality(name: str, arm: Arm, serial: str | None, number: int) -> Personality:
