@@ -10,16 +10,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.run.schema import READING_COLUMNS, schema_version
+from cellapp.cell.run.schema import reading_columns, schema_version
 from cellapp.estimation.readings.columns import COLUMNS, MEASURED_POINT, SPLITS, Column, Values
 from cellapp.estimation.readings.readings import Reading, Readings, joined, readings_from_columns
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:
     """Add readings, inside the caller's transaction. Raises ``sqlite3.IntegrityError`` for a stop that is stored."""
-    places = ", ".join("?" * len(READING_COLUMNS))
+    names = reading_columns()
+    places = ", ".join("?" * len(names))
     connection.executemany(
-        f"INSERT INTO reading ({', '.join(READING_COLUMNS)}) VALUES ({places})",
+        f"INSERT INTO reading ({', '.join(names)}) VALUES ({places})",
         ((arm, *row) for row in _rows(readings)),
     )
 

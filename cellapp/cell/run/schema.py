@@ -13,8 +13,6 @@ measurement. 6: recordings of motion. 7: names of points in place of measured po
 currents, centre of the payload, nest and station of a reading, and several readings of an arm at a stop. 9: readings
 that were replaced when their stop was measured again, and which sessions did that."""
 
-READING_COLUMNS = ("arm", *(column.sql_name for column in COLUMNS), "extras")
-"""Names of the columns of a reading, in order."""
 _READING_KEY = "CREATE UNIQUE INDEX reading_key ON reading (arm, configuration, IFNULL(smr, ''), IFNULL(station, ''))"
 """An arm is measured once at a stop, or once by nest and station. Before schema 8 the table's primary key said so."""
 _EXTRAS = "extras TEXT"
@@ -45,6 +43,11 @@ _RECORDING_TABLES = (
 
 _AGAIN = "ALTER TABLE session ADD COLUMN again TEXT"
 """The stops that a session measured again, as a list; NULL of a session that collects what is left."""
+
+
+def reading_columns() -> list[str]:
+    """Names of the columns of a reading, in order."""
+    return ["arm", *(column.sql_name for column in COLUMNS), "extras"]
 
 
 def create_tables(connection: sqlite3.Connection) -> None:
@@ -111,7 +114,7 @@ def upgrade(connection: sqlite3.Connection) -> None:
 
 def _rekey_readings(connection: sqlite3.Connection) -> None:
     """Move the readings into a table whose key allows several of an arm at a stop: SQLite cannot drop a primary key."""
-    names = ", ".join(READING_COLUMNS)
+    names = ", ".join(reading_columns())
     connection.execute("ALTER TABLE reading RENAME TO reading_before")
     _create_reading_table(connection)
     connection.execute(f"INSERT INTO reading ({names}) SELECT {names} FROM reading_before ORDER BY rowid")

@@ -8,43 +8,53 @@ from importlib import resources
 
 from cellapp.ground.errors import InputError
 
-CHAPTERS: Mapping[str, str] = {
-    "tutorial": "from an empty folder to a signed report, on the simulated twin",
-    "install": "a wheel, extras, completion in the shell, Windows, a container",
-    "commands": "every command, JSON, exit codes",
-    "cell": "connecting the real cell step by step, with its risks; writing a profile",
-    "readings": "readings that you measured elsewhere: any table, any arm, in ten minutes",
-    "motion": "sweeps instead of stops: recordings of joints and points, each with its own clock",
-    "sockets": "a ball in a socket: calibrating and checking without a tracker",
-    "terminal": "the terminal application: a day, its screens and its keys",
-    "planning": "which stops are measured, obstacles, editing a plan",
-    "faults": "stopping, pausing, resuming; each fault and what to do",
-    "frames": "frames and conventions: where each frame sits, signs, D-H rows, order of rotations",
-    "files": "every file that goes in or comes out: columns, units, frames, examples",
-    "discovery": "how discovery decides, and what its words mean",
-    "effects": "the physical effects that discovery knows",
-    "signature": "an arm calibrated again, with its earlier calibration as prior",
-    "targets": "targets of calibrated arms: lists, verdicts, uncertainty, measuring them",
-    "paths": "lines and arcs that the true SMR follows: the file, driving, measuring",
-    "programs": "programs of UR controllers, corrected so that the real arm reaches their targets",
-    "exports": "calibrated arms for other programs, and what their files cannot hold",
-    "report": "the page of a run: verdict, sections, what is out of date, paper",
-    "check": "whether a calibration still holds: a few stops, what moved, what changed",
-    "iso9283": "tests by ISO 9283: cube, cycles, formulas, uncertainty, what one SMR cannot show",
-    "certificate": "what a run proves, judged and signed: tolerances, uncertainty, decision rule, keys",
-    "fleet": "many runs: what has changed in each arm, and when it leaves its tolerance",
-    "scale": "trials on all cores or a Dask cluster, results that survive, fleets recalibrated by night",
-    "emulator": "the emulated cell: real protocols, faults at will",
-    "extend": "arms, drivers, effects and exports of your own, as plug-ins",
-    "python": "using cellapp from Python: runs, models, data frames, mistakes",
-    "house": "how the code is laid out, how to add to it, tests",
-    "decisions": "decisions that shaped the house, with what was measured",
-    "figures": "every figure of the project, and how it was measured",
-    "peers": "other libraries on the same problems: time, error, what they have and cellapp lacks",
-    "untried": "what was never tried on real hardware, and what the program does not do",
-    "glossary": "the terms of the field as this program uses them",
+PARTS: Mapping[str, Mapping[str, str]] = {
+    "begin here": {
+        "tutorial": "from an empty folder to a signed report, on the simulated twin",
+        "readings": "readings that you measured elsewhere: any table, any arm, in ten minutes",
+        "cell": "connecting the real cell step by step, with its risks; writing a profile",
+        "faults": "stopping, pausing, resuming, and going on after a fault",
+        "glossary": "the terms of the field as this program uses them",
+    },
+    "measure and calibrate": {
+        "install": "a wheel, extras, completion in the shell, Windows, a container",
+        "commands": "every command, JSON, exit codes",
+        "terminal": "the terminal application: a day, its screens and its keys",
+        "planning": "which stops are measured, obstacles, editing a plan",
+        "motion": "sweeps instead of stops: recordings of joints and points, each with its own clock",
+        "sockets": "a ball in a socket: calibrating and checking without a tracker",
+        "discovery": "how discovery decides, and what its words mean",
+        "effects": "the physical effects that discovery knows",
+        "messages": "every fault and suspicion by device: what the program says, cause, what to do",
+        "report": "the page of a run: verdict, sections, what is out of date, paper",
+        "files": "every file that goes in or comes out: columns, units, frames, examples",
+        "frames": "frames and conventions: where each frame sits, signs, D-H rows, order of rotations",
+        "untried": "what was never tried on real hardware, and what the program does not do",
+    },
+    "use what was calibrated": {
+        "targets": "targets of calibrated arms: lists, verdicts, uncertainty, measuring them",
+        "paths": "lines and arcs that the true SMR follows: the file, driving, measuring",
+        "programs": "programs of UR controllers, corrected so that the real arm reaches their targets",
+        "exports": "calibrated arms for other programs, and what their files cannot hold",
+        "check": "whether a calibration still holds, what moved or changed; calibrating again with few stops",
+        "iso9283": "tests by ISO 9283: cube, cycles, formulas, uncertainty, what one SMR cannot show",
+        "certificate": "what a run proves, judged and signed: tolerances, uncertainty, decision rule, keys",
+        "fleet": "many runs: what has changed in each arm, and when it leaves its tolerance",
+        "python": "using cellapp from Python: runs, models, data frames, mistakes",
+    },
+    "for developers": {
+        "figures": "every figure of the project, and how it was measured",
+        "peers": "other libraries on the same problems: time, error, what they have and cellapp lacks",
+        "extend": "arms, drivers, effects and exports of your own, as plug-ins",
+        "emulator": "the emulated cell: real protocols, faults at will",
+        "scale": "trials on all cores or a Dask cluster, results that survive, fleets recalibrated by night",
+        "house": "how the code is laid out, how to add to it, tests",
+        "decisions": "decisions that shaped the house, with what was measured",
+    },
 }
-"""Name and subject of each chapter, a Markdown file of this package."""
+"""Name and subject of each chapter, a Markdown file of this package, by the part of the handbook that it belongs to."""
+CHAPTERS: Mapping[str, str] = {name: subject for part in PARTS.values() for name, subject in part.items()}
+"""Name and subject of each chapter, in the order of the parts."""
 _SECTION = re.compile(r"^## (\w+)$", re.MULTILINE)
 _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 _FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cellapp.commands.docs.handbook import CHAPTERS, effect_sections, topic_text
+from cellapp.commands.docs.handbook import PARTS, effect_sections, topic_text
 from cellapp.commands.docs.request import SCREENS, DocsRequest
 from cellapp.commands.docs.result import DocsResult
 from cellapp.commands.docs.sections import search
@@ -23,6 +23,8 @@ def run(request: DocsRequest, work: Work) -> DocsResult:
 
 
 def _topics() -> str:
-    lines = [f"{name:12} {subject}" for name, subject in CHAPTERS.items()]
-    lines += ["", "draw into a folder, with --out DIR:", f"  {SCREENS:10} the screens of the terminal application", ""]
+    lines = []
+    for part, chapters in PARTS.items():
+        lines += [f"{part}:", *(f"  {name:12} {subject}" for name, subject in chapters.items()), ""]
+    lines += ["draw into a folder, with --out DIR:", f"  {SCREENS:10} the screens of the terminal application", ""]
     return "\n".join([*lines, "or an effect:", *(f"  {slug}" for slug in effect_sections())])

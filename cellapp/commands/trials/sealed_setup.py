@@ -13,7 +13,7 @@ from cellapp.cell.planning.plan import draw_stops, plan_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.trials.blind import Noise
-from cellapp.commands.trials.sealed_cases import FLIP, KINDS, MIXED, ONE
+from cellapp.commands.trials.sealed_cases import FLIP, HARD, KINDS, MIXED, ONE
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
@@ -46,7 +46,7 @@ class Setup(Record):
     Attributes
     ----------
     kind : str
-        What is hidden: one of ``KINDS``, or mixed.
+        What is hidden: one of ``KINDS``, hard or mixed.
     noise : str
         One of ``NOISES``.
     laws : str
@@ -83,7 +83,7 @@ class Setup(Record):
     def check(self) -> None:
         """Raise ``InputError`` for an unknown word, or for what does not belong together."""
         words: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-            ("kind", self.kind, (*KINDS, MIXED)),
+            ("kind", self.kind, (*KINDS, HARD, MIXED)),
             ("noise", self.noise, tuple(NOISES)),
             ("laws", self.laws, LAWS),
             ("ranges", self.ranges, RANGES),

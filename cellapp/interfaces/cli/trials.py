@@ -86,7 +86,8 @@ def seal(
         int | None, typer.Option("--seed", min=0, help="Draws everything; left out, a secret one is drawn.")
     ] = None,
     kind: Annotated[
-        str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple or mixed.")
+        str,
+        typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple, hard or mixed."),
     ] = "one",
     noise: Annotated[
         str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 µrad a joint).")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from textual.widgets import Input, OptionList, Tree
 
-from cellapp.commands.docs.handbook import CHAPTERS
+from cellapp.commands.docs.handbook import CHAPTERS, PARTS
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.handbook import Handbook, SectionText
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
@@ -29,7 +29,8 @@ async def test_chapters_are_searched_read_and_followed_through_their_links() -> 
         await pilot.press("f1")
         await until(pilot, lambda: isinstance(app.screen, Handbook) and bool(app.screen.query(SectionText)), "a text")
         contents = app.screen.query_one("#contents", Tree)
-        assert [str(node.label) for node in contents.root.children] == list(CHAPTERS)
+        assert [str(part.label) for part in contents.root.children] == list(PARTS)
+        assert [str(node.label) for part in contents.root.children for node in part.children] == list(CHAPTERS)
         await pilot.press("slash", *"hayati angle", "enter")
         assert app.focused is contents
         await pilot.press("down", "up")
@@ -64,4 +65,4 @@ async def test_a_link_is_followed_by_a_click_and_pages_elsewhere_are_only_named(
         await until(pilot, lambda: "https://example.org is not a part" in shown_text(app), "the address")
         handbook.query_one("#words", Input).value = "nosuchword"
         await pilot.pause()
-        assert len(contents.root.children) == len(CHAPTERS), "nothing found: all chapters"
+        assert len(contents.root.children) == len(PARTS), "nothing found: all parts"

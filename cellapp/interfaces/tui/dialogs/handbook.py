@@ -102,20 +102,22 @@ class Handbook(Question[None]):
     # -- contents and search -----------------------------------------------------------------------------------------
 
     def _fill(self, found: tuple[Section, ...]) -> None:
-        """Chapters with their headings; or what was found."""
-        from cellapp.commands.docs.handbook import CHAPTERS
+        """Parts with their chapters and headings; or what was found."""
+        from cellapp.commands.docs.handbook import PARTS
         from cellapp.commands.docs.sections import sections
 
         contents = self._contents
         contents.clear()
         for one in found:
             contents.root.add_leaf(one.heading if one.level == 1 else f"{one.chapter}: {one.heading}", one)
-        for chapter in () if found else CHAPTERS:
-            its = sections(chapter)
-            node = contents.root.add(chapter, its[0])
-            for one in its[1:]:
-                if one.level <= _LEVELS_LISTED:
-                    node.add_leaf(one.heading, one)
+        for part, chapters in () if found else PARTS.items():
+            its_part = contents.root.add(part, expand=True)
+            for chapter in chapters:
+                its = sections(chapter)
+                node = its_part.add(chapter, its[0])
+                for one in its[1:]:
+                    if one.level <= _LEVELS_LISTED:
+                        node.add_leaf(one.heading, one)
         contents.root.expand()
 
     @on(Input.Changed, "#words")
@@ -196,7 +198,7 @@ class Handbook(Question[None]):
 
     async def _go(self, place: Section) -> None:
         await self._show(place)
-        for node in self._contents.root.children:
+        for node in (chapter for part in self._contents.root.children for chapter in part.children):
             if (at := _node_of(node, place)) is not None:
                 node.expand()
                 self.call_after_refresh(self._contents.move_cursor, at)  # the tree has the new lines then

@@ -1,4 +1,4 @@
-"""The chapter on faults quotes what the program says: every quoted message stands in its source."""
+"""The chapter on messages quotes what the program says: every quoted message stands in its source."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def spoken() -> str:
 
 def quoted() -> list[str]:
     """Messages in the tables whose first column is what the program says."""
-    tables = re.findall(r"^\| the program says .*\n(?:\|.*\n)+", chapter_text("faults"), re.MULTILINE)
+    tables = re.findall(r"^\| the program says .*\n(?:\|.*\n)+", chapter_text("messages"), re.MULTILINE)
     rows = [row.split("|")[1] for table in tables for row in table.splitlines()[2:]]
     return [message for row in rows for message in re.findall(r"`([^`]+)`", row)]
 
