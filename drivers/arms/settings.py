@@ -36,6 +36,8 @@ class ArmContext:
         Load on the flange, centre of mass in the flange frame [m].
     plant : Plant or None
         The simulated cell; None if no device of the cell is simulated.
+    simulation : bool
+        Whether the arm's controller must be in its simulation mode, in which no arm moves.
     """
 
     name: str
@@ -45,6 +47,7 @@ class ArmContext:
     payload_kg: float
     payload_center_m: NDArray[np.float64]
     plant: Plant | None = None
+    simulation: bool = False
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,7 @@ class UrSettings(UrOptions):
             tcp=None if self.tcp is None else np.array(self.tcp),
             payload_slack_kg=self.payload_tolerance,
             payload_slack_m=self.payload_center_tolerance,
+            simulation=arm.simulation,
         )
 
     def open(self, arm: ArmContext) -> Arm:

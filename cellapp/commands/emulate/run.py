@@ -59,6 +59,7 @@ def run(request: EmulateRequest, work: Work) -> EmulateResult:
         pace=request.pace,
         announce_tracker=trackers.append,
         lost_beams=request.lost_beams,
+        simulation=request.simulation,
     )
     return served[0]
 
@@ -160,6 +161,7 @@ def emulate(
     announce_tracker: Callable[[EmulatedTracker], None] = lambda _: None,
     watch_clearance: bool = False,
     lost_beams: float = 0.0,
+    simulation: bool = False,
 ) -> None:
     """Emulate the controllers of a profile until ``cancel``; all ports are free again when this returns.
 
@@ -182,6 +184,8 @@ def emulate(
         Whether the command ``clearance`` of the control channel gives the smallest distances.
     lost_beams : float
         How often the beam to a moving SMR breaks [1/min].
+    simulation : bool
+        Whether the controllers are in simulation mode: joints move, the arms of the simulated cell rest at home.
 
     Raises
     ------
@@ -193,21 +197,24 @@ def emulate(
     chosen = emulated_arms(profile) if arms is None else arms
     served = emulated_tracker(profile) if tracker is None else tracker
     plant = None if profile.plant is None else build_plant(profile, watch_clearance=watch_clearance)
-    server = _server(profile, chosen, plant, pace)
+    server = _server(profile, chosen, plant, pace, simulation=simulation)
     with ExitStack() as stack:
         if pace <= REAL_TIME:
             stack.enter_context(in_real_time(inherited=True))
         _listen(stack, server)
-        if served is not None and plant is not None:
+        if served is not None and plant is not None and not simulation:
             announce_tracker(_serve_tracker(stack, profile, plant, server, served, lost_beams))
         announce([_listening(arm, server.addresses) for arm in chosen])
         while not cancel.wait(_STEP_S):
             _check(server)
 
 
-def _server(profile: Profile, arms: Sequence[EmulatedArm], plant: Plant | None, pace: float) -> UrControllerServer:
+def _server(
+    profile: Profile, arms: Sequence[EmulatedArm], plant: Plant | None, pace: float, *, simulation: bool
+) -> UrControllerServer:
+    configs = [replace(_config(arm, profile.arms[arm.arm], plant), simulation=simulation) for arm in arms]
     try:
-        return UrControllerServer([_config(arm, profile.arms[arm.arm], plant) for arm in arms], plant, pace)
+        return UrControllerServer(configs, None if simulation else plant, pace)
     except ValueError as error:
         raise InputError(f"profile {profile.name}: {error}") from error
 

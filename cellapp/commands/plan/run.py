@@ -36,6 +36,7 @@ from cellapp.commands.plan.check_view import file_refusal_sentence
 from cellapp.commands.plan.request import PlanRequest
 from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.record import Work
+from cellapp.commands.rehearse.record_file import note_profile
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted, listed_numbers
 from cellapp.ground.errors import CheckFailed, InputError
@@ -62,10 +63,14 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | View
         return view_workspace(profile, *watched)
     assert request.folder is not None, "the request says so"
     if request.source is not None:
-        return plan_from_file(profile, request.source, request.folder, *watched)
-    if request.keep is not None:
-        return plan_around_file(profile, request.keep, request.folder, *watched)
-    return plan_new_run(profile, request.folder, *watched, sweeps=request.sweeps)
+        result = plan_from_file(profile, request.source, request.folder, *watched)
+    elif request.keep is not None:
+        result = plan_around_file(profile, request.keep, request.folder, *watched)
+    else:
+        result = plan_new_run(profile, request.folder, *watched, sweeps=request.sweeps)
+    with RunFile.open(request.folder, write=True) as planned:
+        note_profile(planned, request.profile)
+    return result
 
 
 def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
