@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 
 from cellapp.commands.fields import ProfilePath
 from cellapp.commands.record import Asked, Request, Verb
-from cellapp.ground.outputs import Writes
 
 
 class RehearseRequest(Request):
@@ -20,14 +19,15 @@ class RehearseRequest(Request):
             "Run whose plan is driven; left out, PROFILE-rehearsal beside the profile, planned if it is not there.",
             "DIR",
             option="--run",
-            writes=Writes.OWN_FOLDER,
         ),
     ] = None
     rung: Annotated[
         Literal["simulation", "one-arm", "ten-stops", "both-arms"] | None,
-        Asked("Step to rehearse; left out, the first one that is missing.", "RUNG"),
+        Asked("Step to rehearse; left out, the first one that is missing.", "RUNG", label="step"),
     ] = None
-    arm: Annotated[str | None, Asked("Arm of a step with one arm; left out, the first one.", "NAME")] = None
+    arm: Annotated[str | None, Asked("Arm of a step with one arm; left out, the first one.", "NAME", label="arm")] = (
+        None
+    )
 
 
-VERB = Verb("rehearse", RehearseRequest, chapter="cell", moves_arms=True, checks="rehearsal")
+VERB = Verb("rehearse", RehearseRequest, chapter="cell", moves_arms=True, question="Rehearse?", checks="rehearsal")
