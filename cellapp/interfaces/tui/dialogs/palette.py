@@ -10,6 +10,7 @@ from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
 from textual.command import CommandPalette
 
+from cellapp.commands.rehearse.request import VERB as REHEARSE
 from cellapp.commands.touch.request import VERB as TOUCH
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.offers import offer_rehearsal, offer_touch, offer_verb, verbs_of_run
