@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from cellapp.cell.driving.rehearsal import RUNGS
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import note_profile
 from cellapp.commands.record import Work
-from cellapp.commands.rehearse.record_file import missing_sentence, note_profile, read_log, record_path
+from cellapp.commands.rehearse.record_file import missing_sentence, read_log, record_path
 from cellapp.commands.rehearse.request import RehearseRequest
 from cellapp.commands.rehearse.result import RehearseResult
 from cellapp.commands.rehearse.run import run as rehearse
@@ -28,9 +30,9 @@ from tests.commands.test_emulate import CLI_HOSTS, PACE, wire_profile
 HOSTS = CLI_HOSTS
 
 
-def one_rung(path: Path, said: list[str] | None = None, **asked: object) -> RehearseResult:
+def one_rung(path: Path, said: list[str] | None = None, **asked: Any) -> RehearseResult:
     work = Work(ignore, JobControl(), lambda _: None, NEW_ONLY, say=(said if said is not None else []).append)
-    request = RehearseRequest(profile=path, run_folder=path.parent / "rehearsal", **asked)  # type: ignore[arg-type]
+    request = RehearseRequest(profile=path, run_folder=path.parent / "rehearsal", **asked)
     result = rehearse(request, work)
     assert RehearseResult.from_json(result.to_json(), "test") == result
     return result
@@ -96,7 +98,7 @@ def test_collect_says_what_is_missing_of_real_arms_only(tmp_path: Path) -> None:
         ({"rung": "both-arms", "arm": "left"}, "'both-arms' drives all arms"),
     ],
 )
-def test_bad_requests_are_one_sentence(tmp_path: Path, asked: dict[str, object], words: str) -> None:
+def test_bad_requests_are_one_sentence(tmp_path: Path, asked: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         one_rung(wire_profile(tmp_path), **asked)
 

@@ -20,5 +20,18 @@ class DoctorRequest(Request):
         Asked("Write the controllers' own calibrations here, for arms.*.factory.", "DIR", writes=Writes.FOLDER),
     ] = None
 
+    bundle: Annotated[
+        Path | None,
+        Asked(
+            "Pack versions, profile, findings, a run's log and states of the controllers for a report to the authors.",
+            "FILE",
+            writes=Writes.FILE,
+        ),
+    ] = None
+    run_folder: Annotated[
+        Path | None,
+        Asked("Run whose log is packed; left out, the newest of this cell below logs.", "DIR", option="--run"),
+    ] = None
+
 
 VERB = Verb("doctor", DoctorRequest, chapter="cell")

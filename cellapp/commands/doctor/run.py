@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection
 
 from cellapp.cell.driving.controller_tables import controller_files, factory_findings, factory_tables
@@ -9,6 +10,7 @@ from cellapp.cell.driving.examination import examine, probe
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_new
+from cellapp.commands.doctor.bundle import bundle, newest_run
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import ControllerCalibration, DeviceReport, DoctorResult
 from cellapp.commands.doctor.result import Finding as ResultFinding
@@ -29,14 +31,23 @@ from drivers.trackers.settings import TrackerSettings
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
     """Check all that the profile names, and write what the controllers report of themselves where that is asked for."""
     profile = load_profile(request.profile)
+    began_s = time.monotonic()
     result = examine_run(profile)
+    seconds = time.monotonic() - began_s
+    if request.bundle is not None:
+        folder = request.run_folder or newest_run(profile)
+        work.outputs.write(request.bundle, bundle(request.profile, profile, result, folder, seconds))
+        result = result.model_copy(update={"written": (request.bundle,)})
+    elif request.run_folder is not None:
+        raise InputError("--run: only with --bundle")
     if request.controllers is None:
         return result
     tables = factory_tables(profile, _reports(result))
     if not tables:
         raise InputError("--controllers: no controller reports a calibration of its own; nothing was written")
     files = {request.controllers / name: text for name, text in controller_files(tables, profile).items()}
-    return result.model_copy(update={"written": write_new(files, work.outputs)})
+    written = (*(result.written or ()), *write_new(files, work.outputs))
+    return result.model_copy(update={"written": written})
 
 
 def examine_run(profile: Profile) -> DoctorResult:

@@ -31,12 +31,12 @@ from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_planne
 from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import note_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.check_view import file_refusal_sentence
 from cellapp.commands.plan.request import PlanRequest
 from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.record import Work
-from cellapp.commands.rehearse.record_file import note_profile
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted, listed_numbers
 from cellapp.ground.errors import CheckFailed, InputError

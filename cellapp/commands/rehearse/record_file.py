@@ -7,13 +7,11 @@ from pathlib import Path
 
 from cellapp.cell.driving.rehearsal import RUNGS, RungName
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import noted_profile
 from cellapp.commands.rehearse.result import RehearsalLog
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile import Profile
-
-PROFILE_FILE = "profile file"
-"""Name of the stored result: where the profile of a run was, as JSON text of a path."""
 
 
 def record_path(profile: Path) -> Path:
@@ -50,18 +48,13 @@ def missing_rungs(log: RehearsalLog) -> tuple[RungName, ...]:
     return tuple(name for name in RUNGS if name not in log.rungs or not log.rungs[name].passed)
 
 
-def note_profile(run: RunFile, path: Path) -> None:
-    """Keep in a run where its profile's file is."""
-    run.write_result(PROFILE_FILE, str(path.resolve()))
-
-
 def missing_sentence(run: RunFile) -> str:
     """Which rungs a run of real arms has not behind it, as a sentence; empty where none is missing or arms are none."""
-    path = run.read_result(PROFILE_FILE)
+    path = noted_profile(run)
     if not run.profile.moves_hardware:
         return ""
     try:
-        missing = tuple(RUNGS) if path is None else missing_rungs(read_log(Path(path), run.profile))
+        missing = tuple(RUNGS) if path is None else missing_rungs(read_log(path, run.profile))
     except InputError as error:
         return str(error)
     if not missing:

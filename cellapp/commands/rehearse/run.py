@@ -11,10 +11,11 @@ from cellapp.cell.driving.rehearsal import RUNGS, Rehearsal, RungName, rehearse
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import note_profile
 from cellapp.commands.confirm import Ask, first_path_words, require_permission
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.record import Work
-from cellapp.commands.rehearse.record_file import missing_rungs, note_profile, read_log, write_log
+from cellapp.commands.rehearse.record_file import missing_rungs, read_log, write_log
 from cellapp.commands.rehearse.request import RehearseRequest
 from cellapp.commands.rehearse.result import RehearsedMotionRecord, RehearseResult
 from cellapp.ground.errors import InputError

@@ -57,5 +57,6 @@ async def test_the_palette_rehearses_the_profile_that_is_open() -> None:
         {one.title: one for one in possible_commands(app, app.day_screen)}["cellapp rehearse"].callback()
         await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and "step" in shown_text(app), "the dialog")
         app.screen.query_one("#rung", Input).value = "both-arms"
+        assert isinstance(app.screen, VerbQuestion)
         app.screen.action_answer("begin")
         await until(pilot, lambda: "has no controller" in app.message, "the refusal of simulated arms")
