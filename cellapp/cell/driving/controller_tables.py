@@ -97,7 +97,7 @@ def controller_files(tables: Mapping[str, FactoryTable], profile: Profile) -> di
     """Name and text of a file of each arm's calibration."""
     return {
         CONTROLLER_FILE.format(arm=name): controller_file_text(
-            table.deltas,
+            table.deltas.tolist(),
             table.checksum,
             (f"What the controller of arm {name} of {profile.name} adds to the published rows of its arm.",),
         )

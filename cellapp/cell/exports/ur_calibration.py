@@ -35,7 +35,7 @@ def ur_calibration(export: ArmExport, sentences: Sequence[str]) -> str:
         *(f"  {name} = {nominal[:, place].tolist()}" for name, place in (("a", 2), ("d", 1), ("alpha", 3))),
         *frame_sentences(export),
     ]
-    return controller_file_text(delta, "", comment)
+    return controller_file_text(delta.tolist(), "", comment)
 
 
 def frame_sentences(export: ArmExport) -> list[str]:

@@ -6,13 +6,11 @@
 from __future__ import annotations
 
 import configparser
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.transforms import Array
 
 _SECTION = "mounting"
 _LISTS = ("delta_theta", "delta_a", "delta_d", "delta_alpha")
@@ -23,7 +21,7 @@ degrees, nine digits lose 0.5 um in the median and 8 um at most, twelve 0.01 um 
 
 
 def controller_table(text: str, path: Path) -> dict[str, object]:
-    """The values of ``ControllerTable`` from the text of a ``calibration.conf``; other keys are of the joints alone.
+    """The values of a profile's section ``factory`` from the text of a ``calibration.conf``; its other keys are left.
 
     Raises
     ------
@@ -47,9 +45,9 @@ def controller_table(text: str, path: Path) -> dict[str, object]:
     return found
 
 
-def controller_file_text(deltas: Array, checksum: str, comment: Sequence[str] = ()) -> str:
-    """The text of a ``calibration.conf`` of deltas (N, 4) of theta, d, a, alpha [rad, m]."""
-    columns = dict(zip(("delta_theta", "delta_d", "delta_a", "delta_alpha"), deltas.T.tolist(), strict=True))
+def controller_file_text(deltas: Sequence[Sequence[float]], checksum: str, comment: Sequence[str] = ()) -> str:
+    """The text of a ``calibration.conf`` of rows of deltas of theta, d, a, alpha [rad, m], one a joint."""
+    columns = dict(zip(("delta_theta", "delta_d", "delta_a", "delta_alpha"), zip(*deltas, strict=True), strict=True))
     lines = [f"# {line}" for line in comment] + [f"[{_SECTION}]"]
     lines += [f"{name} = [ {', '.join(f'{value:.{_DIGITS}g}' for value in columns[name])}]" for name in _LISTS]
     if checksum:
@@ -64,6 +62,6 @@ def _numbers(text: str | None, name: str, path: Path) -> list[float]:
         numbers = [float(word) for word in text.strip().removeprefix("[").removesuffix("]").split(",")]
     except ValueError:
         raise InputError(f"{path}: {name}: expected numbers between commas, as [ 0.0012, -0.0003]") from None
-    if not np.isfinite(numbers).all():
+    if not all(map(math.isfinite, numbers)):
         raise InputError(f"{path}: {name}: a value is not a finite number")
     return numbers

@@ -255,7 +255,7 @@ def test_a_controller_that_holds_the_file_computes_by_the_calibrated_rows() -> N
         kinematics = ask(emulator).kinematics
     assert kinematics is not None
     np.testing.assert_array_equal(kinematics.rows, controller_rows(arm))
-    text = controller_file_text(kinematics.rows - controller_rows(export.arm), kinematics.checksum)
+    text = controller_file_text((kinematics.rows - controller_rows(export.arm)).tolist(), kinematics.checksum)
     again = ControllerTable.model_validate(controller_table(text, Path("left.conf")))
     assert again.checksum == "-".join(["00000001"] * 6)
     nominal = nominal_arm(arm.model_copy(update={"factory": again}))

@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
         own, left = factory_calibration(build_plant(twin), "left"), twin.arms["left"]
         assert own is not None
-        text = controller_file_text(own.rows - published_rows(left), own.checksum, ("a comment",))
+        text = controller_file_text((own.rows - published_rows(left)).tolist(), own.checksum, ("a comment",))
         table = ControllerTable.model_validate(controller_table(text, Path("left.conf")))
         twin = twin.model_copy(update={"arms": {**twin.arms, "left": left.model_copy(update={"factory": table})}})
         with new_planned_run(twin, folder) as run:
