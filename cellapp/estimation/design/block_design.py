@@ -214,7 +214,8 @@ class BlockDesign:
         """
         if count >= len(rows):
             return np.arange(len(rows))
-        C, CWC = (matrix.astype(np.float32) for matrix in self._matrices())
+        single = np.dtype(np.float32)
+        C, CWC = (np.asarray(matrix, dtype=single) for matrix in self._matrices())
         all_of = _Tracked.of(rows.astype(np.float32, copy=False), C, CWC)
         return np.argpartition(-_trace_of_solution(all_of.V, all_of.U, 1.0), count)[:count]
 
