@@ -116,7 +116,7 @@ class InformationModel:
         return self._rows(q, conditions, weighted=False)
 
     def _rows(self, q: Array, conditions: MeasurementConditions, dtype: type = np.float64, *, weighted: bool) -> Array:
-        found = np.empty((len(q), 3, len(self.size)), dtype=dtype)
+        found: Array = np.empty((len(q), 3, len(self.size)), dtype=dtype)
         for first in range(0, len(q), _ROWS_AT_ONCE):
             part = np.arange(first, min(first + _ROWS_AT_ONCE, len(q)))
             context = self.model.context(q[part], conditions=conditions.take(part))

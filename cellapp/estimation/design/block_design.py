@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,8 @@ _APART = 40
 """Changes after which C and C W C are changed: until then products with narrow matrices stand for them."""
 Rows = NDArray[np.intp]
 """Numbers of candidates."""
+Floats = NDArray[np.floating[Any]]
+"""In single or double precision."""
 
 
 class Shares(NamedTuple):
@@ -143,15 +145,15 @@ class _Tracked:
     between nearly equal candidates, and the same seed gives other plans on other processors.
     """
 
-    rows: Array
+    rows: Floats
     V: Array
     U: Array
 
     @classmethod
-    def of(cls, rows: Array, C: Array, CWC: Array) -> _Tracked:
+    def of(cls, rows: Floats, C: Floats, CWC: Floats) -> _Tracked:
         flat = rows.reshape(-1, rows.shape[2])
 
-        def products(matrix: Array) -> Array:
+        def products(matrix: Floats) -> Array:
             ahead = (flat @ matrix).reshape(rows.shape)
             return np.asarray(np.einsum("sap,sbp->abs", ahead, rows))
 
@@ -214,8 +216,7 @@ class BlockDesign:
         """
         if count >= len(rows):
             return np.arange(len(rows))
-        single = np.dtype(np.float32)
-        C, CWC = (np.asarray(matrix, dtype=single) for matrix in self._matrices())
+        C, CWC = (matrix.astype(np.float32) for matrix in self._matrices())
         all_of = _Tracked.of(rows.astype(np.float32, copy=False), C, CWC)
         return np.argpartition(-_trace_of_solution(all_of.V, all_of.U, 1.0), count)[:count]
 
