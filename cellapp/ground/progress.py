@@ -223,6 +223,46 @@ class AirReport:
 
 
 @dataclass(frozen=True)
+class SweepLive:
+    """How far a sweep is that is driven and recorded now; told a few times a second at most.
+
+    Attributes
+    ----------
+    stop : int
+        Number of the stop, from 0, about which the arm swings.
+    arm, name : str
+        The arm, and the name of its sweep.
+    duration_s, done_s : float
+        Time of the whole motion, and up to now [s].
+    state : str
+        ``searching``: the beam broke; the arm rests, and the tracker is led to its SMR again.
+    points, points_missing, samples, samples_missing : int
+        Points of the tracker and samples of the controller that have come, and that did not by their own clocks.
+    lost_beams : int
+        How often the beam broke.
+    distance_m, point_age_s : float or None
+        Distance of the newest point from the tracker [m], and how long ago it came [s]; None before the first point.
+    trace : tuple
+        What is new of the SMR's speed: times since the first point by the tracker's clock [s], and speeds [mm/s].
+    """
+
+    stop: int
+    arm: str
+    name: str
+    duration_s: float
+    state: Literal["moving", "searching", "done"] = "moving"
+    done_s: float = 0.0
+    points: int = 0
+    points_missing: int = 0
+    samples: int = 0
+    samples_missing: int = 0
+    lost_beams: int = 0
+    distance_m: float | None = None
+    point_age_s: float | None = None
+    trace: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
 class LogReport:
     """A line of the run's log; ``level`` is info, warning, error or note."""
 
@@ -242,6 +282,7 @@ Detail = (
     | PointMeasured
     | PointMissed
     | AirReport
+    | SweepLive
     | LogReport
 )
 

@@ -42,6 +42,11 @@ class JointRecord:
         return int(np.maximum(np.rint(np.diff(self.time_s) / self.period_s) - 1.0, 0.0).sum())
 
 
+def counts_so_far(count: int, began_s: float, latest_s: float, period_s: float) -> tuple[int, int]:
+    """How many samples have come, and how many did not by the stamps of the first and of the newest one [s]."""
+    return count, max(round((latest_s - began_s) / period_s) + 1 - count, 0)
+
+
 @runtime_checkable
 class RecordingArm(Protocol):
     """What an arm can do besides, if its driver records every sample of its controller."""
@@ -54,6 +59,9 @@ class RecordingArm(Protocol):
 
         While a recording is on. Raises ``LinkLost``.
         """
+
+    def recorded(self) -> tuple[int, int]:
+        """How many samples have come of the recording that is on, and how many did not; never blocks."""
 
     def end_recording(self) -> JointRecord:
         """End recording and return all samples. Raises ``LinkLost`` if the connection ended before."""

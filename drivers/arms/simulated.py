@@ -278,6 +278,10 @@ class SimulatedArm:
         """A simulated arm has no output."""
         return False
 
+    def recorded(self) -> tuple[int, int]:
+        """Return how many samples there are; none is missing."""
+        return len(self._record or ()), 0
+
     def end_recording(self) -> JointRecord:
         """Return all samples."""
         self._link()

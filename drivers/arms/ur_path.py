@@ -82,6 +82,11 @@ class UrPathArm(UrArm):
         """Let the controller's output give a pulse; False without one."""
         return self._recorder is not None and self._recorder.pulse()
 
+    def recorded(self) -> tuple[int, int]:
+        """Return how many samples have come, and how many did not."""
+        recorder = self._recorder
+        return (0, 0) if recorder is None else recorder.so_far()
+
     def end_recording(self) -> JointRecord:
         """Return all samples. Raises ``LinkLost`` if the connection ended before."""
         recorder, self._recorder = self._recorder, None

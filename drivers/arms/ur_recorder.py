@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.arms.protocol import LinkLost
-from drivers.arms.recording import JointRecord
+from drivers.arms.recording import JointRecord, counts_so_far
 from drivers.arms.ur_links import RTDE_PORT, Connection, cause
 from drivers.arms.ur_rtde_reader import Outputs
 from drivers.patience import Patience
@@ -71,6 +71,12 @@ class UrRecorder:
         time.sleep(_PULSE_S)
         self._pulses((bit, 0))
         return True
+
+    def so_far(self) -> tuple[int, int]:
+        """How many states have come, and how many did not; from any thread."""
+        count = len(self._states)
+        first_s, latest_s = (self._states[row]["timestamp"][0] for row in (0, count - 1))
+        return counts_so_far(count, first_s, latest_s, self._period_s)
 
     def end(self) -> JointRecord:
         """Close the connection and return all samples. Raises ``LinkLost`` if the connection ended before."""

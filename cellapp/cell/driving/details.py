@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from cellapp.cell.run import Outcome
 from cellapp.estimation.readings import Reading
-from cellapp.ground.progress import JobState, MotionEnded, PointMeasured
+from cellapp.ground.counting import counted
+from cellapp.ground.progress import JobState, MotionEnded, PointMeasured, SweepLive
 from drivers.arms.protocol import ArmState
 
 _STATES: dict[str, JobState | None] = {
@@ -37,6 +38,31 @@ def record_sentence(kind: str, reason: str) -> str:
 def missed_sentence(outcome: Outcome) -> str:
     """Return the line of the log for an SMR that was not measured."""
     return f"stop {outcome.stop + 1}, arm {outcome.arm}: {outcome.kind}: {outcome.reason}"
+
+
+def sweep_sentence(live: SweepLive) -> str:
+    """Return how far a sweep is, and what has come of it: "stop 3: sweep of left 62 %, 10 of 16 s, SMR at 3.412 m"."""
+    share = live.done_s / live.duration_s if live.duration_s else 1.0
+    begun = f"stop {live.stop + 1}: sweep of {live.arm} {share:.0%}, {live.done_s:.0f} of {live.duration_s:.0f} s"
+    parts = [f"{begun}, the beam is searched" if live.state == "searching" else begun, *sweep_counts(live)]
+    return ", ".join(parts)
+
+
+def sweep_counts(live: SweepLive) -> list[str]:
+    """Return what has come of a sweep: its newest point, points and samples, lost beams; nothing before a point."""
+    if not live.points:
+        return []
+    age = "" if live.point_age_s is None else f", {live.point_age_s:.1f} s ago"
+    return [
+        *([] if live.distance_m is None else [f"SMR at {live.distance_m:.3f} m{age}"]),
+        _came(live.points, "point", live.points_missing),
+        _came(live.samples, "joint sample", live.samples_missing),
+        *([f"beam lost {counted(live.lost_beams, 'time')}"] if live.lost_beams else []),
+    ]
+
+
+def _came(count: int, what: str, missing: int) -> str:
+    return counted(count, what) + (f" ({missing} missing)" if missing else "")
 
 
 def vectors(q: Mapping[str, NDArray[np.float64]]) -> dict[str, tuple[float, ...]]:

@@ -29,6 +29,8 @@ _MOVE_ALLOWANCE_S = 10.0
 """Start and settling of a motion, added to twice its ideal duration."""
 _ROUND_S = 1.0
 """Longest wait for one arm before its speed slider is read: a lowered slider makes a motion longer."""
+_LOOK_S = 0.5
+"""The same where somebody looks on."""
 _LEAST_FRACTION = 0.01
 """A lower speed slider counts as 0: the motion would take a hundred times as long."""
 _STANDSTILL_S = 60.0
@@ -191,10 +193,13 @@ class Mover:
                 raise self.stop_cell(cause_of(name, error)) from error
         return self._settled(list(targets), 2.0 * expected_s + _MOVE_ALLOWANCE_S)
 
-    def follow(self, name: str, q: Vector, s: Vector, period_s: float) -> FollowedPath:
+    def follow(
+        self, name: str, q: Vector, s: Vector, period_s: float, look: Callable[[], None] | None = None
+    ) -> FollowedPath:
         """Let an arm at the beginning of a path follow it, while the others rest, and wait until it is at rest.
 
-        Its ``end_path`` may end it earlier, at ``FollowedPath.reached``.
+        Its ``end_path`` may end it earlier, at ``FollowedPath.reached``. ``look`` is called when it sets out and each
+        half second of the way.
 
         Parameters
         ----------
@@ -230,7 +235,7 @@ class Mover:
                 arm.start_path(q, period_s)
             except ArmError as error:
                 raise self.stop_cell(cause_of(name, error)) from error
-            states = self._settled([name], expected_s + _MOVE_ALLOWANCE_S)
+            states = self._settled([name], expected_s + _MOVE_ALLOWANCE_S, look)
         followed = arm.followed()
         part = driven(q, followed.reached)
         self._record_step(name, start[name], part[-1], states[name].q)
@@ -294,20 +299,25 @@ class Mover:
         if self.refusal({name: q}, {name: home}):
             self.move({name: home})
 
-    def _settled(self, names: Sequence[str], timeout_s: float) -> dict[str, ArmState]:
-        """Wait for the arms in turn, until each of them was at rest in the same round.
+    def _settled(
+        self, names: Sequence[str], timeout_s: float, look: Callable[[], None] | None = None
+    ) -> dict[str, ArmState]:
+        """Wait for the arms in turn, until each of them was at rest in the same round; ``look`` is called in each.
 
         A doubt about any arm brakes all of them, which ends every wait at once.
         """
         for name in names:
             self._rest_since_s.pop(name, None)
         left_s, standing_s, late = timeout_s, 0.0, ""
+        round_s = _ROUND_S if look is None else _LOOK_S
         while left_s > 0.0 and standing_s < _STANDSTILL_S:
             states, fraction = {}, 1.0
+            if look is not None:
+                look()
             for name in names:
                 try:
                     with self._cell.pulse.waiting(self._cell.oldest_data_s):
-                        states[name] = self._cell.arms[name].wait_settled(_ROUND_S)
+                        states[name] = self._cell.arms[name].wait_settled(round_s)
                 except ArmTimeout:
                     slider = self._state(name).speed_fraction  # None: its controller does not report it
                     late, fraction = name, fraction if slider is None else min(fraction, slider)
@@ -321,9 +331,9 @@ class Mover:
                 return states
             self._reaction.check()
             if fraction < _LEAST_FRACTION:
-                standing_s += _ROUND_S
+                standing_s += round_s
             else:
-                left_s -= _ROUND_S * fraction
+                left_s -= round_s * fraction
         text = f"arm {late}: did not come to rest within {timeout_s:.0f} s"
         if standing_s >= _STANDSTILL_S:
             text = f"arm {late}: its speed slider is at 0 %, so that it does not move; raise it on the pendant"

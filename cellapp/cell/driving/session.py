@@ -98,7 +98,7 @@ class CollectSession:
         driver = SweepDriver(
             self.cell, self._mover, self.bodies, self.reaction, self.control, 1.0 / self._settings.motion_rate
         )
-        self._sweeps = Sweeps(self.run, driver, self.number, self._note, self._say)
+        self._sweeps = Sweeps(self.run, driver, self.number, self._note, self._emit)
         self._travel = Travel(profile, self._mover, self.work)
         self._forbidden: set[int] = set()
         self._warm_until_s: float | None = None
@@ -198,10 +198,7 @@ class CollectSession:
         except (MotionRefused, TargetLost, WrongTarget) as error:
             self._sweeps.leave_out(stop, str(error))
         else:
-            self._say(f"stop {stop + 1}: sweeps of {' and '.join(recorded) or 'no arm'} are recorded")
-
-    def _say(self, text: str) -> None:
-        self._emit(note=text)
+            self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded) or 'no arm'} are recorded")
 
     def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
         """Refit the running model and say what it shows; suspicions are logged."""

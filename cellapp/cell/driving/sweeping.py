@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cellapp.cell.driving.details import sweep_sentence
 from cellapp.cell.driving.driven_sweep import SweepDriver, SweepPart, why_no_sweeps
+from cellapp.cell.driving.live_sweep import LiveSweep
 from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states, store_recording
@@ -21,6 +23,7 @@ from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
+from cellapp.ground.progress import SweepLive
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.paths.sweep import Sweep
 
@@ -37,10 +40,14 @@ def sweeps_left(run: RunFile) -> dict[int, list[PlannedSweep]]:
 
 
 class Sweeps:
-    """The planned sweeps of a run that are not recorded yet. ``note`` is for a person, ``say`` for who looks on."""
+    """The planned sweeps of a run that are not recorded yet. ``note`` is for a person, ``tell`` what one who looks on
+    hears, with a sentence."""
 
-    def __init__(self, run: RunFile, driver: SweepDriver, session: int, note: Say, say: Say) -> None:
-        self._run, self._driver, self._note, self._say = run, driver, note, say
+    def __init__(
+        self, run: RunFile, driver: SweepDriver, session: int, note: Say, tell: Callable[[SweepLive, str], None]
+    ) -> None:
+        self._run, self._driver, self._note = run, driver, note
+        self._tell: Callable[[SweepLive], None] = lambda live: tell(live, sweep_sentence(live))
         self._session = f"sweeps-{session}"
         self._waiting = sweeps_left(run)
         if self._waiting and driver.cell.record_sweep is None:
@@ -87,16 +94,19 @@ class Sweeps:
 
     def _record(self, sweep: PlannedSweep, motion: Sweep) -> bool:
         """Record one sweep; whether anything was stored."""
-        self._say(f"stop {sweep.stop + 1}: sweep of arm {sweep.arm}, {motion.period_s:.0f} s")
+        begins = SweepLive(sweep.stop, sweep.arm, sweep.name, duration_s=motion.period_s)
+        self._tell(begins)
+        live = LiveSweep(begins, self._driver.interval_s, self._tell)
         calculated = self._driver.cell.record_sweep
         if calculated is not None:
             found = calculated(sweep.arm, motion.at(motion.times(CYCLE_S)), CYCLE_S)
             joints = _joint_columns(found.joint_time_s, q=found.q, qd=found.qd)
             points = _point_columns(found.point_time_s, found.p_M, found.sigma_m)
             store_recording(self._run, self._streams(sweep, sweep.name, joints, points))
+            live.calculated(found)
             return True
         stored = 0
-        for part in self._driver.drive(sweep.arm, motion, self._note):
+        for part in self._driver.drive(sweep.arm, motion, self._note, live):
             stored += self._stored(sweep, part)
         return stored > 0
 

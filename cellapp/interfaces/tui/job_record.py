@@ -28,6 +28,7 @@ from cellapp.ground.progress import (
     StateChange,
     StopReport,
     Suspicion,
+    SweepLive,
 )
 from cellapp.interfaces.tui.live_words import halt_of, without_data
 
@@ -100,12 +101,15 @@ class TrackerRecord:
         The newest point.
     air : AirReport or None
         The newest state of the air, from the weather station or else from the tracker.
+    sweep : SweepLive or None
+        How far the sweep is that it follows; None where it follows none.
     """
 
     arm: str | None = None
     measuring: bool = False
     point: PointMeasured | None = None
     air: AirReport | None = None
+    sweep: SweepLive | None = None
 
 
 @dataclass(frozen=True)
@@ -153,6 +157,10 @@ class JobRecord:
         Arm -> reports of its stops, oldest first.
     references : list
         Reports of reference measurements, oldest first.
+    sweep : SweepLive or None
+        How far the newest sweep is; None before the first.
+    sweep_trace : list
+        The speeds of its SMR that were heard, as in ``SweepLive``.
     suspicions : list
         What the measurements made doubtful.
     log : deque
@@ -179,6 +187,8 @@ class JobRecord:
     tracker: TrackerRecord = field(default_factory=TrackerRecord)
     stops: dict[str, list[StopReport]] = field(default_factory=dict)
     references: list[ReferenceReport] = field(default_factory=list)
+    sweep: SweepLive | None = None
+    sweep_trace: list[tuple[float, float]] = field(default_factory=list)
     suspicions: list[Suspicion] = field(default_factory=list)
     log: deque[LogRow] = field(default_factory=lambda: deque(maxlen=MOST_LINES))
     log_written: int = 0
@@ -208,6 +218,7 @@ class JobRecord:
         self.since = datetime.now()
         for kept in (self.progress, self.paces, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()
+        self.sweep, self.sweep_trace = None, []
         self.causes, self.lost = (), ()
         self.changes += 1
 
@@ -266,12 +277,21 @@ class JobRecord:
                 self.suspicions.append(detail)
             case ReferenceReport():
                 self.references.append(detail)
+            case SweepLive():
+                self._take_sweep(detail)
             case AirReport():
                 self.tracker = replace(self.tracker, air=detail)
             case MotionBegun() | MotionEnded():
                 self._take_motion(detail)
             case StopReport() | MeasurementBegun() | PointMeasured() | PointMissed():
                 self._take_measurement(detail)
+
+    def _take_sweep(self, live: SweepLive) -> None:
+        if self.sweep is None or (live.arm, live.name) != (self.sweep.arm, self.sweep.name):
+            self.sweep_trace = []
+        self.sweep = live
+        self.sweep_trace += live.trace
+        self.tracker = replace(self.tracker, arm=live.arm, sweep=None if live.state == "done" else live)
 
     def _arm(self, name: str) -> ArmRecord:
         return self.arms.get(name, ArmRecord())
@@ -325,7 +345,7 @@ class JobRecord:
         for name, arm in self.arms.items():
             if arm.activity in ("moving", "settling", "measuring", "stopped", "asked", "braking", "at rest"):
                 self.arms[name] = replace(arm, activity=activity, expected_s=None)
-        self.tracker = replace(self.tracker, measuring=False)
+        self.tracker = replace(self.tracker, measuring=False, sweep=None)
 
     def _log_detail(self, job: str, detail: Detail) -> None:
         """Write a line, where the job writes none of its own for this detail."""

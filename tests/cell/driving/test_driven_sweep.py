@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +24,7 @@ from cellapp.estimation.motion.tracks import track_of
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.collection import Collection
+from cellapp.ground.progress import Progress, SweepLive
 from cellapp.robot.model.nominal import nominal_arm
 from cellapp.robot.paths.sweep import Sweep
 from drivers.arms.protocol import ArmError
@@ -92,13 +93,19 @@ def plant_of(cell: Cell) -> Plant:
     return cell.clock.plant
 
 
+def sweeps_in(heard: Sequence[Progress], arm: str) -> list[SweepLive]:
+    """What those who look on heard of the sweeps of an arm."""
+    return [one.detail for one in heard if isinstance(one.detail, SweepLive) and one.detail.arm == arm]
+
+
 def names(run: RunFile) -> set[tuple[str, str]]:
     return {(one.arm, one.part_of) for one in recording_states(run) if one.reached_s is None}
 
 
 def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path: Path) -> None:
+    heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        assert collect_run(run, opened=driven_cell()).outcome == "complete"
+        assert collect_run(run, heard.append, opened=driven_cell()).outcome == "complete"
         sweeps = read_sweeps(run)
         assert len(sweeps) >= 2
         assert names(run) == {(one.arm, one.name) for one in sweeps}
@@ -108,6 +115,21 @@ def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path
             assert state.joints.gaps == state.points.gaps == 0
             assert PERIOD_S < state.points.seconds < PERIOD_S + 2.0
         recording = read_recordings_of(run, sweeps[0].arm)[0]
+        told = sweeps_in(heard, recording.arm)
+        assert len(told) <= 3 + 4 * (PERIOD_S + 1.0), "few enough to be looked at"
+        assert [one.state for one in told] == ["moving"] * (len(told) - 1) + ["done"]
+        shares = [one.done_s for one in told]
+        assert shares == sorted(shares)
+        assert len(set(shares)) > 2 * (PERIOD_S - 1.0)
+        assert (told[-1].done_s, told[-1].points_missing, told[-1].samples_missing) == (PERIOD_S, 0, 0)
+        assert (told[-1].points, told[-1].samples) == (len(recording.points.p_M), len(recording.joints.q))
+        moved = [one for one in told if one.point_age_s is not None]
+        assert all(0.0 <= one.point_age_s <= 0.1 for one in moved)  # type: ignore[operator]  # packets are late by 40 ms
+        trace = np.array([place for one in told for place in one.trace])
+        np.testing.assert_array_less(0.085, np.diff(trace[:, 0]))
+        way_m = float(np.linalg.norm(np.diff(recording.points.p_M[::10], axis=0), axis=1).sum())
+        assert np.trapezoid(trace[:, 1], trace[:, 0]) == pytest.approx(1e3 * way_m, rel=0.03)
+        assert f"sweep of {recording.arm} 100%, 4 of 4 s" in next(e.note for e in heard if e.detail is told[-1])
         assert np.median(recording.points.time_s - recording.joints.time_s[0]) > 320.0
         nominal = nominal_arm(run.profile.arms[recording.arm])
         start = track_of(recording, nominal, tool_unknown=False, seed=1).start
@@ -138,9 +160,18 @@ def test_a_lost_beam_slows_the_arm_down_and_the_rest_is_a_recording_of_its_own(p
 
         arm.start_path = started  # type: ignore[method-assign]
 
+    heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        collect_run(run, opened=driven_cell(CLOCK, prepare))
+        collect_run(run, heard.append, opened=driven_cell(CLOCK, prepare))
         assert len(broken) == 1
+        told = sweeps_in(heard, "left")
+        searching = next(place for place, one in enumerate(told) if one.state == "searching")
+        assert {one.lost_beams for one in told[:searching]} == {0}
+        assert {one.lost_beams for one in told[searching:]} == {1}
+        assert 2.0 < told[searching].done_s < told[-1].done_s == PERIOD_S
+        points = [one.points for one in told]
+        assert points == sorted(points), "of both parts together"
+        assert np.max(np.diff([at_s for one in told for at_s, _ in one.trace])) > 1.0, "nothing was seen meanwhile"
         parts = [one for one in recording_states(run) if one.arm == "left" and one.part_of == "sweep-1"]
         assert [one.name for one in parts] == ["sweep-1", "sweep-1.2"]
         assert parts[0].reached_s is not None

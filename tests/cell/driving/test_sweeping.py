@@ -25,6 +25,7 @@ from cellapp.commands.plan.run import new_planned_run, plan_result
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
+from cellapp.ground.progress import Progress, SweepLive
 from tests.twin import small_twin
 
 STOPS = 4
@@ -87,13 +88,23 @@ def test_a_cell_without_room_for_a_sweep_is_refused() -> None:
 
 def test_collecting_records_each_sweep_once_and_calibrates(planned: Path, tmp_path: Path) -> None:
     with copied(planned, tmp_path) as run:
-        collect_run(run)
+        heard: list[Progress] = []
+        collect_run(run, heard.append)
         sweeps = read_sweeps(run)
         states = recording_states(run)
         assert {(one.arm, one.name) for one in states} == {(one.arm, one.name) for one in sweeps}
         for name in run.profile.arms:
             (recording,) = read_recordings_of(run, name)
             assert (np.diff(recording.joints.time_s) > 0.0).all()
+        done = {
+            (one.detail.arm, one.detail.name): one.detail
+            for one in heard
+            if isinstance(one.detail, SweepLive) and one.detail.state == "done"
+        }
+        for one in states:
+            live = done[one.arm, one.name]
+            assert (live.points, live.points_missing) == (one.points.n, one.points.lost)
+            assert len(live.trace) > 5.0 * live.duration_s
         result = calibrate_run(run)
         state = collection_state(run)
         assert state is not None

@@ -181,6 +181,7 @@ def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.wait_settled(PATIENT_S)
     pulsed = arm.pulse()
     until(lambda: arm.state().q[0] < 10.0, "a state after the pulse")
+    so_far, missing = arm.recorded()
     record = arm.end_recording()
     assert pulsed == (arm._settings.trigger_output is not None)
     assert len(record.triggers_s) == int(pulsed)
@@ -194,6 +195,9 @@ def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
     np.testing.assert_allclose(np.abs(record.q - HOME).max(axis=0), np.abs(path - HOME).max(axis=0), rtol=0.1)
     assert np.abs(record.qd).max() > 0.1
     assert record.current_a is None
+    assert 100 < so_far <= len(record.time_s)
+    assert missing <= record.missing
+    assert arm.recorded() == (0, 0)
     with pytest.raises(LinkLost, match="not being recorded"):
         arm.end_recording()
 

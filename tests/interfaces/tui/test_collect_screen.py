@@ -16,6 +16,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Static
 
+from cellapp.cell.driving.details import sweep_sentence
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.commands.collect.run import collect_stops
@@ -37,6 +38,7 @@ from cellapp.ground.progress import (
     StateChange,
     StopReport,
     Suspicion,
+    SweepLive,
 )
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
@@ -71,6 +73,12 @@ EVERY_DETAIL: tuple[Detail, ...] = (
     ReferenceReport({"arm left": 0.01}, 0.1),
     ReferenceReport({"arm left": 0.034}, 0.1),
     MotionBegun(None, {"right": Q1}, {"right": Q0}, 3.0),
+)
+SWEEP = SweepLive(2, "left", "sweep-3", 16.0, "moving", 4.0, 1000, 12, 500, 3, 0, 3.4117, 0.12)
+SWEPT = (
+    replace(SWEEP, trace=tuple((0.1 * step, 90.0 + step % 7) for step in range(40))),
+    replace(SWEEP, state="searching", done_s=4.4, points=1090, lost_beams=1, point_age_s=None),
+    replace(SWEEP, done_s=9.0, points=2100, lost_beams=1, trace=tuple((9.0 + 0.1 * step, 120.0) for step in range(40))),
 )
 EVERY_KIND = (
     Progress("plan", 30, 30, "done"),
@@ -194,6 +202,30 @@ async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int])
             await pilot.press("t")
         assert app.focused is app.screen.query_one(LogView)
         await finished(pilot, app, held)
+
+
+@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
+async def test_a_sweep_is_followed_while_the_arm_moves(size: tuple[int, int]) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=size) as pilot:
+        await show_collect(pilot, app)
+        events = [Progress("collect", 4, 30, sweep_sentence(one), 900.0, one) for one in SWEPT]
+        held = HeldJob((*EVERY_KIND, *events))
+        await begun(pilot, app, held)
+        text = " ".join(shown_text(app).split())
+        assert "tracker → left, follows its sweep · SMR at 3.412 m, 0.1 s ago" in text
+        if size != SMALL:
+            for words in ("2100 points (12 missing)", "500 joint samples (3 missing)", "beam lost 1 time"):
+                assert words in text, words
+            assert "stop 3: sweep of left 56%, 9 of 16 s" in text
+        plot = app.screen.query_one("#sweep", ChartPlot)
+        await until(pilot, lambda: plot.chart is not None and not plot.chart.is_empty, "the trace")
+        assert plot.chart is not None
+        assert plot.chart.message == "Arm left, sweep-3: up to 120 mm/s, 9 of 16 s; beam lost 1 time."
+        (drawn,) = plot.chart.series
+        assert np.isnan(drawn.y).sum() == 1, "a gap where the beam was lost"
+        await finished(pilot, app, held)
+        assert "follows its sweep" not in shown_text(app)
 
 
 @pytest.mark.parametrize("count", [1, 3, 90])

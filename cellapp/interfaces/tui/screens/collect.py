@@ -22,6 +22,7 @@ from cellapp.commands.collect.charts import (
     drift_chart,
     live_drift_chart,
     live_residual_chart,
+    live_sweep_chart,
     standard_error_chart,
     stored_residual_chart,
     sweep_chart,
@@ -174,7 +175,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.query_one("#state").tooltip = "The state of the job, and what can be done now."
         self.query_one("#suspicions").tooltip = "What the measurements made doubtful: look at it before you go on."
         for plot in self.query(ChartPlot):
-            plot.tooltip = "Errors of the newest points, standard errors, drift of the references, last sweep."
+            plot.tooltip = "Errors of the newest points, standard errors, drift of the references, the newest sweep."
         self.query_one(f"#{_PLOTS[0]}").add_class("chosen")
         self.query_one(LogPane).view.focus()
 
@@ -421,12 +422,13 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         if self._plot_waits:
             return
         chosen = self.query_one(CollectedStops).chosen
-        state = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace, chosen)
+        stops = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace, chosen)
+        states = {name: (record.sweep, record.state is None) if name == "sweep" else () for name in _PLOTS}
         oldest_first = (*(name for name in _PLOTS if name not in self._plotted), *self._plotted)
-        for name in (name for name in oldest_first if self._plotted.get(name) != state):
+        for name in (name for name in oldest_first if self._plotted.get(name) != (*stops, *states[name])):
             self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
             self._plotted.pop(name, None)
-            self._plotted[name] = state  # now the newest
+            self._plotted[name] = (*stops, *states[name])  # now the newest
             if record.state is not None:
                 self._plot_waits = True
                 self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
@@ -454,6 +456,8 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         """A chart of the job; of what the run stores, where the job has no stop or no reference."""
         collection = self.workspace.collection
         if name == "sweep":
+            if record.sweep is not None and (record.state is not None or collection is None):
+                return live_sweep_chart(record.sweep, record.sweep_trace)
             return sweep_chart(None if collection is None else collection.sweep)
         if name == "drift":
             if record.references or collection is None:

@@ -9,6 +9,7 @@ from textual.content import Content
 from textual.reactive import reactive
 from textual.widget import Widget
 
+from cellapp.cell.driving.details import sweep_counts
 from cellapp.ground.progress import StopReport
 from cellapp.interfaces.tui.job_record import Activity, ArmRecord, TrackerRecord
 from cellapp.interfaces.tui.live_words import HALT_WORDS
@@ -134,7 +135,10 @@ class TrackerPanel(Widget):
 
 
 def tracker_words(tracker: TrackerRecord) -> str:
-    """Arm, newest point [mm], uncertainty [mm] and air in one line."""
+    """Arm, newest point [mm], uncertainty [mm] and air in one line; while it follows a sweep, what has come of that."""
+    if tracker.sweep is not None:
+        doing = "searches the SMR" if tracker.sweep.state == "searching" else "follows its sweep"
+        return " · ".join([f"→ {tracker.sweep.arm}, {doing}", *sweep_counts(tracker.sweep)])
     parts = []
     if tracker.arm is not None:
         parts.append(f"→ {tracker.arm}{', measuring' if tracker.measuring else ''}")

@@ -1,0 +1,140 @@
+"""How far a sweep is, for those who look on: what comes is counted, and told by the job's own thread."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cellapp.ground.progress import SweepLive
+from cellapp.robot.kinematics.transforms import Array
+from drivers.arms.recording import JointRecord, RecordingArm, counts_so_far
+from drivers.clock import Clock
+from drivers.plant.sweep import SweepRecord
+from drivers.trackers.protocol import Packet, Track
+
+_TRACE_S = 0.1
+"""Time between two points of the trace [s]: the noise of a point is some 0.3 mm/s of speed then."""
+
+
+@dataclass
+class _Part:
+    """One recording, from when its motion begins."""
+
+    arm: RecordingArm
+    clock: Clock
+    s_s: Array
+    period_s: float
+    began_s: float | None = None
+    points: int = 0
+    first_s: float = 0.0
+    latest_s: float = 0.0
+
+    def reached_s(self) -> float:
+        """The time of the motion that is sent now [s]."""
+        now_s = self.clock.now_s()
+        if self.began_s is None:
+            self.began_s = now_s
+        return float(np.interp((now_s - self.began_s) / self.period_s, np.arange(len(self.s_s)), self.s_s))
+
+
+@dataclass
+class LiveSweep:
+    """What has come of one sweep. ``received`` takes packets from any thread; all else is the job's thread's.
+
+    ``so_far`` was told last, ``interval_s`` lies between two points of the tracker [s], ``tell`` hears of each change.
+    """
+
+    so_far: SweepLive
+    interval_s: float
+    tell: Callable[[SweepLive], None]
+    _packets: deque[Packet] = field(default_factory=deque)
+    _part: _Part | None = None
+    _counts: Array = field(default_factory=lambda: np.zeros(4))
+    """Of the parts that have ended: points and samples, each with those that did not come."""
+    _began_s: float | None = None
+    _last: tuple[float, Array] | None = None
+    """Stamp [s] and place [m] of the newest point of the trace."""
+    _trace: list[tuple[float, float]] = field(default_factory=list)
+    _arrived_s: float | None = None
+
+    def received(self, packet: Packet) -> None:
+        """Keep a packet until the job's thread looks."""
+        self._packets.append(packet)
+
+    def begin(self, arm: RecordingArm, clock: Clock, s_s: Array, period_s: float) -> None:
+        """A part is on record and moves next, by the motion's times ``s_s`` (m,) [s], one each ``period_s`` [s]."""
+        self._part, self._last = _Part(arm, clock, s_s, period_s), None
+
+    def look(self) -> None:
+        """Tell how far the part is that moves now."""
+        part = self._part
+        assert part is not None
+        self._take(part)
+        missing = max(round((part.latest_s - part.first_s) / self.interval_s) + 1 - part.points, 0)
+        age_s = None if self._arrived_s is None else max(part.clock.now_s() - self._arrived_s, 0.0)
+        counts = self._counts + np.array([part.points, missing, *part.arm.recorded()])
+        self._say(counts, state="moving", done_s=part.reached_s(), point_age_s=age_s)
+
+    def end(self, joints: JointRecord, track: Track, reached_s: float | None) -> None:
+        """A part was recorded: up to ``reached_s`` of the motion, where the beam broke, or to its end."""
+        if self._part is not None:
+            self._take(self._part)
+        self._end([len(track.p_M), track.missing(self.interval_s), len(joints.time_s), joints.missing], reached_s)
+
+    def calculated(self, record: SweepRecord) -> None:
+        """The whole sweep was recorded at once; points without the beam are NaN."""
+        seen = np.isfinite(record.p_M[:, 0])
+        self._follow(record.point_time_s[seen], record.p_M[seen])
+        self.so_far = replace(self.so_far, lost_beams=int(np.sum(np.diff(seen.astype(int)) < 0)))
+        joints_s = record.joint_time_s
+        samples = counts_so_far(len(joints_s), joints_s[0], joints_s[-1], float(np.median(np.diff(joints_s))))
+        self._end([int(seen.sum()), int((~seen).sum()), *samples], None)
+
+    def _end(self, counts: Sequence[int], reached_s: float | None) -> None:
+        """Tell what a part has brought that was recorded as far as ``end`` says."""
+        broken = reached_s is not None
+        self._counts = self._counts + np.array(counts)
+        self._say(
+            self._counts,
+            state="searching" if broken else "done",
+            done_s=self.so_far.duration_s if reached_s is None else reached_s,
+            lost_beams=self.so_far.lost_beams + broken,
+            point_age_s=None,
+        )
+
+    def _take(self, part: _Part) -> None:
+        """Count what has come since the last look."""
+        while self._packets:
+            packet = self._packets.popleft()
+            if not len(packet.p_M):
+                continue
+            if not part.points:
+                part.first_s = float(packet.device_time_s[0])
+            part.points, part.latest_s = part.points + len(packet.p_M), float(packet.device_time_s[-1])
+            self._arrived_s = packet.arrived_s
+            self._follow(packet.device_time_s, packet.p_M)
+
+    def _follow(self, time_s: Array, p_M: Array) -> None:
+        """Let points (n, 3) [m] at their stamps (n,) [s] go into the trace."""
+        began_s = self._began_s = float(time_s[0]) if self._began_s is None else self._began_s
+        self.so_far = replace(self.so_far, distance_m=float(np.linalg.norm(p_M[-1])))
+        chosen = np.unique(np.floor((time_s - began_s) / _TRACE_S), return_index=True)[1]
+        for at_s, place in zip(time_s[chosen].tolist(), p_M[chosen], strict=True):
+            if self._last is not None:
+                since_s = at_s - self._last[0]
+                if since_s < 0.9 * _TRACE_S:
+                    continue
+                speed = 1e3 * float(np.linalg.norm(place - self._last[1])) / since_s
+                self._trace.append((round(at_s - 0.5 * since_s - began_s, 3), round(speed, 2)))
+            self._last = at_s, place
+
+    def _say(self, counts: Array, **new: object) -> None:
+        numbers = zip(
+            ("points", "points_missing", "samples", "samples_missing"), counts.astype(int).tolist(), strict=True
+        )
+        trace, self._trace = tuple(self._trace), []
+        self.so_far = replace(self.so_far, **dict(numbers), **new, trace=trace)  # type: ignore[arg-type]
+        self.tell(self.so_far)
