@@ -32,8 +32,8 @@ RANGES = ("full", "narrow")
 PLANS = ("random", "designed")
 MASS_ERROR = 0.05
 """Standard deviation of true link masses about the nominal ones, relative: they are never known better."""
-FEWEST_STOPS = 40
-"""Below, a quarter of the stops no longer determines the geometry."""
+FEWEST_STOPS = 25
+"""At least 10 are held out; the 15 that are left just determine the geometry."""
 _NARROW_RAD = (math.radians(10.0), math.radians(50.0))
 """Widths of narrow joint ranges."""
 _CENTRES = 30
@@ -109,10 +109,11 @@ class Setup(Record):
         changes: dict[str, object] = {"plant": plant}
         if self.stops is not None:
             quarter = self.stops // 4
+            identify, validate = max(quarter, 15), max(quarter, 10)
             splits = {
-                "identify": max(quarter, 15),
-                "validate_": quarter,
-                "train": self.stops - quarter - max(quarter, 15),
+                "identify": identify,
+                "validate_": validate,
+                "train": self.stops - identify - validate,
                 "pair_identify": quarter,
                 "pair_validate": quarter,
             }
