@@ -358,6 +358,17 @@ def _elbow_hose(draw: Draw) -> dict[str, Any]:
     }
 
 
+def _joint_coupling(draw: Draw) -> dict[str, Any]:
+    return {
+        "joint": 3,
+        "first": 2,
+        "second": min(4, draw.arm.joints),
+        "amplitude": draw.signed_log_uniform(150e-6, 400e-6),
+        "orders": draw.rng.integers(1, 4, 2).tolist(),
+        "phases": draw.angles(2),
+    }
+
+
 def _warm_floor(draw: Draw) -> dict[str, Any]:
     return {"per_kelvin": draw.random_vector(60e-6, 150e-6)}
 
@@ -398,6 +409,7 @@ _UNCATALOGUED: dict[str, Callable[[Draw], dict[str, Any]]] = {
     "wrist_cable": _wrist_cable,
     "draught": _draught,
     "elbow_hose": _elbow_hose,
+    "joint_coupling": _joint_coupling,
     "warm_floor": _warm_floor,
     "workspace_field": _workspace_field,
 }

@@ -247,6 +247,15 @@ def _target_incidence(draw: Draw, plain: _Parameters) -> _Parameters:
     return {"law": "power", "size": size, "power": draw.uniform(2.7, 4.0), "dihedral": plain["dihedral"]}
 
 
+def _workspace_field(draw: Draw, plain: _Parameters) -> _Parameters:
+    # shorter than what some hundred stops resolve
+    return {**plain, "rms": draw.uniform(120e-6, 200e-6), "length": draw.uniform(0.25, 0.35)}
+
+
+def _as_suggested(draw: Draw, plain: _Parameters) -> _Parameters:
+    return plain
+
+
 _OTHER: dict[str, Callable[[Draw, _Parameters], _Parameters]] = {
     "joint_compliance": _joint_compliance,
     "payload_compliance": _payload_compliance,
@@ -270,6 +279,9 @@ _OTHER: dict[str, Callable[[Draw, _Parameters], _Parameters]] = {
     "tracker_distance_offset": _tracker_distance_offset,
     "target_incidence": _target_incidence,
     "tracker_drift": _tracker_drift,
+    "workspace_field": _workspace_field,
+    "joint_coupling": _as_suggested,
+    "crosstalk": _as_suggested,
 }
 
 
@@ -277,6 +289,8 @@ def suggest_other_law(
     slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: float = 18000.0
 ) -> dict[str, Any]:
     """Draw parameters of one effect of ``REALISTIC`` by a law of another shape; as ``suggest`` in all else.
+
+    Of those outside the catalogue some have one: a field in space of short length.
 
     Raises ``ValueError`` for a slug that has no such law or a duration that is not positive.
     """

@@ -7,17 +7,17 @@ what follows is a recording of its own.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from cellapp.cell.driving.beam import Beam, find_again
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.live_sweep import LiveSweep
 from cellapp.cell.driving.motion import WRONG_TARGET_M, Mover
-from cellapp.cell.driving.reaction import StopCause, StopReaction, cause_of
+from cellapp.cell.driving.reaction import StopReaction, cause_of
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
 from cellapp.ground.control import JobControl
 from cellapp.robot.kinematics.transforms import Array
@@ -41,9 +41,7 @@ _STARTS_S = 1.0
 """A motion that goes on in the middle of its way reaches its speed in this time."""
 _PULSES = 3
 """Pulses of the hardware trigger at either end of a recording."""
-_TRIES = 3
-"""To find the SMR again after the beam broke; a person who stands in it has the pauses between them to leave."""
-_PAUSE_S = 1.0
+_FIRST_POINT_S = 1.0
 _MOST_PARTS = 20
 _SHORTEST_S = 0.5
 """A part that is shorter tells nothing, and is not kept."""
@@ -59,21 +57,6 @@ class SweepPart:
     joints: JointRecord
     track: Track
     reached_s: float | None
-
-
-@dataclass
-class _Beam:
-    """What the track that is on has brought."""
-
-    first: Packet | None = None
-    error: TrackerError | None = None
-    came: threading.Event = field(default_factory=threading.Event)
-
-    def received(self, packet: Packet) -> None:
-        """Keep the first packet with a point."""
-        if self.first is None and len(packet.p_M):
-            self.first = packet
-            self.came.set()
 
 
 def why_no_sweeps(cell: Cell, interval_s: float) -> str:
@@ -123,7 +106,7 @@ class SweepDriver:
             q, s_s = _rest_of(sweep, from_s, arm.path_period_s)
             try:
                 if part > 1:
-                    self._find_again(name)
+                    find_again(self.cell, self.mover, self.control, name)
                 found = self._recorded(name, q, s_s, live)
             except (TargetLost, WrongTarget) as error:
                 if part == 1:
@@ -145,25 +128,17 @@ class SweepDriver:
         assert isinstance(arm, RecordingArm)
         assert isinstance(arm, PathFollower)
         assert streaming is not None
-        beam, recorded = _Beam(), False
+        beam, recorded = Beam(arm, self.reaction), False
 
         def received(packet: Packet) -> None:
             beam.received(packet)
             live.received(packet)
 
-        def lost(error: TrackerError) -> None:
-            beam.error = error
-            if isinstance(error, TargetLost):
-                with suppress(ArmError):  # its own doubt stops the cell
-                    arm.end_path()
-            else:
-                self.reaction.trigger(StopCause("tracker", str(error)))
-
         try:
             arm.start_recording()
             recorded = True
             expected_M = predicted_smr(self.bodies, name, q[:1])[0]
-            streaming.start_track(expected_M, self.interval_s, lost, received)
+            streaming.start_track(expected_M, self.interval_s, beam.lost, received)
             self._rest(arm)
             self._require_own(name, beam, expected_M)
             live.begin(arm, self.cell.clock, s_s, arm.path_period_s)
@@ -190,9 +165,9 @@ class SweepDriver:
         self.control.check()
         self.reaction.check()
 
-    def _require_own(self, name: str, beam: _Beam, expected_M: Array) -> None:
+    def _require_own(self, name: str, beam: Beam, expected_M: Array) -> None:
         """Make sure that points come, and that they are those of this arm's SMR. Raises ``TrackerError``."""
-        self.cell.tracker.confirm(_PAUSE_S)
+        self.cell.tracker.confirm(_FIRST_POINT_S)
         if beam.error is not None:
             raise beam.error
         if beam.first is None:
@@ -202,18 +177,6 @@ class SweepDriver:
             raise WrongTarget(
                 f"arm {name}: the tracker locked an SMR {off_m * 1e3:.0f} mm from where this one should be"
             )
-
-    def _find_again(self, name: str) -> None:
-        """Lead the tracker to the SMR of an arm that rests where its beam broke. Raises ``TrackerError``."""
-        for left in range(_TRIES, 0, -1):
-            try:
-                self.mover.measure(name, self.mover.positions()[name])
-                return
-            except (TargetLost, WrongTarget):
-                if left == 1:
-                    raise
-            self.cell.clock.wait(_PAUSE_S, self.control.wait)
-            self.control.check()
 
     @staticmethod
     def _give_up(arm: RecordingArm | None, streaming: StreamingTracker) -> None:

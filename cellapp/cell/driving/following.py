@@ -10,7 +10,7 @@ import numpy as np
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.moving_cell import moving_cell
-from cellapp.cell.driving.reaction import StopCause, StopReaction
+from cellapp.cell.driving.tracked_path import PathDriver, TrackedPath
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.path_records import DrivenPath, PathLag, PathTime
 from cellapp.cell.targets.plan_path import RUN_UP_RAD, PathPlan, path_rates, plan_path
@@ -27,11 +27,9 @@ from cellapp.robot.paths.cartesian import CartesianPath
 from cellapp.robot.paths.lag import Lag, lag, rehearsed
 from cellapp.robot.paths.progress import Followed, followed
 from cellapp.robot.paths.timing import Trajectory
-from drivers.arms.protocol import FollowedPath, PathFollower
-from drivers.trackers.protocol import Track, TrackerError, stream_of
+from drivers.arms.protocol import PathFollower
+from drivers.trackers.protocol import TrackerError
 
-INTERVAL_S = 0.01
-"""Of points measured while the arm moves: 1 mm at 100 mm/s."""
 _FEWEST_AT_REST = 12
 _AT_REST_EVERY_M = 0.05
 """Places along a path at which it is measured at rest: this far apart, and at least so many."""
@@ -78,7 +76,8 @@ def follow(
             moving.hold()
             listener(Progress("follow", done, len(plans), plan.spec.name))
             plan = _at_rate_of_arm(profile, model, plan, cell)
-            driver = _Driver(profile, mover, cell, moving.reaction, model, plan.spec, judge or Judge(profile))
+            paths = PathDriver(cell, mover, moving.reaction, control)
+            driver = _Driver(profile, mover, paths, model, plan.spec, judge or Judge(profile))
             found.append((plan, None if plan.refusal else driver.drive(plan, verify=verify, rehearse=rehearse)))
             mover.go_home()
     listener(Progress("follow", len(plans), len(plans), "done"))
@@ -103,8 +102,7 @@ class _Driver:
 
     profile: Profile
     mover: Mover
-    cell: Cell
-    reaction: StopReaction
+    paths: PathDriver
     model: CellModel
     spec: PathSpec
     judge: Judge
@@ -117,23 +115,27 @@ class _Driver:
         notes: list[str] = []
         try:
             trajectory = self._rehearsed(plan.trajectory, plan.path, notes) if rehearse else plan.trajectory
-            track, arm, began_s = self._run(trajectory, plan.path, measure=verify)
+            found = self._run(trajectory, plan.path, measure=verify)
         except (MotionRefused, TrackerError) as error:
             return DrivenPath(note=str(error))
-        found = lag(self.model.arms[self.spec.arm], plan.trajectory, arm.time_s, arm.q)
-        driven = DrivenPath(lag=_lag_record(found), rehearsed=trajectory is not plan.trajectory, note="; ".join(notes))
+        late = lag(self.model.arms[self.spec.arm], plan.trajectory, found.arm.time_s, found.arm.q)
+        driven = DrivenPath(
+            lag=_lag_record(late),
+            rehearsed=trajectory is not plan.trajectory,
+            note="; ".join(notes),
+            lost_beams=found.lost_beams,
+        )
         points = None
-        if track is not None:
-            points = track.p_M
-            in_time = _time_record(followed(plan.path, plan.trajectory, track.time_s - began_s, points))
+        if found.track is not None:
+            points = found.track.p_M
+            in_time = _time_record(followed(plan.path, plan.trajectory, found.track.time_s - found.began_s, points))
             driven = driven.model_copy(update={"in_time": in_time})
         return self._verified(plan, driven, points) if verify else driven
 
     def _rehearsed(self, trajectory: Trajectory, path: CartesianPath, notes: list[str]) -> Trajectory:
         """The positions to send after the path was driven once; a note says where they would exceed a limit."""
-        _, arm, _ = self._run(trajectory, path, measure=False)
-        rates = path_rates(self.profile, self.spec)
-        corrected = rehearsed(trajectory, arm.time_s, arm.q, rates)
+        arm = self._run(trajectory, path, measure=False).arm
+        corrected = rehearsed(trajectory, arm.time_s, arm.q, path_rates(self.profile, self.spec))
         if corrected is None:
             notes.append("its rehearsal is not used: the corrected joints would exceed their limits")
             return trajectory
@@ -145,14 +147,16 @@ class _Driver:
         assert plan.nominal_path is not None
         assert plan.trajectory is not None
         notes, nominal, at_rest = [driven.note] if driven.note else [], None, None
+        lost_beams = driven.lost_beams
         try:
             at_rest = _summary(plan.path, self._at_rest(plan.trajectory))
             if plan.nominal is None:
                 notes.append("the published geometry cannot be driven along this path")
             else:
-                track, _, _ = self._run(plan.nominal, plan.nominal_path, measure=True)
-                there = self._at_rest(plan.nominal) if track is None else track.p_M
+                found = self._run(plan.nominal, plan.nominal_path, measure=True)
+                there = self._at_rest(plan.nominal) if found.track is None else found.track.p_M
                 nominal = _summary(plan.nominal_path, there)
+                lost_beams += found.lost_beams
         except (MotionRefused, TrackerError) as error:
             notes.append(str(error))
         if points is None:
@@ -168,6 +172,7 @@ class _Driver:
                 "moving": moving,
                 "at_rest": at_rest,
                 "nominal": nominal,
+                "lost_beams": lost_beams,
                 "judged": "" if judged is None else "moving" if moving is not None else "at rest",
                 "expanded_mm": None if judged is None else expanded,
                 "rule": self.judge.rule,
@@ -176,14 +181,15 @@ class _Driver:
             }
         )
 
-    def _run(
-        self, trajectory: Trajectory, path: CartesianPath, *, measure: bool
-    ) -> tuple[Track | None, FollowedPath, float]:
-        """Go to the beginning and along the path, as ``follow_and_track`` does."""
-        self._go(run_up(trajectory.q))
-        self._go(trajectory.q[0])
+    def _run(self, trajectory: Trajectory, path: CartesianPath, *, measure: bool) -> TrackedPath:
+        """Go to the beginning and along the path, as ``PathDriver.drive`` does."""
+
+        def begin() -> None:
+            self._go(run_up(trajectory.q))
+            self._go(trajectory.q[0])
+
         start_M = path.positions(np.zeros(1))[0] if measure else None
-        return follow_and_track(self.cell, self.mover, self.reaction, self.spec.arm, trajectory, start_M)
+        return self.paths.drive(self.spec.arm, trajectory, begin, start_M)
 
     def _at_rest(self, trajectory: Trajectory) -> Array:
         """Points (n, 3) measured at rest at places along the path, each reached from the side of the path's motion."""
@@ -201,39 +207,6 @@ class _Driver:
         """Move straight, or via home where the gate refuses that."""
         self.mover.go_home_unless_clear(self.spec.arm, q)
         self.mover.move({self.spec.arm: q})
-
-
-def follow_and_track(
-    cell: Cell,
-    mover: Mover,
-    reaction: StopReaction,
-    name: str,
-    trajectory: Trajectory,
-    start_M: Array | None,
-    interval_s: float = INTERVAL_S,
-) -> tuple[Track | None, FollowedPath, float]:
-    """Let an arm at the beginning of a path follow it: the points that were measured meanwhile, what the arm reports,
-    and when it began on the cell's clock [s].
-
-    ``start_M`` (3,) is where its SMR is [m], ``interval_s`` the time between two points. None, and no points: nothing
-    is measured, or the tracker's driver cannot measure a moving SMR. A beam that breaks stops all arms. Raises as
-    ``Mover.follow`` and ``StreamingTracker``.
-    """
-    tracker = cell.tracker
-
-    def beam_lost(error: TrackerError) -> None:
-        reaction.trigger(StopCause("tracker", str(error)))
-
-    streaming = None if start_M is None else stream_of(tracker)
-    if streaming is not None and start_M is not None:
-        streaming.start_track(start_M, interval_s, beam_lost)
-    began_s = cell.clock.now_s()
-    arm = mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
-    if streaming is None:
-        return None, arm, began_s
-    track = streaming.end_track()
-    within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
-    return track.within(within), arm, began_s
 
 
 def run_up(q: Array) -> Array:

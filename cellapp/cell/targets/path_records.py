@@ -93,6 +93,8 @@ class DrivenPath(Record):
         Which of them that is; empty without a measurement.
     note : str
         Why something was not driven or not measured; empty if nothing is missing.
+    lost_beams : int
+        How often the beam broke; the path was driven again from its beginning.
     """
 
     moving: ErrorSummary | None = None
@@ -106,6 +108,7 @@ class DrivenPath(Record):
     verdict: ToleranceVerdict = ""
     judged: PathSource = ""
     note: str = ""
+    lost_beams: int = 0
     omitted_when_none = frozenset({"in_time"})
 
 

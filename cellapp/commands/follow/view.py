@@ -8,6 +8,7 @@ from cellapp.commands.run_results import StageResults
 from cellapp.commands.view.acceptance_words import RULE_WORDS
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Column, Table, number_column, table_of
+from cellapp.ground.counting import counted
 from cellapp.ground.results import FOLLOW, PATH
 
 
@@ -72,6 +73,11 @@ def path_sentences(result: PathResult) -> list[str]:
             lines.append(
                 f"{head} the joints are {lag.delay_ms:.0f} ms late, {lag.late_mm:.1f} mm at its fastest, which is no"
                 f" error of the path; bends are cut by at most {lag.cut_mm:.3f} mm"
+            )
+        if driven is not None and driven.lost_beams:
+            lines.append(
+                f"{head} the beam broke {counted(driven.lost_beams, 'time')}: the arm came to rest on its path, the SMR"
+                " was found again, and the path was driven again from its beginning"
             )
         if driven is not None and driven.note:
             lines.append(f"{head} {driven.note}")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.driving.controllers import noting_controllers
-from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
+from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, lost_beam_words, missing_words, pair_results
 from cellapp.cell.driving.iso9283.tests import DWELL_S, IsoTask, drive_tests
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.requests.running import running_job
@@ -242,7 +242,7 @@ def _result(
         abilities=tuple(found.abilities),
         missing=missing_words(found, task.tests),
         stopped=stopped,
-        notes=tuple(dict.fromkeys([*([] if turned else [_NO_ORIENTATION]), *found.notes])),
+        notes=tuple(dict.fromkeys([*([] if turned else [_NO_ORIENTATION]), *found.notes, *lost_beam_words(found)])),
         by_person=tuple(found.by_person),
     )
 

@@ -44,11 +44,13 @@ from cellapp.commands.follow.view import paths_section, stored_paths
 from cellapp.commands.iso9283.view import iso9283_section
 from cellapp.commands.locate.view import view as locate_view
 from cellapp.commands.plan.section import plan_section
+from cellapp.commands.power.run import stored_power
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
 from cellapp.commands.report.provenance import provenance_facts
 from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
+from cellapp.commands.trials.power.tables import power_parts
 from cellapp.commands.view.acceptance_words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
@@ -75,6 +77,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "paths": ("Paths", ()),
     "station": ("Station of the tracker", ()),
     "plan": ("Plan", ()),
+    "power": ("What the plan can name", ()),
     "collection": ("Collecting", ()),
     "cell": ("The cell", ()),
     "parameters": ("Identified parameters", (CALIBRATE,)),
@@ -91,6 +94,7 @@ def report_sections(run: RunFile, data: ReportData) -> list[Section]:
     """The sections that have something to show, in their order."""
     made = {key: maker(data) for key, maker in _OF_RESULTS.items()}
     made["plan"] = plan_section(run)
+    made["power"] = power_section(run)
     made["collection"] = None if (state := collection_state(run, data.results)) is None else collection_section(state)
     made["parameters"] = _parameters(data, lost_by_arm(run))
     return placed(made, data.out_of_date)
@@ -106,6 +110,19 @@ def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, s
             folded = key not in _OPEN and not reasons
             found.append(replace(section, title=title, key=key, outdated=reasons, folded=folded))
     return found
+
+
+def power_section(run: RunFile) -> Section | None:
+    """From which size on the plan would have effects named, if that was tried."""
+    result = stored_power(run)
+    if result is None:
+        return None
+    sentence, *parts = power_parts(result)
+    about = (
+        "Effects were hidden in simulated arms of this cell at the planned stops, at sizes that the trials before"
+        " suggested, and searched as 'discover' does. Their laws are not those of the library."
+    )
+    return Section("", parts, str(sentence), about)
 
 
 # -- accuracy ---------------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from cellapp.commands.trials.parameter_sets import ParameterSetsResult
 from cellapp.commands.trials.plan_trial import PlanTrialsResult
 from cellapp.commands.trials.sealed import SealResult
 from cellapp.commands.trials.signature import SignatureResult
+from cellapp.commands.trials.truth import TruthResult
 from cellapp.ground.results import Result
 
 TRIAL_RESULTS: tuple[type[Result], ...] = (
@@ -29,4 +30,5 @@ TRIAL_RESULTS: tuple[type[Result], ...] = (
     CheckTrialResult,
     CostResult,
     BenchmarkResult,
+    TruthResult,
 )

@@ -16,7 +16,7 @@ from cellapp.commands.trials.judge_records import (
     SecondName,
 )
 from cellapp.commands.trials.sealed import GroundTruth
-from cellapp.commands.trials.sealed_cases import FLIP, POSITION
+from cellapp.commands.trials.sealed_cases import FLIP, HARD, POSITION
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.data_driven import form_named
@@ -46,7 +46,7 @@ def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
     """Compare what was found in one run with what was hidden in it."""
     noise_um = truth.noise_um.get(truth.arm, 0.0)
     hidden = tuple(HiddenEffect.like(one, visible=one.visible_um > noise_um) for one in truth.effects)
-    names = frozenset(effect.effect for effect in hidden)
+    names = frozenset(_library_name(truth, effect.effect) for effect in hidden)
     expected = None if truth.expected is None else DescribedTerm.model_validate(truth.expected.model_dump())
     here = arms.get(truth.arm)
     return ScoredRun.like(
@@ -57,10 +57,15 @@ def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
         outcome=None if here is None else _outcome(names, frozenset(here.accepted)),
         in_answer_set=None if here is None else names <= {slug for answers in here.answer_sets for slug in answers},
         description="" if here is None or expected is None else _description(expected, here.described),
-        second_names=() if here is None else _second_names(hidden, expected, here),
+        second_names=() if here is None else _second_names(truth, hidden, expected, here),
         says_convention=None if here is None or truth.kind != FLIP else _says_convention(here),
         arms=arms,
     )
+
+
+def _library_name(truth: GroundTruth, effect: str) -> str:
+    """How a hidden effect should be called: a hard case may hide some that the library lacks beside others."""
+    return UNKNOWN if truth.kind == HARD and effect not in EFFECTS else effect
 
 
 def _outcome(hidden: frozenset[str], accepted: frozenset[str]) -> Outcome:
@@ -114,10 +119,11 @@ def _says_convention(found: ArmFindings) -> bool:
 
 
 def _second_names(
-    hidden: Sequence[HiddenEffect], expected: DescribedTerm | None, found: ArmFindings
+    truth: GroundTruth, hidden: Sequence[HiddenEffect], expected: DescribedTerm | None, found: ArmFindings
 ) -> tuple[SecondName, ...]:
     """What was accepted beyond as many effects as were hidden; one for each name that is missing counts as wrong."""
-    wanted = Counter([UNKNOWN] if expected is not None else [effect.effect for effect in hidden])
+    names = [_library_name(truth, effect.effect) for effect in hidden]
+    wanted = Counter([UNKNOWN] if expected is not None else names)
     terms = iter(found.described)
     beyond: list[tuple[str, frozenset[DriverVariable]]] = []
     for slug in found.accepted:

@@ -120,6 +120,8 @@ def _missed(run: ScoredRun, arm: str) -> bool:
         return not (found.unknown and run.says_convention)
     if run.kind == "outside":
         return run.description != "right" or bool(found.names)
+    if run.kind == "hard" and run.second_names:
+        return True
     return run.outcome != "named" and (bool(run.visible) or bool(found.accepted))
 
 

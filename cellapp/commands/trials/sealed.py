@@ -25,7 +25,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials.blind import DURATION_S, Noise, blind_readings, with_hidden
-from cellapp.commands.trials.sealed_cases import EXPECTED, OUT, Case, cases, library_name
+from cellapp.commands.trials.sealed_cases import EXPECTED, HARD, OUT, Case, cases, library_name
 from cellapp.commands.trials.sealed_setup import NOISES, USUAL_SETUP, Setup
 from cellapp.commands.trials.visible_size import beyond_geometry, beyond_law, registered_model
 from cellapp.estimation.calibration.calibrate import rms_length_mm
@@ -370,7 +370,7 @@ def _drawn_parameters(
     if not case.slugs:
         return {}
     config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
-    draw = suggest_other_law if setup.laws == "other" and case.kind != OUT else suggest
+    draw = suggest_other_law if (setup.laws == "other" and case.kind != OUT) or case.kind == HARD else suggest
     return {slug: draw(slug, rng, config, DURATION_S) for slug in case.slugs}
 
 

@@ -56,16 +56,30 @@ EXPECTED: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "wrist_cable": ("joint 6", ("q4",)),
     "draught": ("tracker azimuth", ("time",)),
     "elbow_hose": ("joint 3", ("q3", "q4")),
+    "joint_coupling": ("joint 3", ("q2", "q4")),
     "warm_floor": ("base shift", ("temperature",)),
     "workspace_field": ("tracker", (POSITION,)),
 }
 """Channel and variables that a description of each law outside the library must state."""
+HARD_CASES: tuple[tuple[str, ...], ...] = (
+    ("workspace_field",),
+    ("workspace_field", "joint_compliance"),
+    ("joint_coupling",),
+    ("joint_compliance", "backlash", "base_drift", "transmission_error"),
+    ("joint_compliance", "encoder_eccentricity", "thermal_growth", "pedestal_coupling"),
+    ("friction_windup", "backlash"),
+    ("base_drift",),
+    ("tracker_drift",),
+    ("crosstalk",),
+)
+"""What was once answered with a name too many: fields of short length, couplings, quadruples, slow drift; by other
+laws."""
 FLIPPED: tuple[tuple[str, ...], ...] = (("backlash",), ("friction_windup",))
 """Effects that show in approach signs: hidden where the signs have the wrong convention."""
 
 IN_THE_LIBRARY = {"tracker_drift": "base_drift"}
 """Laws of the plant that one arm's data cannot distinguish from an effect of the library, and that effect."""
-ONE, NONE, OUT, PAIR, TRIPLE, FLIP = "one", "none", "outside", "pair", "triple", "flipped"
+ONE, NONE, OUT, PAIR, TRIPLE, HARD, FLIP = "one", "none", "outside", "pair", "triple", "hard", "flipped"
 KINDS = (ONE, NONE, OUT, PAIR, TRIPLE)
 MIXED = "mixed"
 MIXTURE = (ONE, ONE, NONE, ONE, OUT, ONE, ONE, PAIR, ONE, NONE)
@@ -99,6 +113,7 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
         OUT: [((slug,), False) for slug in OUTSIDE],
         PAIR: [*((pair, False) for pair in PAIRS), *((pair, True) for pair in LOOK_ALIKES)],
         TRIPLE: [(triple, False) for triple in TRIPLES],
+        HARD: [(hard, False) for hard in HARD_CASES],
         FLIP: [(one, False) for one in FLIPPED],
     }
     counts = dict.fromkeys(menus, 0)

@@ -13,7 +13,7 @@ from cellapp.cell.planning.plan import draw_stops, plan_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.trials.blind import Noise
-from cellapp.commands.trials.sealed_cases import FLIP, KINDS, MIXED, ONE
+from cellapp.commands.trials.sealed_cases import FLIP, HARD, KINDS, MIXED, ONE
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
@@ -32,8 +32,8 @@ RANGES = ("full", "narrow")
 PLANS = ("random", "designed")
 MASS_ERROR = 0.05
 """Standard deviation of true link masses about the nominal ones, relative: they are never known better."""
-FEWEST_STOPS = 40
-"""Below, a quarter of the stops no longer determines the geometry."""
+FEWEST_STOPS = 25
+"""At least 10 are held out; the 15 that are left just determine the geometry."""
 _NARROW_RAD = (math.radians(10.0), math.radians(50.0))
 """Widths of narrow joint ranges."""
 _CENTRES = 30
@@ -46,7 +46,7 @@ class Setup(Record):
     Attributes
     ----------
     kind : str
-        What is hidden: one of ``KINDS``, or mixed.
+        What is hidden: one of ``KINDS``, hard or mixed.
     noise : str
         One of ``NOISES``.
     laws : str
@@ -83,7 +83,7 @@ class Setup(Record):
     def check(self) -> None:
         """Raise ``InputError`` for an unknown word, or for what does not belong together."""
         words: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-            ("kind", self.kind, (*KINDS, MIXED)),
+            ("kind", self.kind, (*KINDS, HARD, MIXED)),
             ("noise", self.noise, tuple(NOISES)),
             ("laws", self.laws, LAWS),
             ("ranges", self.ranges, RANGES),
@@ -109,10 +109,11 @@ class Setup(Record):
         changes: dict[str, object] = {"plant": plant}
         if self.stops is not None:
             quarter = self.stops // 4
+            identify, validate = max(quarter, 15), max(quarter, 10)
             splits = {
-                "identify": max(quarter, 15),
-                "validate_": quarter,
-                "train": self.stops - quarter - max(quarter, 15),
+                "identify": identify,
+                "validate_": validate,
+                "train": self.stops - identify - validate,
                 "pair_identify": quarter,
                 "pair_validate": quarter,
             }

@@ -33,6 +33,7 @@ def targets(
         _at_most("none", "false unknown effects, by arm", 0.01, [arm.unknown for arm in clean], ENOUGH_CLEAN),
         _at_most("beside", "false names, arms beside one that hides something", 0.01, _false(beside), ENOUGH_CLEAN),
         *_outside([run for run in runs if run.kind == "outside"], [run for run in runs if run.kind == "flipped"]),
+        _at_most("hard", "a name too many", 0.02, _too_many(runs), _SECOND, bar=False),
         _at_most("one", "below the noise: another name", 0.02, _wrong_below(known), _SECOND, bar=False),
         *_second([run for run in known if run.visible], [run for run in runs if run.kind == "outside"]),
         *(_brier(score) for score in posteriors if score.about in (EVERY, ACCEPTED)),
@@ -66,6 +67,11 @@ def _wrong_below(known: Sequence[ScoredRun]) -> list[bool]:
     """Whether a single effect below the noise made the search accept anything else."""
     below = [run for run in known if run.kind == "one" and not run.visible]
     return [run.outcome not in ("none", "named") for run in below]
+
+
+def _too_many(runs: Sequence[ScoredRun]) -> list[bool]:
+    """Whether a hard case got more names, or unknown terms, than it has causes."""
+    return [bool(run.second_names) for run in runs if run.kind == "hard"]
 
 
 def _outside(outside: Sequence[ScoredRun], flipped: Sequence[ScoredRun]) -> list[TargetScore | None]:

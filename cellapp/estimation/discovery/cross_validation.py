@@ -11,11 +11,14 @@ I - H is nearly singular where few readings are left: a direction that they do n
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
-from cellapp.estimation.calibration.linear import solve_psd
+from cellapp.estimation.calibration.linear import PIVOT, cholesky, solve_psd
 from cellapp.estimation.design.information import SMALLEST
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
@@ -41,12 +44,7 @@ def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float
     readings = len(data) if data.reading is None else int(data.reading.max()) + 1
     fold = generator.permutation(readings) % folds
     fold = np.tile(fold if data.reading is None else fold[data.reading], 3)
-    gain = 0.0
-    for rows, sign in ((fit.rows, 1.0), (np.concatenate([fit.rows, new_rows]), -1.0)):
-        precision = np.concatenate([fit.precision, np.zeros(len(rows) - len(fit.rows))])
-        for out, solution in _fold_solutions(rows, precision, fit.target, fold, folds):
-            gain += sign * float(np.sum((fit.target[out] - solution @ rows[:, out]) ** 2))
-    return gain
+    return float(sum(np.sum(before**2) - np.sum(after**2) for _, before, after in _left_out(fit, new_rows, fold)))
 
 
 def may_leave_placements_out(data: ArmData) -> bool:
@@ -64,13 +62,11 @@ def placement_gains(data: ArmData, fit: JointFit, new_rows: Array) -> Array:
     assert points is not None
     contacts = points.contacts
     whole = contacts.placements(points.at) if may_leave_placements_out(data) else np.arange(len(contacts.names))
-    fold, folds = np.tile(whole[contacts.index], 3), int(whole.max()) + 1
-    gains = np.zeros(folds)
-    for rows, sign in ((fit.rows, 1.0), (np.concatenate([fit.rows, new_rows]), -1.0)):
-        precision = np.concatenate([fit.precision, np.zeros(len(rows) - len(fit.rows))])
-        for number, (out, solution) in enumerate(_fold_solutions(rows, precision, fit.target, fold, folds)):
-            left = fit.target[out] - solution @ rows[:, out]
-            gains[number] += sign * float(np.sum(_within_points(contacts.index[out[: len(data)]], left) ** 2))
+    fold = np.tile(whole[contacts.index], 3)
+    gains = np.zeros(int(whole.max()) + 1)
+    for number, (out, before, after) in enumerate(_left_out(fit, new_rows, fold)):
+        point = contacts.index[out[: len(data)]]
+        gains[number] = np.sum(_within_points(point, before) ** 2) - np.sum(_within_points(point, after) ** 2)
     return gains
 
 
@@ -82,15 +78,79 @@ def _within_points(point: NDArray[np.intp], left: Array) -> Array:
     return np.asarray((axes - means[:, point]).ravel())
 
 
-def _fold_solutions(
-    rows: Array, precision: Array, target: Array, fold: NDArray[np.intp], folds: int
-) -> Iterator[tuple[NDArray[np.bool_], Array]]:
-    """For each fold the coordinates that are left out, and the parameters (p,) fitted to the others."""
-    scale = 1.0 / np.maximum(np.linalg.norm(rows, axis=1), SMALLEST)
-    X = rows * scale[:, None]
-    gram, moment = X @ X.T + np.diag(precision * scale**2), X @ target
-    for k in range(folds):
-        out = fold == k
-        left_out = X[:, out]
-        solution = solve_psd(gram - left_out @ left_out.T, moment - left_out @ target[out])
-        yield out, solution * scale
+def _left_out(
+    fit: JointFit, new_rows: Array, fold: NDArray[np.intp]
+) -> Iterator[tuple[NDArray[np.bool_], Array, Array]]:
+    """For each fold the coordinates that are left out, and what the fit leaves of them without and with new columns."""
+    scale = 1.0 / np.maximum(np.linalg.norm(new_rows, axis=1), SMALLEST)
+    new = new_rows * scale[:, None]
+    for one in _folds(fit, fold):
+        learnt = ~one.out
+        B, left = new[:, learnt], one.left
+        cross = one.X[:, learnt] @ B.T
+        taken = one.solve(cross)
+        gram = B @ B.T
+        behind = gram - cross.T @ taken
+        factor = cholesky(behind)
+        if factor is None or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
+            yield one.out, left, one.left_with(new)
+            continue
+        moment = B @ one.target[learnt] - taken.T @ one.moment
+        values = lapack.dpotrs(factor, moment, lower=1)[0]
+        yield one.out, left, left - values @ (new[:, one.out] - taken.T @ one.X[:, one.out])
+
+
+@dataclass(frozen=True, eq=False)
+class _Fold:
+    """A fit to all readings but those of one fold, which are left ``out`` (3 n,).
+
+    ``X`` (p, 3 n) are its columns of unit norm, ``gram`` (p, p) and ``moment`` (p,) of what was learnt with the priors.
+    """
+
+    out: NDArray[np.bool_]
+    X: Array
+    target: Array
+    gram: Array
+    moment: Array
+
+    @cached_property
+    def _factor(self) -> Array | None:
+        return cholesky(self.gram)
+
+    def solve(self, rhs: Array) -> Array:
+        """``gram^-1 rhs``."""
+        if self._factor is None:
+            return solve_psd(self.gram, rhs)
+        return np.asarray(lapack.dpotrs(self._factor, rhs, lower=1)[0])
+
+    @cached_property
+    def left(self) -> Array:
+        """What the fit leaves of the coordinates that are left out."""
+        return np.asarray(self.target[self.out] - self.solve(self.moment) @ self.X[:, self.out])
+
+    def left_with(self, new: Array) -> Array:
+        """``left`` with further columns (m, 3 n), also where the fit determines some of them by others."""
+        learnt, size = ~self.out, len(self.gram)
+        every = np.concatenate([self.X, new])
+        gram = every[:, learnt] @ every[:, learnt].T
+        gram[:size, :size] = self.gram
+        moment = np.concatenate([self.moment, new[:, learnt] @ self.target[learnt]])
+        return np.asarray(self.target[self.out] - solve_psd(gram, moment) @ every[:, self.out])
+
+
+def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
+    """The fits without each fold, kept with the whole fit: many columns are tried beside one."""
+    key = fold.tobytes()
+    if key not in fit.derived:
+        scale = 1.0 / np.maximum(np.linalg.norm(fit.rows, axis=1), SMALLEST)
+        X = fit.rows * scale[:, None]
+        gram, moment = X @ X.T + np.diag(fit.precision * scale**2), X @ fit.target
+        found = []
+        for number in range(int(fold.max()) + 1):
+            out = fold == number
+            left_out = X[:, out]
+            less = moment - left_out @ fit.target[out]
+            found.append(_Fold(out, X, fit.target, gram - left_out @ left_out.T, less))
+        fit.derived[key] = found
+    kept: list[_Fold] = fit.derived[key]
+    return kept

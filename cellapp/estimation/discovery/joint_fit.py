@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,6 +103,8 @@ class JointFit:
         Prior precisions, zero without a prior.
     residual : array, shape (3 n,)
         Whitened.
+    derived : dict
+        What others computed from this fit and need again: folds of the cross-validation, the whole of a field.
     """
 
     terms: ModelTerms
@@ -114,6 +117,7 @@ class JointFit:
     rows: Array
     precision: Array
     residual: Array
+    derived: dict[Any, Any] = field(default_factory=dict, repr=False)
     _behind: dict[int, ProjectedResidual] = field(default_factory=dict, repr=False)
 
     @property

@@ -48,7 +48,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, prior_sigmas, up_in_tracker
 
-_OFF_AXIS = np.array([0.05, 0.03, 0.05])
+OFF_AXIS = np.array([0.05, 0.03, 0.05])
 """Stands for an unknown SMR offset [m]: on the last axis fewer parameters could be identified."""
 _SEED = 0xF0CA
 """Beside the profile's seed: the simulated noise is then independent of all other draws."""
@@ -121,7 +121,7 @@ def nominal_model(profile: Profile, name: str) -> ArmModel:
         )
     nominal = nominal_arm(arm).with_T_M_B(np.linalg.inv(pose_matrix(tracker.pose)) @ pose_matrix(arm.base))
     if arm.smr.offset == "unknown":
-        nominal = replace(nominal, tool=_OFF_AXIS)
+        nominal = replace(nominal, tool=OFF_AXIS)
     return ArmModel(nominal, nominal, bodies_of(arm), up_in_tracker(profile), smr_normal=np.array(arm.smr.normal))
 
 

@@ -44,7 +44,7 @@ from cellapp.estimation.discovery.search.bounds import possible_score
 from cellapp.estimation.discovery.search.free_part import (
     CAUTIOUS_SHARE,
     FreePart,
-    behind_free_parts,
+    gain_beside_free_parts,
     possible_free_parts,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
@@ -210,11 +210,11 @@ def further_scores(found: SearchResult, scan: LawScan) -> dict[str, float]:
     best = best_law_of_each_effect(scan.ranked(residual))
     scores = {score.slug: score.value for score in best}
     likely = [score for score in best if score.value > found.threshold - SCORE_MARGIN]
-    behind = behind_free_parts(SearchState(found.data, fit)) if likely else None
+    gain = gain_beside_free_parts(SearchState(found.data, fit)) if likely else None
     for score in likely:
         value = min(possible_score(residual, score), found.threshold)
-        if behind is not None:
-            value = min(value, behind.bic_gain(score.rows))
+        if gain is not None:
+            value = min(value, gain(score))
         if value > found.threshold - SCORE_MARGIN:
             value = min(value, cross_validated_gain(found.data, fit, score.rows))
         scores[score.slug] = value

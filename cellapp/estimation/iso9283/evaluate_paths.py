@@ -31,10 +31,14 @@ _DRAWS = 200
 
 @dataclass(frozen=True, eq=False)
 class PathTrack:
-    """Measured points of one cycle along a path: times (k,) [s] and positions (k, 3) [m], in order."""
+    """Measured points of one cycle along a path: times (k,) [s] and positions (k, 3) [m], in order.
+
+    ``lost_beams`` is how often the cycle was begun before and not ended, as the beam broke.
+    """
 
     time_s: Array
     p_M: Array
+    lost_beams: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cellapp.commands.power.request import FEWEST_TRIALS
+from cellapp.commands.power.request import TRIALS as TRIALS_OF_EACH
 from cellapp.ground.counting import counted
 from cellapp.ground.outputs import Writes
 from cellapp.interfaces.cli.command_outputs import Commands
@@ -86,7 +88,8 @@ def seal(
         int | None, typer.Option("--seed", min=0, help="Draws everything; left out, a secret one is drawn.")
     ] = None,
     kind: Annotated[
-        str, typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple or mixed.")
+        str,
+        typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple, hard or mixed."),
     ] = "one",
     noise: Annotated[
         str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 µrad a joint).")
@@ -196,6 +199,31 @@ def blind_matrix(
     cells = matrix.matrix_cells(only)
     result = matrix.blind_matrix(load_profile(profile), out, n, cells, work, seed=seed)
     return Stated(result, matrix_tables(result), matrix_sentences(result), refused(result))
+
+
+@trial(trials_app, "truth", "store")
+def truth(
+    work: Work,
+    profile: SimulatedCell = DEFAULT_CELL,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Folder of the sealed runs, by set."), Writes.OWN_FOLDER
+    ] = Path("trials/truth"),
+    runs: Annotated[
+        str,
+        typer.Option("--runs", metavar="LIST", help="Runs of sets in place of the usual, as clean=50,few=0."),
+    ] = "",
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws everything.")] = 0,
+    minutes: Annotated[
+        float | None, typer.Option("--minutes", min=0.0, help="Begin no block after that; the next call goes on.")
+    ] = None,
+) -> Stated:
+    """1300 sealed runs in sets (clean, single, pair, outside, narrow, unstated, few stops), stated with intervals."""
+    from cellapp.cell.profile import load_profile
+    from cellapp.commands.trials.skeleton import Stated, not_computed
+    from cellapp.commands.trials.truth import sizes_of, truth_sentence, truth_table, truth_trials
+
+    result = truth_trials(load_profile(profile), out, sizes_of(runs), seed, work, minutes=minutes)
+    return Stated(result, (truth_table(result),), (truth_sentence(result),), not_computed(result.failed))
 
 
 @trial(trials_app, "plans")
@@ -346,3 +374,23 @@ def cost(
 
     result = cost_of(store, tasks)
     return Stated(result, [cost_table(result)])
+
+
+@trial(trials_app, "power")
+def power(
+    work: Work,
+    profile: ProfilePath,
+    trials: Annotated[
+        int, typer.Option("--trials", min=FEWEST_TRIALS, max=400, help="Trials of each effect and arm.")
+    ] = TRIALS_OF_EACH,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws laws, true geometry and noise.")] = 0,
+) -> Stated:
+    """Before measuring: which effects of which size this cell, plan and tracker would have named."""
+    from cellapp.cell.profile import load_profile
+    from cellapp.commands.trials.power.rounds import power_of_profile
+    from cellapp.commands.trials.power.tables import power_sentence, power_table
+    from cellapp.commands.trials.skeleton import Stated, not_computed
+
+    result = power_of_profile(load_profile(profile), trials, seed, work)
+    tables = [power_table(name, arm) for name, arm in result.arms.items()]
+    return Stated(result, tables, [power_sentence(result)], not_computed(result.failed))

@@ -35,6 +35,8 @@ PAIR_ORDER = 3
 """Highest total order of the functions of two variables: 24 columns at most."""
 PAIR_ORDERS = (2, PAIR_ORDER)
 """Total orders that are tried: with 12 columns or fewer, a weak effect in few readings can be described as well."""
+ANGLE_PAIR_ORDERS = (*PAIR_ORDERS, 2 * PAIR_ORDER)
+"""Total orders of functions of two angles, each to order 3: the last has all 48 products, as of two toothed wheels."""
 
 
 def run_constants(context: EffectContext, variable: Variable) -> dict[str, float]:
@@ -109,7 +111,7 @@ class FunctionTable:
         return self.families[key]
 
     def _of_two_angles(self, drivers: tuple[Variable, ...], order: int) -> dict[str, Array]:
-        """Cosine and sine of m v + k w for 1 <= |m| + |k| <= ``order``, each pair of opposite signs once."""
+        """Cosine and sine of m v + k w, 1 <= |m| + |k| <= ``order``, each at most 3, pairs of opposite signs once."""
         v, w = (self._waves(one) for one in drivers)
         labels = tuple(one.name.replace(" ", "_") for one in drivers)
         found = {}
@@ -170,8 +172,8 @@ def _phases(labels: tuple[str, ...], order: int) -> tuple[tuple[int, int, str], 
     """m, k and the text of each m v + k w."""
     return tuple(
         (m, k, _phase_text(m, k, labels))
-        for m in range(order + 1)
-        for k in range(m - order, order - m + 1)
+        for m in range(min(order, PAIR_ORDER) + 1)
+        for k in range(max(m - order, -PAIR_ORDER), min(order - m, PAIR_ORDER) + 1)
         if m > 0 or k > 0
     )
 

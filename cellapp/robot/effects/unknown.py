@@ -30,7 +30,7 @@ from cellapp.robot.effects.data_driven import (
     form_of,
     variables,
 )
-from cellapp.robot.effects.data_functions import PAIR_ORDERS, functions, run_constants
+from cellapp.robot.effects.data_functions import ANGLE_PAIR_ORDERS, PAIR_ORDERS, functions, run_constants
 from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.field import FIELD_LENGTH, field_frequencies, field_variances
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
@@ -54,10 +54,10 @@ class Unknown(Effect):
 
     Of a joint angle v: cosine and sine of v to 4 v. Of time: linear, and cosine of 1 to 20 half cycles over the run, or
     with ``period_s`` cosine and sine of one period. Of anything else: Legendre polynomials to order 4 on the range it
-    had in the run, constant beyond it. Of two variables: all such functions of total order up to 3. Constants:
-    ``order``, ``low``, ``high`` and ``typical`` (the default where unknown: the end of the run for time, no step, the
-    run's median dwell, its mean temperature, the nominal payload), ``center`` of an azimuth; with a ``2`` appended for
-    the second variable.
+    had in the run, constant beyond it. Of two variables: all such functions of total order up to 3, of two angles also
+    all products to order 3 each. Constants: ``order``, ``low``, ``high`` and ``typical`` (the default where unknown:
+    the end of the run for time, no step, the run's median dwell, its mean temperature, the nominal payload), ``center``
+    of an azimuth; with a ``2`` appended for the second variable.
 
     Of the position: the smooth field over the workspace of ``robot.effects.field``, a shift along x, y and z of
     the base with one amplitude and one length scale.
@@ -153,16 +153,20 @@ def curve_families(context: EffectContext) -> list[FunctionFamily]:
 
 
 def pair_families(
-    context: EffectContext, among: Collection[Variable] | None = None, orders: Sequence[int] = PAIR_ORDERS
+    context: EffectContext, among: Collection[Variable] | None = None, orders: Sequence[int] = ()
 ) -> list[FunctionFamily]:
-    """Functions of all pairs of variables that vary, or of those ``among`` them, of each total order."""
+    """Functions of all pairs of variables that vary, or of those ``among`` them, of each total order.
+
+    The default are those of ``data_functions``, more for two angles.
+    """
     used = [one for one in variables(context) if among is None or one in among]
     constants = {one: run_constants(context, one) for one in used}
     found = []
     for first, second in combinations(used, 2):
         both = {**constants[first], **{f"{key}2": value for key, value in constants[second].items()}}
-        for most in orders:
-            limited = {key: min(both[key], float(most)) for key in ("order", "order2")}
+        angles = first.is_joint_angle and second.is_joint_angle
+        for most in orders or (ANGLE_PAIR_ORDERS if angles else PAIR_ORDERS):
+            limited = {key: float(most if angles else min(both[key], most)) for key in ("order", "order2")}
             found.append(FunctionFamily((first, second), {**both, **limited}))
     return found
 

@@ -145,8 +145,11 @@ class ManyPlays(Effect):
         order = np.argsort(situation.time_s, kind="stable")
         if situation.time_s[order[0]] == situation.time_s[order[-1]]:
             return elements
-        for before, now in pairwise(order):  # one history
-            elements[:, now] = np.clip(elements[:, before], q[now] - widths[:, 0], q[now] + widths[:, 0])
+        for before, now in pairwise(order):  # one history; the last motion may begin elsewhere than at the stop before
+            moved = elements[:, before]
+            for reached in (q[now] - step[now], q[now]):
+                moved = np.clip(moved, reached - widths[:, 0], reached + widths[:, 0])
+            elements[:, now] = moved
         return elements
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:

@@ -138,6 +138,22 @@ class WorkspaceField(Effect):
         return apparent
 
 
+@dataclass(frozen=True, eq=False)
+class JointCoupling(Effect):
+    """Two joints together move a third one by ``amplitude sin(m q_first + phase) sin(k q_second + phase)``."""
+
+    joint: int
+    amplitude: float
+    first: int
+    second: int
+    orders: Array  # m and k
+    phases: Array
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        angles = situation.q[:, [self.first, self.second]] * self.orders + self.phases
+        return _joint_offset(situation, self.joint, self.amplitude * np.sin(angles).prod(axis=1))
+
+
 def _require_joints(parameters: Parameters, effect: str, count: int) -> None:
     if parameters.joints < count:
         raise parameters.effect_error(f"{effect} needs an arm of at least {count} joints, not {parameters.joints}")
@@ -209,3 +225,13 @@ def workspace_field(parameters: Parameters) -> Effect:
     parameters.require("rms", "length", "seed")
     field = RandomField.drawn(parameters.integer("seed", least=0), parameters.number("length", above=0.0))
     return WorkspaceField(parameters.number("rms", least=0.0), field)
+
+
+def joint_coupling(parameters: Parameters) -> Effect:
+    """Build a coupling: ``joint``, ``first``, ``second`` (from 1), ``amplitude`` [rad], ``phases``, ``orders``."""
+    parameters.require("joint", "first", "second", "amplitude", "phases", "orders")
+    joint, first, second = (int(parameters.number(key)) for key in ("joint", "first", "second"))
+    if not all(1 <= one <= parameters.joints for one in (joint, first, second)):
+        raise parameters.effect_error(f"joints must be 1 to {parameters.joints}")
+    orders, phases = parameters.numbers("orders", 2), parameters.numbers("phases", 2)
+    return JointCoupling(joint - 1, parameters.number("amplitude"), first - 1, second - 1, orders, phases)

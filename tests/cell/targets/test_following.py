@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.driving import following
+from cellapp.cell.driving import tracked_path
+from cellapp.cell.driving.tracked_path import MOST_RUNS
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.path_file import PathSpec
@@ -123,7 +124,7 @@ def test_without_its_plays_the_path_would_be_worse(run: RunFile, monkeypatch: py
 
 
 EVENTS: dict[str, tuple[Callable[[SimulatedArm, SimulatedTracker], None], str]] = {
-    "beam": (lambda arm, tracker: tracker.covered.add("right"), "the beam to the SMR of arm right broke"),
+    "beam": (lambda arm, tracker: tracker.covered.add("right"), "the beam broke .* its SMR is not found again"),
     "protective stop": (lambda arm, tracker: arm.protective_stop(), "protective stop"),
     "emergency stop": (lambda arm, tracker: arm.emergency_stop(), "emergency stop"),
     "lost link": (lambda arm, tracker: arm.cut_link(), "link is cut"),
@@ -159,6 +160,57 @@ def test_an_event_in_mid_path_stops_all_arms(
     assert not any(plant.moving(name) for name in ("left", "right"))
 
 
+def crossing(monkeypatch: pytest.MonkeyPatch, cells: list[Any], times: int) -> list[float]:
+    """Let somebody walk through the beam for 1.5 s on each of the first ``times`` paths; when that was [s]."""
+    start = SimulatedArm.start_path
+    crossed: list[float] = []
+
+    def started(arm: SimulatedArm, q: Any, period_s: float) -> None:
+        plant, tracker = plant_of(cells[0]), cells[0].tracker
+
+        def cross() -> None:
+            tracker.covered.add("right")
+            crossed.append(plant.clock_s)
+            plant.schedule.at(plant.clock_s + 1.5, tracker.covered.clear)
+
+        if len(crossed) < times:
+            plant.schedule.at(plant.clock_s + 1.0, cross)
+        start(arm, q, period_s)
+
+    monkeypatch.setattr(SimulatedArm, "start_path", started)
+    return crossed
+
+
+def test_a_path_on_which_the_beam_broke_is_driven_again(
+    run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    crossed = crossing(monkeypatch, cells, 2)
+    result = follow_run(run, [spec()], driving="verify")
+    (driven,) = [path.driven for path in result.paths]
+    assert len(crossed) == 2
+    assert driven is not None
+    assert (driven.lost_beams, driven.note, driven.judged, driven.verdict) == (2, "", "moving", "in")
+    assert driven.moving is not None
+    assert driven.moving.max < 0.3, "no point is one of a path that was not ended"
+    assert "path arc: the beam broke 2 times: the arm came to rest on its path" in " ".join(path_sentences(result))
+    assert PathResult.from_json(result.to_json(), "test") == result
+    for name, home in home_positions(run.profile).items():
+        np.testing.assert_array_equal(plant_of(cells[0]).q(name), home)
+
+
+def test_a_beam_that_breaks_each_time_leaves_the_path_unmeasured(
+    run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    crossed = crossing(monkeypatch, cells, 99)
+    result = follow_run(run, [spec()], driving="verify")
+    assert len(crossed) == MOST_RUNS
+    assert result.paths[0].driven is not None
+    assert (result.paths[0].driven.moving, result.paths[0].driven.verdict) == (None, "")
+    assert "the beam broke each of the 4 times" in result.complaints()[0]
+    plant = plant_of(cells[0])
+    assert not any(plant.moving(name) for name in ("left", "right"))
+
+
 def test_a_person_ends_it(run: RunFile) -> None:
     control = JobControl()
 
@@ -177,7 +229,7 @@ def test_a_path_that_cannot_be_driven_is_not_driven(run: RunFile, cells: list[An
 
 
 def test_a_tracker_that_cannot_follow_measures_at_rest(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(following, "stream_of", lambda tracker: None)
+    monkeypatch.setattr(tracked_path, "stream_of", lambda tracker: None)
     (path,) = follow_run(run, [spec()], driving="verify").paths
     assert path.driven is not None
     assert (path.driven.moving, path.driven.judged, path.driven.verdict) == (None, "at rest", "cannot say")

@@ -100,7 +100,7 @@ def test_splits_follow_the_number_of_stops() -> None:
     [
         ({"laws": "odd"}, "--laws: 'odd' is not known; laws are same, other"),
         ({"ranges": "tiny"}, "--ranges: 'tiny' is not known; ranges are full, narrow"),
-        ({"stops": 12}, "--stops: 12 are too few to identify the geometry; give 40 or more"),
+        ({"stops": 12}, "--stops: 12 are too few to identify the geometry; give 25 or more"),
         ({"mass_error": 1.0}, "--mass-error: 1 is not a share"),
         ({"flip_approach": True, "kind": "pair"}, "leave out --kind pair"),
     ],

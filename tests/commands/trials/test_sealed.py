@@ -315,7 +315,7 @@ def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], Judge
         (
             "seal twin.yaml --out new --kind some",
             2,
-            "'some' is not known; kinds are one, none, outside, pair, triple, mixed",
+            "'some' is not known; kinds are one, none, outside, pair, triple, hard, mixed",
         ),
         ("seal twin.yaml --out new --laws odd", 2, "laws are same, other"),
         ("seal twin.yaml --out new --stops 12", 2, "--stops: 12 are too few"),

@@ -42,7 +42,7 @@ def test_the_gain_is_that_of_fits_to_the_other_folds(signal):
     precision = np.concatenate([np.zeros(6), rng.uniform(1.0, 500.0, 6)])
     target = rng.normal(size=3 * READINGS) + signal * new[0]
     data: Any = Data(profile=SimpleNamespace(seed=SEED, discovery=SimpleNamespace(folds=FOLDS)))
-    fit: Any = SimpleNamespace(rows=rows, precision=precision, target=target)
+    fit: Any = SimpleNamespace(rows=rows, precision=precision, target=target, derived={})
     fold = np.tile(np.random.default_rng([SEED, _FOLD_SEED]).permutation(READINGS) % FOLDS, 3)
     before = left_out_square(rows, precision, target, fold)
     after = left_out_square(np.concatenate([rows, new]), np.concatenate([precision, np.zeros(3)]), target, fold)

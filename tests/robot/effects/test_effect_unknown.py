@@ -349,8 +349,8 @@ def test_pairs_of_a_lower_order_have_some_of_the_functions():
     assert len(few) < len(many)
     for name, column in few.items():
         np.testing.assert_array_equal(offsets(column), offsets(many[name]))
-    two, three = (family.law(channels(6)[0]) for family in pair_families(CONTEXT, pairs_among("q1", "q2")))
-    assert (len(columns(two)), len(columns(three))) == (12, 24)
+    of_angles = [family.law(channels(6)[0]) for family in pair_families(CONTEXT, pairs_among("q1", "q2"))]
+    assert [len(columns(law)) for law in of_angles] == [12, 24, 48]
 
 
 def test_a_curve_of_one_variable_can_be_found_again():

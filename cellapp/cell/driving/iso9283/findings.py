@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -109,15 +109,9 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
         n = min(len(found.measured.at(place, group)) for group in groups)
         if n < wanted:
             words.append(f"{place}: {n} of {counted(wanted, 'cycle')}: {found.missed.get(place, _ENDED)}")
-    for runs in found.paths:
+    for where, runs in _runs_of_paths(found):
         if (n := len(runs.tracks)) < runs.wanted:
-            at = f", {runs.series:.0%} of the speed" if runs.series else ""
-            where = f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}"
             words.append(f"{where}: {n} of {counted(runs.wanted, 'cycle')}: {'; '.join(runs.problems) or _ENDED}")
-    for weaves in found.weaving:
-        if (n := len(weaves.tracks)) < weaves.wanted:
-            where = f"weaving of {weaves.arm}, {weaves.commands} commands"
-            words.append(f"{where}: {n} of {counted(weaves.wanted, 'cycle')}: {'; '.join(weaves.problems) or _ENDED}")
     for motions in found.settling:
         if (n := len(motions.tracks)) < motions.wanted:
             where = f"stabilisation of {motions.arm}, {motions.commands} commands"
@@ -131,7 +125,26 @@ def missing_words(found: IsoFindings, tests: Sequence[IsoTest]) -> tuple[str, ..
     return tuple(words)
 
 
+def lost_beam_words(found: IsoFindings) -> tuple[str, ...]:
+    """Paths on which the beam broke, and what was done."""
+    lost = ((where, sum(track.lost_beams for track in runs.tracks)) for where, runs in _runs_of_paths(found))
+    return tuple(
+        f"{where}: the beam broke {counted(count, 'time')}; these cycles were driven again from their beginning"
+        for where, count in lost
+        if count
+    )
+
+
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _runs_of_paths(found: IsoFindings) -> Iterator[tuple[str, PathRuns | WeavingRuns]]:
+    """Every path that was to be driven, with its name."""
+    for runs in found.paths:
+        at = f", {runs.series:.0%} of the speed" if runs.series else ""
+        yield f"path of {runs.arm}, {runs.commands} commands, {runs.name}{at}", runs
+    for weaves in found.weaving:
+        yield f"weaving of {weaves.arm}, {weaves.commands} commands", weaves
 
 
 def _commanded(found: IsoFindings, name: str, kind: IsoCommands, rng: np.random.Generator) -> CommandedTests:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.following import INTERVAL_S, follow_and_track, run_up
+from cellapp.cell.driving.following import run_up
 from cellapp.cell.driving.iso9283.findings import IsoFindings
 from cellapp.cell.driving.iso9283.instrument import mpe_factor
 from cellapp.cell.driving.iso9283.paths import (
@@ -19,8 +18,8 @@ from cellapp.cell.driving.iso9283.paths import (
     weaving_spec,
     weaving_turns,
 )
-from cellapp.cell.driving.motion import MotionRefused, Mover
-from cellapp.cell.driving.reaction import StopReaction
+from cellapp.cell.driving.motion import MotionRefused
+from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.path_file import PathSpec
 from cellapp.cell.targets.plan_path import PathPlan, plan_path
@@ -49,9 +48,7 @@ class PathTests:
 
     profile: Profile
     model: CellModel
-    cell: Cell
-    mover: Mover
-    reaction: StopReaction
+    paths: PathDriver
     findings: IsoFindings
     hold: Callable[[], None]
     speed_share: float
@@ -65,7 +62,7 @@ class PathTests:
         if isinstance(specs, str):
             self.findings.refuse(name, ["path"], specs)
             return
-        arm = self.cell.arms[name]
+        arm = self.paths.cell.arms[name]
         assert isinstance(arm, PathFollower)
         for spec in specs:
             plan = plan_path(self.profile, self.model, spec, arm.path_period_s)
@@ -83,9 +80,9 @@ class PathTests:
 
     def _refusal(self, name: str) -> str:
         """Why no path of an arm can be measured; empty if they can."""
-        if stream_of(self.cell.tracker) is None:
+        if stream_of(self.paths.cell.tracker) is None:
             return "this tracker's driver cannot measure a moving SMR"
-        if not isinstance(self.cell.arms[name], PathFollower):
+        if not isinstance(self.paths.cell.arms[name], PathFollower):
             return f"the driver of arm {name} cannot follow a stream of joint positions"
         return ""
 
@@ -127,7 +124,6 @@ class PathTests:
         """Drive a path once for each cycle; why fewer were driven is kept."""
         try:
             for _ in range(self.cycles):
-                self.hold()
                 runs.tracks.append(self._run(name, trajectory, path))
         except (MotionRefused, TrackerError) as error:
             runs.problems.append(str(error))
@@ -162,15 +158,15 @@ class PathTests:
         return ""
 
     def _run(self, name: str, trajectory: Trajectory, path: CartesianPath) -> PathTrack:
-        for q in (run_up(trajectory.q), trajectory.q[0]):
-            self.mover.go_home_unless_clear(name, q)
-            self.mover.move({name: q})
-        start_M = path.positions(np.zeros(1))[0]
-        track, _, _ = follow_and_track(
-            self.cell, self.mover, self.reaction, name, trajectory, start_M, self._interval_s
-        )
-        assert track is not None
-        return PathTrack(track.time_s, track.p_M)
+        def begin() -> None:
+            self.hold()
+            for q in (run_up(trajectory.q), trajectory.q[0]):
+                self.paths.mover.go_home_unless_clear(name, q)
+                self.paths.mover.move({name: q})
+
+        found = self.paths.drive(name, trajectory, begin, path.positions(np.zeros(1))[0], self._interval_s)
+        assert found.track is not None
+        return PathTrack(found.track.time_s, found.track.p_M, found.lost_beams)
 
 
 def _chosen(plan: PathPlan, kind: IsoCommands) -> tuple[Trajectory, CartesianPath] | str:

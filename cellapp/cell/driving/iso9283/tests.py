@@ -36,6 +36,7 @@ from cellapp.cell.driving.iso9283.settling_tests import SettlingTests
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
+from cellapp.cell.driving.tracked_path import PathDriver
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
 from cellapp.estimation.iso9283.ability import ability_words
@@ -342,9 +343,7 @@ class _Session:
         paths = PathTests(
             profile=self.task.profile,
             model=model,
-            cell=self.cell,
-            mover=self.mover,
-            reaction=self.reaction,
+            paths=PathDriver(self.cell, self.mover, self.reaction, self.control),
             findings=self.findings,
             hold=self._hold,
             speed_share=speed,

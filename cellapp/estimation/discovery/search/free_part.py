@@ -19,7 +19,7 @@ For the scan for second names free parts count as nuisance parameters at a cauti
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +30,7 @@ from cellapp.estimation.discovery.candidates import LawScore
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState
+from cellapp.estimation.discovery.search.whole_field import BesideField
 from cellapp.estimation.discovery.terms import ModelTerm, with_term
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EffectColumn
@@ -240,9 +241,16 @@ def _evidence_of(fit: JointFit, nuisance: Array, precision: Array, rows: Array) 
 # -- names beside laws that may be off -------------------------------------------------------------------------------
 
 
-def behind_free_parts(state: SearchState) -> ProjectedResidual | None:
-    """The residual behind the model and the free parts of all its laws at the cautious share; None without any."""
+def gain_beside_free_parts(state: SearchState) -> Callable[[LawScore], float] | None:
+    """Gain of the BIC by a new law behind the model and what its laws may leave over; None where nothing may be.
+
+    Laws have free parts at the cautious share. A field over the workspace has all its waves, and the price of choosing
+    the new law counts: much depends on the position that was tried.
+    """
     fit = state.fit
+    beside = BesideField.of(state.data, fit)
+    if beside is not None:
+        return lambda score: beside.gain(score.rows) - fit.projected_residual.bic_gain(score.rows) + score.value
     rows, precision = [], []
     for number in range(len(fit.terms)):
         parts = possible_free_parts(state.data, fit, number)
@@ -252,10 +260,11 @@ def behind_free_parts(state: SearchState) -> ProjectedResidual | None:
     if not rows:
         return None
     projector = NuisanceProjector.of(np.concatenate([fit.rows, *rows]), np.concatenate([fit.precision, *precision]))
-    return ProjectedResidual(projector, fit.target)
+    behind = ProjectedResidual(projector, fit.target)
+    return lambda score: behind.bic_gain(score.rows)
 
 
 def explains_beside_free_parts(problem: SearchProblem, state: SearchState, score: LawScore) -> bool:
     """Whether a new law passes the threshold although the laws in the model may be slightly off."""
-    behind = behind_free_parts(state)
-    return behind is None or behind.bic_gain(score.rows) > problem.threshold
+    gain = gain_beside_free_parts(state)
+    return gain is None or gain(score) > problem.threshold

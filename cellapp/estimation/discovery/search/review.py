@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from cellapp.estimation.discovery.search.bounds import possible_score
 from cellapp.estimation.discovery.search.comparison import floor_reached
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, Review, SearchProblem, SearchState
+from cellapp.estimation.discovery.search.whole_field import BesideField
 from cellapp.estimation.discovery.terms import UNKNOWN, without_term
 from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS, DriverVariable
@@ -41,10 +43,19 @@ def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
 
 
 def _weakest(problem: SearchProblem, state: SearchState) -> int | None:
-    """The term with the least score, if that does not pass the threshold; smooth terms have a test of their own."""
-    scores = {
-        number: term_score(state.fit, number) for number, term in enumerate(state.fit.terms) if term.smooth is None
-    }
+    """The term with the least score, if that does not pass the threshold.
+
+    Smooth terms have a test of their own, but for what stands beside a field over the workspace.
+    """
+    beside = BesideField.of(state.data, state.fit)
+    scores = {}
+    for number, term in enumerate(state.fit.terms):
+        if term.smooth is None:
+            scores[number] = term_score(state.fit, number)
+        if beside is not None and number != beside.field:
+            whole = beside.gain_of(number) - _price(state.fit, number)
+            whole -= 2.0 * SCORE_MARGIN if term.slug == UNKNOWN else 0.0
+            scores[number] = min(scores.get(number, math.inf), whole)
     weak = [number for number, score in scores.items() if score <= problem.threshold]
     return min(weak, key=lambda number: scores[number]) if weak else None
 
@@ -68,9 +79,13 @@ def _rest_of_a_law(state: SearchState) -> int | None:
 
 def term_score(fit: JointFit, number: int) -> float:
     """Score of a term with its law's columns as they are, beside all other terms."""
-    term, residual = fit.terms[number], fit.residual_without(number)
-    choices = len({column.block for column in fit.term_columns(number)}) if term.law.form == LINES else 1
-    return residual.bic_gain(fit.law_rows(number)) - choice_price(term.law) * choices
+    return fit.residual_without(number).bic_gain(fit.law_rows(number)) - _price(fit, number)
+
+
+def _price(fit: JointFit, number: int) -> float:
+    """Price of choosing a term's law; of lines it is paid for each."""
+    law = fit.terms[number].law
+    return choice_price(law) * (len({column.block for column in fit.term_columns(number)}) if law.form == LINES else 1)
 
 
 def review(problem: SearchProblem, state: SearchState, number: int) -> Review:

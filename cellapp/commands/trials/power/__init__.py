@@ -1,0 +1,1 @@
+"""Which effects of which size a plan would have named."""

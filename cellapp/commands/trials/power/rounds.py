@@ -1,0 +1,201 @@
+"""Rounds of blind trials of planned stops, at sizes that the trials before suggest, and what they say together."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from cellapp.cell.planning.method import make_stops
+from cellapp.commands.trials.power.result import SHARE, ArmPower, EffectPower, NamedSize, NamingTrial, PowerResult
+from cellapp.commands.trials.power.trial import NAMING_TRIALS, PlannedCell, TrialCell, trial_cell
+from cellapp.commands.trials.skeleton import Work
+from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
+from cellapp.estimation.discovery.records import SmallestSize
+from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.estimation.uncertainty.naming_curve import NamingCurve
+from cellapp.ground.profile import Profile
+from cellapp.ground.version import __version__
+from cellapp.robot.effects import EFFECTS
+from drivers.plant import REALISTIC
+
+_FIRST = (1.0, 2.0, 4.0, 8.0)
+"""Sizes of the first trials, in rms lengths of the tracker's noise."""
+_LOWEST, _HIGHEST = 0.2, 40.0
+"""Range of sizes, in the same unit: 0.005 to 1 mm with a common tracker."""
+_LIMITS = (0.05, 0.5, 0.95)
+_ENOUGH = 8
+"""Trials after which an effect that was never named is given up."""
+_FOLLOWED = 0.3
+"""Share that geometry follows from which that is said to limit naming."""
+
+
+def power_of_profile(profile: Profile, trials: int, seed: int, work: Work) -> PowerResult:
+    """Plan the stops of a profile and try them. Raises as ``make_stops`` and ``power_of`` do."""
+    stops, _ = make_stops(profile, work.listener, work.cancel)
+    return power_of(PlannedCell.of(profile, stops), trials, seed, work)
+
+
+def power_of(planned: PlannedCell, trials: int, seed: int, work: Work) -> PowerResult:
+    """Make ``trials`` trials of each effect in each arm, in rounds of four; ``seed`` draws them all.
+
+    Raises
+    ------
+    InputError
+        If the profile does not describe the cell.
+    Cancelled
+        On request; a store keeps the trials that were made.
+    """
+    cell = trial_cell(planned)
+    lacking = _lacking(cell)
+    tried = [
+        _Tried(arm, effect, seed, 1e3 * cell.noise_rms_m(arm))
+        for (arm, effect), reason in lacking.items()
+        if not reason
+    ]
+    failed: list[str] = []
+    rounds = -(-trials // len(_FIRST))
+    for number in range(rounds):
+        asked = [trial for one in tried for trial in one.next_trials(trials)]
+        if not asked:
+            break
+        name = "arm {0.arm}, {0.effect}, {0.size_mm:.3f} mm"
+        gathered = work.gather(NAMING_TRIALS, f"power {number + 1}/{rounds}", planned, asked, name)
+        failed += gathered.failed
+        found = [trial for trial in gathered.results if trial is not None]
+        tried = [one.with_trials(found) for one in tried]
+    powers = {(one.arm, one.effect): one.power() for one in tried}
+    return PowerResult(
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+        program=f"cellapp {__version__}",
+        profile=planned.profile.name,
+        trials_of_each=trials,
+        seed=seed,
+        share=SHARE,
+        arms={
+            name: ArmPower(
+                stops=len(planned.time_s),
+                noise_rms_mm=1e3 * cell.noise_rms_m(name),
+                effects=tuple(
+                    powers.get((arm, effect), EffectPower(effect=effect, title=EFFECTS[effect].title, limit=reason))
+                    for (arm, effect), reason in lacking.items()
+                    if arm == name
+                ),
+            )
+            for name in planned.q
+        },
+        trials=tuple(trial for one in tried for trial in one.trials),
+        failed=tuple(failed),
+    )
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """One effect in one arm, and the trials of it so far; ``noise_mm`` is the rms length of the noise."""
+
+    arm: str
+    effect: str
+    seed: int
+    noise_mm: float
+    trials: tuple[NamingTrial, ...] = ()
+
+    @property
+    def belief(self) -> NamingCurve:
+        """About the share that is named over the size [mm]."""
+        sizes = [trial.size_mm for trial in self.trials]
+        named = [trial.named is not None for trial in self.trials]
+        return NamingCurve.of(_LOWEST * self.noise_mm, _HIGHEST * self.noise_mm, sizes, named)
+
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether enough trials at large sizes named nothing, or the effect does not act at these stops."""
+        acts = not self.trials or any(trial.visible for trial in self.trials)
+        return not acts or (len(self.trials) >= _ENOUGH and not any(trial.named for trial in self.trials))
+
+    def next_trials(self, most: int) -> Iterator[NamingTrial]:
+        """The trials of the next round, none after ``most``."""
+        if self.is_hopeless:
+            return
+        sizes = self.belief.next_sizes(SHARE) if self.trials else [size * self.noise_mm for size in _FIRST]
+        for place, size in enumerate(sizes[: most - len(self.trials)], start=len(self.trials)):
+            rng = np.random.default_rng([self.seed, place, *f"{self.arm} {self.effect}".encode()])
+            yield NamingTrial(arm=self.arm, effect=self.effect, size_mm=size, seed=int(rng.integers(2**31)))
+
+    def with_trials(self, found: Sequence[NamingTrial]) -> _Tried:
+        """The same with those of some trials that are of this effect and arm."""
+        own = [trial for trial in found if (trial.arm, trial.effect) == (self.arm, self.effect)]
+        return replace(self, trials=(*self.trials, *own))
+
+    def power(self) -> EffectPower:
+        """What the trials say."""
+        low, middle, high = self.belief.size_at(SHARE, _LIMITS)
+        largest = max((trial.size_mm for trial in self.trials), default=0.0)
+        shown = middle <= largest and any(trial.named for trial in self.trials)
+        named = [trial for trial in self.trials if trial.named is not None]
+        return EffectPower(
+            effect=self.effect,
+            title=EFFECTS[self.effect].title,
+            named_from=NamedSize(
+                value_mm=middle,
+                low_mm=low,
+                high_mm=high if np.isfinite(high) else None,
+                size=_in_its_unit(named, middle),
+            )
+            if shown
+            else None,
+            not_up_to_mm=None if shown or not largest else largest,
+            visible_share=float(np.median([trial.visible for trial in self.trials])) if self.trials else None,
+            trials=len(self.trials),
+            named=len(named),
+            with_others=sum(len(set(trial.accepted)) > 1 for trial in named),
+            limit=_limit(self.trials, 0.5 * middle if shown else 0.25 * largest),
+        )
+
+
+def _lacking(cell: TrialCell) -> dict[tuple[str, str], str]:
+    """Arm and effect -> why its data cannot show it; empty where they may."""
+    conditions = conditions_of_arms(cell.models, cell.readings)
+    return {
+        (name, slug): EFFECTS[slug].missing_data(model.context(cell.readings[name].q, conditions=conditions[name]))
+        for name, model in cell.models.items()
+        for slug in REALISTIC
+        if slug in EFFECTS
+    }
+
+
+def _in_its_unit(named: Sequence[NamingTrial], size_mm: float) -> SmallestSize | None:
+    """The largest value that an effect of a size [mm] has, as in trials that named it; None if units differ."""
+    ratios = [(trial.named.value / trial.size_mm, trial.named.unit) for trial in named if trial.named is not None]
+    ((unit, count),) = Counter(unit for _, unit in ratios).most_common(1)
+    if 2 * count <= len(ratios):
+        return None
+    ratio = float(np.median([value for value, its in ratios if its == unit]))
+    return SmallestSize(value=size_mm * ratio, unit=unit)
+
+
+def _limit(trials: Sequence[NamingTrial], from_mm: float) -> str:
+    """What limits naming, from the trials of sizes from ``from_mm`` on."""
+    if not any(trial.visible for trial in trials):
+        return "it does not move the SMR at these stops"
+    said = []
+    followed = 1.0 - float(np.median([trial.visible for trial in trials]))
+    if followed > _FOLLOWED:
+        said.append(f"geometry follows {followed:.0%} of it")
+    missed = [trial for trial in trials if trial.size_mm >= from_mm and trial.named is None]
+    instead = Counter(_name(slug) for trial in missed for slug in dict.fromkeys(trial.accepted))
+    for name, count in instead.most_common(1):
+        said.append(f"taken for {name} in {count} of {len(missed)} misses")
+    nothing = sum(not trial.accepted for trial in missed)
+    if nothing:
+        said.append(f"nothing accepted in {nothing} of {len(missed)} misses")
+    return "; ".join(said) or "noise"
+
+
+def _name(slug: str) -> str:
+    return "an unknown effect" if slug == UNKNOWN else EFFECTS[slug].title.lower()

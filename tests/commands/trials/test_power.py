@@ -1,0 +1,211 @@
+"""What a plan would have named: the curve over the size, one blind trial, rounds of them, command, run and page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cellapp.cell.planning.method import make_stops
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.commands.plan.run import plan_new_run
+from cellapp.commands.power.request import VERB, PowerRequest
+from cellapp.commands.power.run import run as run_power
+from cellapp.commands.power.run import stored_power
+from cellapp.commands.report.sections import power_section
+from cellapp.commands.trials.power.result import NamingTrial, PowerResult
+from cellapp.commands.trials.power.rounds import power_of
+from cellapp.commands.trials.power.tables import power_chart, power_table
+from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
+from cellapp.commands.trials.skeleton import Work
+from cellapp.estimation.discovery.records import SmallestSize
+from cellapp.estimation.uncertainty.naming_curve import NamingCurve
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.scale.gather import Gathered
+from cellapp.interfaces.cli.app import app
+from cellapp.robot.effects import EFFECTS
+from tests.twin import PROFILES
+
+
+def twin(name: str = "twin", stops: int = 60) -> Profile:
+    """A profile with few random stops whose search sets its threshold from few simulations."""
+    profile = load_profile(PROFILES / f"{name}.yaml")
+    quarter = stops // 4
+    splits = {"identify": quarter, "train": stops - 2 * quarter, "validate_": quarter, "pair_identify": quarter,
+              "pair_validate": quarter}  # fmt: skip
+    return profile.model_copy(
+        update={
+            "plan": profile.plan.model_copy(update={"stops": stops, "reserve": 0, "method": "random"}),
+            "splits": profile.splits.model_copy(update=splits),
+            "discovery": profile.discovery.model_copy(update={"null_simulations": 20}),
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def planned() -> PlannedCell:
+    """The stops of a simulated cell."""
+    profile = twin()
+    return PlannedCell.of(profile, make_stops(profile)[0])
+
+
+@pytest.fixture(scope="module")
+def cell(planned: PlannedCell) -> TrialCell:
+    """That cell."""
+    return trial_cell(planned)
+
+
+# -- the curve --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.fast
+def test_intervals_hold_the_true_size_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(20)
+    held, errors = [], []
+    for _ in range(60):
+        middle, width = np.log(rng.uniform(0.02, 0.2)), rng.uniform(0.1, 0.5)
+        true = float(np.exp(middle + width * np.log(0.95 / 0.05)))
+        sizes, found = list[float](), list[bool]()
+        for place in range(4):
+            asked = NamingCurve.of(0.005, 1.0, sizes, found).next_sizes(0.95) if place else [0.02, 0.04, 0.08, 0.16]
+            sizes += asked
+            found += (rng.random(4) < 1.0 / (1.0 + np.exp(-(np.log(asked) - middle) / width))).tolist()
+        low, value, high = NamingCurve.of(0.005, 1.0, sizes, found).size_at(0.95, (0.05, 0.5, 0.95))
+        held.append(low <= true <= high)
+        errors.append(np.log(value / true))
+    assert np.mean(held) >= 0.8
+    assert abs(np.median(errors)) < 0.25
+
+
+@pytest.mark.fast
+def test_what_is_never_found_has_no_size_and_what_is_missed_at_any_size_has_none_either() -> None:
+    never = NamingCurve.of(0.01, 1.0, [0.3, 1.0, 1.0, 1.0, 1.0, 1.0], [False] * 6)
+    assert never.size_at(0.95, (0.5,))[0] > 1.0
+    half = NamingCurve.of(0.01, 1.0, [0.5, 1.0] * 10, [True, False] * 10)
+    assert half.size_at(0.95, (0.5,)) == [np.inf]
+    assert all(0.01 <= size <= 1.0 for size in half.next_sizes(0.95))
+
+
+# -- one trial --------------------------------------------------------------------------------------------------------
+
+
+def test_a_large_effect_is_named_and_a_small_one_is_not(cell: TrialCell) -> None:
+    asked = NamingTrial(arm="left", effect="target_slip", size_mm=0.3, seed=7)
+    found = naming_trial(cell, asked)
+    assert "target_slip" in found.accepted
+    assert found.named is not None
+    assert found.named.unit == "m"
+    assert 1e-4 < found.named.value < 1e-3
+    assert 0.2 < found.visible < 1.0
+    assert naming_trial(cell, asked) == found
+    assert naming_trial(cell, asked.model_copy(update={"size_mm": 0.001})).named is None
+
+
+@pytest.mark.fast
+def test_a_real_cell_is_simulated_as_it_stands() -> None:
+    profile = load_profile(PROFILES / "ur10-ur5.yaml")
+    assert profile.plant is None
+    name, *_ = profile.arms
+    q = tuple(tuple(row) for row in (np.array(profile.arms[name].home) + np.arange(5)[:, None] * 0.1).tolist())
+    rest: Any = {"time_s": tuple(np.arange(5.0)), "dwell_s": (1.0,) * 5}
+    found = trial_cell(PlannedCell(profile=profile, q={name: q}, step={name: q}, **rest))
+    assert 5e-6 < found.noise_rms_m(name) < 1e-4
+
+
+# -- rounds -----------------------------------------------------------------------------------------------------------
+
+TRUE_MM = {"backlash": 0.03, "target_slip": 0.1}
+
+
+def _imitated(asked: NamingTrial) -> NamingTrial:
+    """A search that names two effects from some size on, never the tracker's scale, and takes the rest for another."""
+    if asked.effect == "pedestal_coupling":
+        return asked
+    if asked.effect == "tracker_scale":
+        return asked.model_copy(update={"visible": 0.01})
+    if asked.size_mm < TRUE_MM.get(asked.effect, 1e9):
+        return asked.model_copy(update={"visible": 0.9, "accepted": ("joint_drift",) if asked.size_mm > 0.1 else ()})
+    value = SmallestSize(value=1e-3 * asked.size_mm, unit="rad")
+    return asked.model_copy(update={"visible": 0.9, "accepted": (asked.effect,), "named": value})
+
+
+class Imitation(Work):
+    """Answers of a search that is known."""
+
+    def gather(self, kind: Any, job: str, common: Any, parameters: Any, name: str = "") -> Gathered[Any]:
+        return Gathered(tuple(_imitated(one) for one in parameters), {}, 1)
+
+
+@pytest.fixture(scope="module")
+def result(planned: PlannedCell) -> PowerResult:
+    """What such a search gives."""
+    return power_of(planned, 16, 3, Imitation())
+
+
+def test_sizes_are_those_from_which_the_search_names(result: PowerResult) -> None:
+    arm = result.arms["left"]
+    found = {one.effect: one for one in arm.effects}
+    for effect, true_mm in TRUE_MM.items():
+        named = found[effect].named_from
+        assert named is not None
+        assert named.high_mm is not None
+        assert named.low_mm < 1.5 * true_mm
+        assert named.high_mm > true_mm
+        assert named.size is not None
+        assert named.size.unit == "rad"
+        assert named.size.value == pytest.approx(1e-3 * named.value_mm)
+        assert found[effect].trials == 16
+    lost = found["joint_compliance"]
+    assert lost.named_from is None
+    assert lost.trials < 16
+    assert lost.not_up_to_mm == pytest.approx(1.0, rel=0.5)
+    assert "taken for" in lost.limit
+    assert "geometry follows 99%" in found["tracker_scale"].limit
+    assert found["pedestal_coupling"].limit == "it does not move the SMR at these stops"
+    assert found["payload_compliance"].limit == "payload does not vary"
+    assert found["payload_compliance"].trials == 0
+
+
+def test_table_and_chart_show_every_effect(result: PowerResult) -> None:
+    arm = result.arms["left"]
+    table, chart = power_table("left", arm), power_chart("left", arm)
+    assert len(table.rows) == len(arm.effects)
+    assert [row[0] for row in table.rows[: len(TRUE_MM)]] == [EFFECTS[effect].title for effect in TRUE_MM]
+    assert len(chart.categories) == len(TRUE_MM)
+    assert PowerResult.from_json(result.to_json(), "again") == result
+
+
+def test_a_run_keeps_it_and_its_report_shows_it(
+    result: PowerResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = list[tuple[PlannedCell, int, int]]()
+
+    def power_of_these(planned: PlannedCell, trials: int, seed: int, work: Work) -> PowerResult:
+        asked.append((planned, trials, seed))
+        return result
+
+    monkeypatch.setattr("cellapp.commands.power.run.power_of", power_of_these)
+    plan_new_run(twin(stops=30), tmp_path / "run")
+    CliRunner().invoke(app, ["power", str(tmp_path / "run"), "--trials", "8", "--seed", "5"], catch_exceptions=False)
+    ((planned, trials, seed),) = asked
+    assert (len(planned.time_s), trials, seed) == (30, 8, 5)
+    with RunFile.open(tmp_path / "run") as run:
+        assert stored_power(run) == result
+        section = power_section(run)
+    assert section is not None
+    assert "blind trials" in section.message
+    assert len(section.parts) == 2 * len(result.arms)
+
+
+@pytest.mark.fast
+def test_a_run_without_a_plan_and_too_few_trials_are_refused(tmp_path: Path) -> None:
+    RunFile.create(tmp_path / "run", twin()).close()
+    with pytest.raises(InputError, match="plan"):
+        run_power(PowerRequest(folder=tmp_path / "run"), Work())  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="--trials"):
+        VERB.asked({"folder": tmp_path, "trials": 3})
