@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from pathlib import Path
 
 from cellapp.cell.driving.examination import examine, probe
 from cellapp.cell.exports.formats import all_formats
@@ -25,12 +26,12 @@ from drivers.trackers.settings import TrackerSettings
 
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
     """Check all that the profile names."""
-    return examine_run(load_profile(request.profile))
+    return examine_run(load_profile(request.profile), request.reference_nests)
 
 
-def examine_run(profile: Profile) -> DoctorResult:
+def examine_run(profile: Profile, reference_nests: Path | None = None) -> DoctorResult:
     """All that ``examine`` finds, after what plug-ins add, as the result of the verb."""
-    return DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile)))))
+    return DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile, reference_nests)))))
 
 
 def repeatable_devices(profile: Profile) -> tuple[str, ...]:
