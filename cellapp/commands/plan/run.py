@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.nests import Nests
-from cellapp.cell.driving.records import PlanResult, SweepCount
+from cellapp.cell.driving.records import PlannedLoad, PlanResult, SweepCount
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
 from cellapp.cell.planning.design_records import ViewResult
@@ -106,6 +106,8 @@ def new_planned_run(
     Cancelled
     """
 
+    if sweeps is not None and profile.loads > 1:
+        raise InputError("plan: --sweeps records with one load; leave out arms.NAME.payloads, or plan stops alone")
     if sweeps is not None:
         plan = profile.plan.model_copy(update={"stops": sweeps, "reserve": 0})
         profile = profile.model_copy(update={"plan": plan})
@@ -150,6 +152,7 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
         design=read_plan_design(run),
         time=planned_time(run.profile, visited),
         sweeps=planned_sweeps(run),
+        loads=planned_loads(run.profile, visited),
         notes=(*notes, *_nest_notes(run.profile, visited.q)),
     )
 
@@ -159,6 +162,18 @@ def _nest_notes(profile: Profile, stops: Mapping[str, NDArray[np.float64]]) -> l
     if not any(arm.smr.nests for arm in profile.arms.values()):
         return []
     return Nests.of(profile, cell_bodies(profile)).notes(stops)
+
+
+def planned_loads(profile: Profile, stops: PlannedStops) -> tuple[PlannedLoad, ...] | None:
+    """The loads of a plan one after the other; None where there is only one."""
+    if profile.loads == 1:
+        return None
+    found = []
+    for load in np.unique(stops.load).tolist():
+        own = np.flatnonzero(stops.load == load) + 1
+        payload_kg = {name: arm.payload_at(load).mass for name, arm in profile.arms.items()}
+        found.append(PlannedLoad(first=int(own[0]), last=int(own[-1]), payload_kg=payload_kg))
+    return tuple(found)
 
 
 def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
@@ -189,6 +204,7 @@ def planned_stops(run: RunFile) -> StopsResult:
             for stop in range(count)
         ),
         sweeps=planned_sweeps(run),
+        loads=planned_loads(run.profile, read_planned_stops(run)),
     )
 
 

@@ -127,6 +127,8 @@ class Arm(GrownSection, defer_build=True):
     smr: Smr
     base: Pose | None = None
     payload: Payload = Payload()
+    payloads: tuple[Payload, ...] = ()
+    """Further loads, which a person hangs one after the other while the plan is measured; the last one stays."""
     limits: tuple[tuple[Turn, Turn], ...] | None = None
     """Joint ranges of this cell, if tighter than those of the type."""
     home: tuple[Turn, ...] | None = None
@@ -134,12 +136,17 @@ class Arm(GrownSection, defer_build=True):
     speed_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 0.5
     factory: ControllerTable | None = None
     """The controller's own calibration, which then is nominal instead of the published rows: a ``calibration.conf``."""
-    later_keys = frozenset({"factory"})
+    later_keys = frozenset({"payloads", "factory"})
 
     @property
     def joint_limits(self) -> tuple[tuple[float, float], ...]:
         """Joint ranges [rad]: those of this cell, or of the type."""
         return self.limits or tuple(joint.limit for joint in self.type.joints)
+
+    def payload_at(self, load: int) -> Payload:
+        """What the arm carries at the stops of a load of the plan, from 0."""
+        carried = (self.payload, *self.payloads)
+        return carried[min(load, len(carried) - 1)]
 
     @model_validator(mode="after")
     def _factory_fits_the_type(self) -> Self:
@@ -336,6 +343,16 @@ class Profile(GrownSection, defer_build=True):
     def moves_hardware(self) -> bool:
         """Whether a motion in this cell moves a real arm."""
         return any(arm.driver.moves_hardware for arm in self.arms.values())
+
+    @property
+    def loads(self) -> int:
+        """Number of loads with which the plan is measured, one after the other."""
+        return 1 + max(len(arm.payloads) for arm in self.arms.values())
+
+    def with_load(self, load: int) -> Self:
+        """The cell whose arms carry a load of the plan."""
+        arms = {name: arm.model_copy(update={"payload": arm.payload_at(load)}) for name, arm in self.arms.items()}
+        return self.model_copy(update={"arms": arms})
 
     @property
     def cell_kind(self) -> CellKind:
