@@ -62,12 +62,7 @@ def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed
     InputError
         If the run's record of its controllers is damaged.
     """
-    found = check_controllers(run, cell)
-    if found.changed and not changed_controller:
-        raise HardwareError(
-            f"push: {'; '.join(found.changed)}; nothing was moved. Insist with --out-of-date to use the model all the"
-            " same"
-        )
+    found = check_controllers(run, cell, insist=changed_controller)
     wrong = list(_wrong_payloads(run, cell, commands))
     if wrong:
         more = [f"{len(wrong) - _MOST_NAMED} more"] if len(wrong) > _MOST_NAMED else []

@@ -13,6 +13,7 @@ from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import refuse_second_station
 from cellapp.commands.record import Work
+from cellapp.commands.rehearse.record_file import missing_sentence
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import listed_numbers
 from cellapp.ground.progress import Listener, ignore, with_eta
@@ -82,10 +83,11 @@ def collect_planned(
 ) -> CollectResult:
     """As ``collect_stops``, within a job that has the folder already."""
     refuse_second_station(run)
-    confirm = confirmation(run.profile, ask)
+    missing = missing_sentence(run)
+    confirm = confirmation(run.profile, ask if ask is None or not missing else lambda words: ask(f"{words}\n{missing}"))
     report = with_eta(listener)
     with one_blas_thread():
-        return collect_run(
+        result = collect_run(
             run,
             report,
             control,
@@ -96,6 +98,7 @@ def collect_planned(
             payload=payload,
             hung=hung,
         )
+    return result.model_copy(update={"notes": (*result.notes, *([missing] if missing else []))})
 
 
 def hanging(work: Work) -> Hung:

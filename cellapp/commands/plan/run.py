@@ -31,6 +31,7 @@ from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_planne
 from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import note_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.check_view import file_refusal_sentence
 from cellapp.commands.plan.request import PlanRequest
@@ -62,10 +63,14 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | View
         return view_workspace(profile, *watched)
     assert request.folder is not None, "the request says so"
     if request.source is not None:
-        return plan_from_file(profile, request.source, request.folder, *watched)
-    if request.keep is not None:
-        return plan_around_file(profile, request.keep, request.folder, *watched)
-    return plan_new_run(profile, request.folder, *watched, sweeps=request.sweeps)
+        result = plan_from_file(profile, request.source, request.folder, *watched)
+    elif request.keep is not None:
+        result = plan_around_file(profile, request.keep, request.folder, *watched)
+    else:
+        result = plan_new_run(profile, request.folder, *watched, sweeps=request.sweeps)
+    with RunFile.open(request.folder, write=True) as planned:
+        note_profile(planned, request.profile)
+    return result
 
 
 def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:

@@ -7,6 +7,7 @@ from pathlib import Path
 from cellapp.cell.driving.loads import Hung
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.profile import load_profile
+from cellapp.cell.run.profile_file import note_profile
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.collect.run import collect_planned, hanging
@@ -73,6 +74,7 @@ def run_whole(
         new_planned_run(profile, folder or default_folder(profile.name), listener, control, sweeps=sweeps) as run,
         running_job(run, control, "run", listener) as listener,
     ):
+        note_profile(run, profile_path)
         collected = collect_planned(run, listener, control, ask if profile.loads == 1 else with_loads, hung=hung)
         notes += collected.notes
         notes += calibrate_run(run, listener, control).notes

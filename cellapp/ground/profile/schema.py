@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile.acceptance import Tolerances, Traceability
 from cellapp.ground.profile.collection import Collection
+from cellapp.ground.profile.controller_table import ControllerTable
 from cellapp.ground.profile.grown import GrownSection
 from cellapp.ground.profile.notify import Notify
 from cellapp.ground.profile.obstacles import Obstacles
@@ -133,7 +134,9 @@ class Arm(GrownSection, defer_build=True):
     home: tuple[Turn, ...] | None = None
     """Configuration before and after a job [rad]; planning needs it."""
     speed_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 0.5
-    later_keys = frozenset({"payloads"})
+    factory: ControllerTable | None = None
+    """The controller's own calibration, which then is nominal instead of the published rows: a ``calibration.conf``."""
+    later_keys = frozenset({"payloads", "factory"})
 
     @property
     def joint_limits(self) -> tuple[tuple[float, float], ...]:
@@ -144,6 +147,15 @@ class Arm(GrownSection, defer_build=True):
         """What the arm carries at the stops of a load of the plan, from 0."""
         carried = (self.payload, *self.payloads)
         return carried[min(load, len(carried) - 1)]
+
+    @model_validator(mode="after")
+    def _factory_fits_the_type(self) -> Self:
+        joints = len(self.type.joints)
+        if self.factory is not None and len(self.factory.delta_theta) != joints:
+            raise ValueError(
+                f"factory: {len(self.factory.delta_theta)} deltas for the {joints} joints of {self.type.model}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _limits_fit_the_type(self) -> Self:
@@ -275,6 +287,13 @@ class TorqueSensing(Section):
     """Motor constant of every joint, at the joint; drives then report currents."""
 
 
+class FactoryErrors(Section):
+    """How well the factory's calibration in each controller knows the axes of its arm: standard deviations."""
+
+    length: Annotated[Length, Field(ge=0.0)] = 0.1e-3
+    angle: Annotated[Angle, Field(ge=0.0)] = 0.1e-3
+
+
 class Plant(GrownSection):
     """The simulated cell behind the simulated drivers. ``effects`` specifies the hidden physics of each arm."""
 
@@ -289,7 +308,9 @@ class Plant(GrownSection):
     """Where the simulated tracker really stands, if that is not ``tracker.pose``, as after it was moved."""
     torques: TorqueSensing | None = None
     """What drives measure of their torques; nothing if left out."""
-    later_keys = frozenset({"tracker_pose", "torques"})
+    factory: FactoryErrors | None = None
+    """The controllers' own calibration; if left out, they compute with the published rows."""
+    later_keys = frozenset({"tracker_pose", "torques", "factory"})
 
 
 class Profile(GrownSection, defer_build=True):
