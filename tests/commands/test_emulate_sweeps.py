@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.records import CollectResult
+from cellapp.cell.driving.iso9283.alignment import published_cell
+from cellapp.cell.driving.moving_cell import moving_cell
+from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver, TrackedPath
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweeps, read_sweeps
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import read_recordings_of, recording_states
+from cellapp.cell.targets.path_file import PathSpec
+from cellapp.cell.targets.plan_path import plan_path
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.estimation.motion.tracks import track_of
+from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
+from cellapp.ground.profile import Profile
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.arms.ur_settings import UrSettings
 from drivers.plant.sweep import recorder_of
@@ -28,13 +36,16 @@ HOSTS = own_arms(73)
 PERIOD_S, SHARE = 4.5, 0.2
 """Of the sweeps: what is planned takes 16 s and more."""
 ARM, RATE_HZ = "left", 200.0
+LOST_PER_MIN, MOST_DRIVEN = 8.0, 30
+"""The beam breaks in every third to fourth drive."""
+T = TypeVar("T")
 
 
-def planned(folder: Path) -> Path:
-    """One stop, and a short sweep of one arm about it."""
+def served_cell() -> Profile:
+    """The twin behind emulated devices."""
     twin = small_twin(1, plan={"method": "random"})
     driver = BridgeSettings(url="socket://127.0.0.1:50960")
-    served = twin.model_copy(
+    return twin.model_copy(
         update={
             "arms": {
                 name: arm.model_copy(
@@ -46,7 +57,11 @@ def planned(folder: Path) -> Path:
             "collection": twin.collection.model_copy(update={"motion_rate": RATE_HZ}),
         }
     )
-    with new_planned_run(served, folder, sweeps=1) as run:
+
+
+def planned(folder: Path) -> Path:
+    """One stop, and a short sweep of one arm about it."""
+    with new_planned_run(served_cell(), folder, sweeps=1) as run:
         sweeps = tuple(
             one.model_copy(
                 update={
@@ -65,11 +80,11 @@ def planned(folder: Path) -> Path:
     return folder
 
 
-def collected(run: RunFile) -> CollectResult:
-    """Collect; a computer that stalls stops the arms, and a person begins again."""
+def patiently(act: Callable[[int], T]) -> T:
+    """Do something; a computer that stalls stops the arms, and a person begins again."""
     for attempt in range(3):
         try:
-            return collect_run(run, resume=attempt > 0)
+            return act(attempt)
         except HardwareError as error:
             if "this program was silent" not in str(error) and "this computer was" not in str(error):
                 raise
@@ -85,7 +100,7 @@ def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.M
             driver = BridgeSettings(url=f"socket://127.0.0.1:{port}")
             tracker = profile.tracker.model_copy(update={"driver": driver})
             monkeypatch.setattr(run, "profile", profile.model_copy(update={"tracker": tracker}))
-            assert collected(run).stops == 1
+            assert patiently(lambda attempt: collect_run(run, resume=attempt > 0)).stops == 1
         assert [state.arm for state in recording_states(run) if state.reached_s is None] == [ARM]
         (recording,) = read_recordings_of(run, ARM)
         joints, points = recording.joints, recording.points
@@ -97,3 +112,40 @@ def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.M
         assert track.start.offset_s == pytest.approx(true_s, abs=5e-3)
         assert track.trigger is not None, "pulses of both recordings belong together"
         assert track.trigger.offset_s == pytest.approx(true_s, abs=0.010)
+
+
+def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
+    profile = served_cell()
+    model = published_cell(profile, {})
+    poses = [{"position": [-0.1, -0.75, 0.55], "rpy": ["90 deg", 0, 0]}, {"position": [0.1, -0.75, 0.55]}]
+    spec = PathSpec.model_validate({"name": "line", "arm": ARM, "tolerance": 1e-3, "speed": 0.1, "poses": poses})
+    plan = plan_path(profile, model, spec, 0.008)
+    assert (plan.refusal, plan.path is None, plan.trajectory is None) == ("", False, False)
+
+    def driven(_: int) -> list[TrackedPath]:
+        found: list[TrackedPath] = []
+        control = JobControl()
+        with moving_cell(at_port, model, control, slow_visits=None) as moving:
+            driver = PathDriver(moving.cell, moving.mover, moving.reaction, control)
+            moving.mover.speed = 1.0
+
+            def begin() -> None:
+                moving.mover.move({ARM: plan.trajectory.q[0]})  # type: ignore[union-attr]
+
+            while not any(one.lost_beams for one in found) and len(found) < MOST_DRIVEN:
+                start_M = plan.path.positions(np.zeros(1))[0]  # type: ignore[union-attr]
+                found.append(driver.drive(ARM, plan.trajectory, begin, start_M))  # type: ignore[arg-type]
+        return found
+
+    with emulated(profile, HOSTS, 1.0, LOST_PER_MIN) as port:
+        driver = BridgeSettings(url=f"socket://127.0.0.1:{port}")
+        tracker = profile.tracker.model_copy(update={"driver": driver})
+        at_port = profile.model_copy(update={"tracker": tracker})
+        found = patiently(driven)
+    assert plan.trajectory is not None
+    assert plan.path is not None
+    assert found[-1].lost_beams > 0
+    for one in found:
+        assert one.track is not None
+        assert len(one.track.p_M) >= plan.trajectory.duration_s / INTERVAL_S - 10
+        assert plan.path.distances(one.track.p_M).max() < 0.02, "as far as nominal arms are off"

@@ -17,7 +17,15 @@ from cellapp.cell.driving.iteration import (
     significant,
 )
 from cellapp.cell.driving.motion import MotionRefused, Vector
-from cellapp.cell.driving.verification import CommandKind, Findings, Measured, Rest, mean_of, predict_at_rest
+from cellapp.cell.driving.verification import (
+    CommandKind,
+    Findings,
+    Measured,
+    Rest,
+    mean_of,
+    measured_turn,
+    predict_at_rest,
+)
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.invert import with_approach
 from cellapp.cell.targets.working_conditions import conditions_of
@@ -123,7 +131,8 @@ class TargetVisit:
         rest: dict[str, Measured] = {}
         mover = self.driver.mover
         for name, command in found.commands.items():
-            wanted_M = command.nominal_M if kind == "nominal" else command.expected_M
+            nominal = kind == "nominal"
+            wanted_M = command.nominal_M if nominal else command.expected_M
             if wanted_M is None or command.visible is False:
                 continue
             dwell_s = conditions_of(command.target, name).dwell
@@ -144,6 +153,9 @@ class TargetVisit:
                 predicted_M=predict_at_rest(self.model, mover, name, states[name], point),
                 point=point,
                 repeatability_m=self.repeatability_m.get(name, 0.0),
+                turn_M=measured_turn(
+                    self.model.arms[name], point, command.nominal_rotation_M if nominal else command.rotation_M
+                ),
             )
         return rest
 

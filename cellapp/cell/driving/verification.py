@@ -9,17 +9,20 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.targets.command import Command
-from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredTarget
+from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredTarget, MeasuredTurn
 from cellapp.cell.targets.targets import target_record
 from cellapp.estimation.calibration.evaluation import summarise
 from cellapp.estimation.uncertainty.judging import Judge
+from cellapp.estimation.uncertainty.turn_budget import expanded_mrad, turn_budget
+from cellapp.ground.results import ErrorSummary
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
-from cellapp.robot.kinematics.transforms import Array, xyz_of
-from cellapp.robot.model import CellModel
+from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotation_vectors, xyz_of
+from cellapp.robot.model import ArmModel, CellModel
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import Point
 
@@ -53,6 +56,8 @@ class Measured:
     point : Point
     repeatability_m : float
         Standard deviation of a coordinate of the SMR as measured after repeated motions [m]; zero where not known.
+    turn_M : array, shape (3,), or None
+        Rotation vector [rad] from the wanted to the measured rotation of the flange; None where it was not measured.
     """
 
     sent: Array
@@ -62,6 +67,7 @@ class Measured:
     predicted_M: Array
     point: Point
     repeatability_m: float
+    turn_M: Array | None = None
 
     @property
     def error_M(self) -> Array:
@@ -98,8 +104,10 @@ def mean_of(measured: Sequence[Measured]) -> Measured:
         p_M=np.mean([one.point.p_M for one in measured], axis=0),
         covariance_M=np.mean([one.point.covariance_M for one in measured], axis=0) / n,
     )
+    turns = [one.turn_M for one in measured if one.turn_M is not None]
     return replace(
         first,
+        turn_M=np.mean(turns, axis=0) if len(turns) == n else None,
         q=np.mean([one.q for one in measured], axis=0),
         predicted_M=np.mean([one.predicted_M for one in measured], axis=0),
         point=point,
@@ -229,7 +237,46 @@ class Findings:
             q_corrected=None if corrected is None else tuple(corrected.sent.tolist()),
             q_driven=None if sent is None else tuple(sent.tolist()),
             approach=None if came is None else tuple(int(sign) for sign in came),
+            orientation=_turn(command, nominal, alone, kept, judge),
         )
+
+
+def _turn(
+    command: Command, nominal: Measured | None, alone: Measured | None, kept: Measured | None, judge: Judge
+) -> MeasuredTurn | None:
+    """Errors of the flange's rotation; None where none was measured."""
+    angles = [_turn_mrad(one) for one in (nominal, alone, kept)]
+    if all(angle is None for angle in angles):
+        return None
+    stated = command.turn
+    expanded = None
+    if stated is not None:
+        expanded = expanded_mrad(turn_budget(judge.profile, command.arm, stated.model_mrad, stated.noise_mrad))
+    return MeasuredTurn(
+        nominal_mrad=angles[0],
+        compensated_mrad=angles[1],
+        final_mrad=angles[2],
+        within_mrad=None if stated is None else stated.within_mrad,
+        expanded_mrad=expanded,
+        verdict=judge.verdict(angles[2], expanded, command.target.orientation_tolerance_mrad),
+    )
+
+
+def _turn_mrad(measured: Measured | None) -> float | None:
+    return None if measured is None or measured.turn_M is None else float(np.linalg.norm(measured.turn_M)) * 1e3
+
+
+def measured_turn(arm: ArmModel, point: Point, wanted_M: Array | None) -> Array | None:
+    """Rotation vector (3,) [rad] in the tracker frame from the wanted to the measured rotation of the flange.
+
+    None where no orientation was measured, where any rotation ``wanted_M`` (3, 3) will do (NaN), or where readings
+    without orientations left open how the probe is mounted.
+    """
+    if point.quaternion_M is None or wanted_M is None or arm.geometry.probe is None or np.isnan(wanted_M).any():
+        return None
+    R_M_S = Rotation.from_quat(np.roll(point.quaternion_M, -1)).as_matrix()
+    R_M_F = R_M_S @ rotation_from_vector(arm.geometry.probe).T
+    return np.asarray(rotation_vectors((R_M_F @ wanted_M.T)[None])[0])
 
 
 def _error_mm(measured: Measured | None) -> float | None:
@@ -345,4 +392,18 @@ def summary_of(measured: Sequence[MeasuredTarget | MeasuredPair]) -> ArmVerifica
         nominal_mm=summarise(of(lambda one: one.nominal_mm)),
         compensated_mm=summarise(of(lambda one: one.compensated_mm)),
         corrected_mm=summarise(of(lambda one: one.final_mm)) if corrected else None,
+        **_turn_summaries([one.orientation for one in both if isinstance(one, MeasuredTarget)]),
     )
+
+
+def _turn_summaries(turns: Sequence[MeasuredTurn | None]) -> dict[str, ErrorSummary]:
+    """Statistics of the rotations that were measured with both commands; empty without any."""
+    pairs = [
+        (one.nominal_mrad, one.compensated_mrad)
+        for one in turns
+        if one is not None and None not in (one.nominal_mrad, one.compensated_mrad)
+    ]
+    if not pairs:
+        return {}
+    nominal, compensated = np.array(pairs, dtype=np.float64).T * 1e-3
+    return {"nominal_mrad": summarise(nominal), "compensated_mrad": summarise(compensated)}

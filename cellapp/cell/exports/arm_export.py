@@ -10,8 +10,8 @@ import numpy as np
 from cellapp.cell.exports.records import PositionLoss
 from cellapp.ground.profile import Arm
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.chain import Geometry, smr_positions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
+from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 from cellapp.robot.model import ArmModel
 
 POSES = 1000
@@ -84,10 +84,14 @@ def lost_parts(model: ArmModel, space: Workspace) -> dict[str, PositionLoss]:
 
 
 def lost_by(geometry: Geometry, model: ArmModel, space: Workspace) -> PositionLoss:
-    """Position error of a rigid chain in the place of a model."""
+    """Position error of a rigid chain in the place of a model; error of the flange's rotation where it was measured."""
     shift = model.predict(space.q, conditions=space.conditions) - smr_positions(geometry, space.q)
-    length = np.linalg.norm(shift, axis=1) * 1e3
-    return PositionLoss(rms_mm=float(np.sqrt(np.mean(length**2))), max_mm=float(length.max()))
+    errors = {"mm": np.linalg.norm(shift, axis=1) * 1e3}
+    if geometry.probe is not None:
+        turned = flange_poses(geometry, space.q)[0].swapaxes(1, 2) @ model.flange(space.q, space.conditions)[0]
+        errors["mrad"] = np.linalg.norm(rotation_vectors(turned), axis=1) * 1e3
+    found = {f"rms_{unit}": float(np.sqrt(np.mean(error**2))) for unit, error in errors.items()}
+    return PositionLoss(**found, **{f"max_{unit}": float(error.max()) for unit, error in errors.items()})
 
 
 def conversion_mm(export: ArmExport, held: Geometry) -> float:

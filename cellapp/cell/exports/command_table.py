@@ -10,6 +10,7 @@ from cellapp.cell.exports.arm_commands import ArmCommands
 from cellapp.cell.exports.arm_export import hashed
 from cellapp.cell.exports.export_format import CommandFormat
 from cellapp.cell.run.csv_text import quoted_text
+from cellapp.cell.targets.records import TargetCommand
 from cellapp.cell.targets.sides import signs_words
 
 _NOTES = (
@@ -19,11 +20,23 @@ _NOTES = (
     "within_mm what a measured error stays below with 95 % probability: both of geometry, effects, network,",
     "extrapolation, noise, and conditions that nobody stated. A refused target has no positions.",
 )
+_TURNED = (
+    "nominal_mrad",
+    "orientation_uncertainty_mrad",
+    "orientation_within_mrad",
+    "orientation_tolerance_mrad",
+    "orientation_verdict",
+)
+_TURNED_NOTES = (
+    "nominal_mrad is by what angle nominal_q1..N has the flange off the target's rotation, by the calibrated model;",
+    "orientation_... say of the rotation at q1..qN what uncertainty_mm to verdict say of the position.",
+)
 
 
 def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
     """The CSV text: comment lines, a header row, a row a target; floats in the shortest exact form."""
     joints = range(1, len(commands.home) + 1)
+    turned = any(command.record.orientation is not None for command in commands.commands)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
@@ -39,6 +52,7 @@ def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
             "tolerance_mm",
             "verdict",
             "refusal",
+            *(_TURNED if turned else ()),
         ]
     )
     for one in (command.record for command in commands.commands):
@@ -54,9 +68,18 @@ def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
                 "" if one.tolerance_mm is None else repr(one.tolerance_mm),
                 one.verdict,
                 quoted_text(one.refusal),
+                *(_turned(one) if turned else ()),
             ]
         )
-    return hashed([*sentences, *_NOTES]) + text.getvalue()
+    return hashed([*sentences, *_NOTES, *(_TURNED_NOTES if turned else ())]) + text.getvalue()
+
+
+def _turned(one: TargetCommand) -> list[str]:
+    """The cells of the columns ``_TURNED``."""
+    turn = one.orientation
+    known = [None] * 3 if turn is None else [turn.nominal_mrad, turn.uncertainty_mrad, turn.within_mrad]
+    numbers = ["" if value is None else repr(value) for value in (*known, one.orientation_tolerance_mrad)]
+    return [*numbers, "" if turn is None else turn.verdict]
 
 
 def commanded(commands: ArmCommands) -> int:

@@ -25,7 +25,8 @@ def dh_plain(export: ArmExport, sentences: Sequence[str]) -> str:
 
 def _dh_table(geometry: Geometry, columns: int, sentences: Sequence[str]) -> str:
     rows = [dict(zip(ROW_NAMES, row, strict=False)) for row in geometry.rows[:, :columns].tolist()]
-    return yaml_table({"rows": rows, "tool": geometry.tool.tolist()}, geometry, sentences)
+    probe = {} if geometry.probe is None else {"probe_rotation_vector": geometry.probe.tolist()}
+    return yaml_table({"rows": rows, "tool": geometry.tool.tolist(), **probe}, geometry, sentences)
 
 
 DH = ExportFormat("dh", "D-H table with Hayati angles (YAML)", ".yaml", dh)

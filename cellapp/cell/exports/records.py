@@ -9,10 +9,24 @@ from cellapp.ground.results import Record, Result
 
 
 class PositionLoss(Record):
-    """Position error of the SMR [mm] over the workspace where a part of the model is left out."""
+    """Position error of the SMR [mm] over the workspace where a part of the model is left out.
+
+    ``rms_mrad`` and ``max_mrad`` are of the flange's rotation, where readings had orientations.
+    """
 
     rms_mm: float
     max_mm: float
+    rms_mrad: float | None = None
+    max_mrad: float | None = None
+    omitted_when_none = frozenset({"rms_mrad", "max_mrad"})
+
+    @property
+    def words(self) -> str:
+        """As ``0.112 mm rms, 0.310 mm at most``."""
+        turned = ""
+        if self.rms_mrad is not None and self.max_mrad is not None:
+            turned = f"; {self.rms_mrad:.3f} mrad rms, {self.max_mrad:.3f} mrad at most"
+        return f"{self.rms_mm:.3f} mm rms, {self.max_mm:.3f} mm at most{turned}"
 
 
 class ArmFile(Record):

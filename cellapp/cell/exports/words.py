@@ -37,12 +37,13 @@ def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | No
     """What a file cannot hold, in words."""
     if together is None:
         return ["The model of this arm is geometry alone: this file holds all of it."]
+    turned = "" if together.rms_mrad is None else " and the flange's rotation"
     lines = [
-        "This file does not hold these parts of the model. How far the SMR is off without them,",
+        f"This file does not hold these parts of the model. How far the SMR{turned} is off without them,",
         f"at {POSES} random configurations within the joint ranges of the readings:",
     ]
     rows = [*lost.items()] if len(lost) == 1 else [*lost.items(), (_TOGETHER, together)]
-    lines += [f"  {part}: {loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most" for part, loss in rows]
+    lines += [f"  {part}: {loss.words}" for part, loss in rows]
     return lines
 
 

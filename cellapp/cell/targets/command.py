@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cellapp.cell.targets.records import TargetCommand, UnknownCondition
+from cellapp.cell.targets.records import PredictedTurn, TargetCommand, UnknownCondition
 from cellapp.cell.targets.sides import holds_for
 from cellapp.cell.targets.targets import Target, target_record
 from cellapp.cell.targets.working_conditions import conditions_of
@@ -69,6 +69,10 @@ class Command:
         That the command was made for, stated or the profile's.
     prediction : Prediction or None
         None where the model states no uncertainty.
+    turn : PredictedTurn or None
+        None where no orientation of the arm was measured.
+    rotation_M, nominal_rotation_M : array, shape (3, 3), or None
+        Rotation of the flange at ``expected_M`` and ``nominal_M``; NaN where any will do.
     """
 
     target: Target
@@ -87,6 +91,9 @@ class Command:
     side: tuple[int, ...] | None = None
     payload_kg: float | None = None
     prediction: Prediction | None = None
+    turn: PredictedTurn | None = None
+    rotation_M: Array | None = None
+    nominal_rotation_M: Array | None = None
 
     @property
     def uncertainty_mm(self) -> float | None:
@@ -123,6 +130,7 @@ def command_record(command: Command) -> TargetCommand:
         approach=command.side,
         holds_for="" if command.q_compensated is None else _holds_for(command),
         verdict=judged if found is None else found.verdict,
+        orientation=command.turn,
     )
 
 

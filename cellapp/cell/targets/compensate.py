@@ -25,6 +25,7 @@ from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.refusals import missed_poses, refusal
 from cellapp.cell.targets.sides import sided_commands
 from cellapp.cell.targets.targets import Target
+from cellapp.cell.targets.turn_prediction import predicted_turns
 from cellapp.cell.targets.working_conditions import beside, conditions_payload, stated_conditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -197,6 +198,18 @@ def _of_arm(
     found, conditions = sided.found, sided.conditions
     tolerances = [group.targets[k].tolerance_mm for k in rows.tolist()]
     predicted = predictions(arm, found.q, conditions, tolerances, home, ranges, sided.others)
+    turn_tolerances = [group.targets[k].orientation_tolerance_mrad for k in rows.tolist()]
+    turns = predicted_turns(
+        arm,
+        found.q,
+        chosen.nominal[name][rows],
+        conditions,
+        goal.rotation_M[rows],
+        goal.nominal_rotation_M[rows],
+        turn_tolerances,
+        home,
+        ranges,
+    )
     notes = outside_notes(found.q, conditions, ranges, predicted, arm.bodies.payload_mass)
     seen, payloads = _seen(group, name, at), conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
     for place, k in enumerate(rows.tolist()):
@@ -216,6 +229,9 @@ def _of_arm(
             payload_kg=float(payloads[place]),
             note=notes[place],
             prediction=predicted[place],
+            turn=turns[place],
+            rotation_M=goal.rotation_M[k],
+            nominal_rotation_M=goal.nominal_rotation_M[k],
         )
     return commands
 

@@ -56,11 +56,14 @@ def open_compliance(arm: ArmModel, readings: Readings) -> Array | None:
 def payload_covariance(
     arm: ArmModel, q: Array, conditions: MeasurementConditions, measured_kg: tuple[float, float], compliance: Array
 ) -> Array:
-    """Covariance (n, 3, 3) [m^2] that payloads beyond the ``measured_kg`` ones add at ``q`` (n, N) [rad]."""
+    """Covariance (n, 3, 3) [m^2] that payloads beyond the ``measured_kg`` ones add at ``q`` (n, N) [rad].
+
+    Where ``conditions`` have a measured orientation, that of the rotation [rad^2].
+    """
     asked = arm.context(q, conditions=conditions)
     near = replace(conditions, payload_kg=np.clip(asked.payload_kg, *measured_kg))
     torque = asked.torques - arm.context(q, conditions=near).torques
-    _, J = joint_jacobian(arm.geometry, JointAngles.of(q))
+    _, J = joint_jacobian(arm.geometry, JointAngles.of(q, conditions.R_M_S))
     moved = np.einsum("cjn,nj->ncj", J, torque)
     return np.asarray(moved @ compliance @ moved.transpose(0, 2, 1))
 

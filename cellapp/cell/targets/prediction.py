@@ -10,6 +10,7 @@ import numpy as np
 from cellapp.cell.targets.command import Prediction
 from cellapp.cell.targets.other_payload import payload_covariance
 from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.cell.targets.sides import from_home
 from cellapp.cell.targets.tolerance import length_bounds, predicted_verdict
 from cellapp.cell.targets.unknown_conditions import OneUnknown, unknown_conditions, unknown_records
 from cellapp.cell.targets.working_conditions import conditions_payload
@@ -20,7 +21,7 @@ from cellapp.robot.model import ArmModel
 
 _SAME_PAYLOAD_KG = 0.05
 """Payloads that agree so closely are the same, as they are to a push."""
-_AT_ONCE = 1000
+AT_ONCE = 1000
 """Configurations at once: their draws take some tens of MB."""
 
 
@@ -67,16 +68,16 @@ def predictions(
     if arm.posterior is None:
         return [None] * len(q)
     found: list[Prediction | None] = []
-    for begin in range(0, len(q), _AT_ONCE):
-        rows = np.arange(begin, min(begin + _AT_ONCE, len(q)))
+    for begin in range(0, len(q), AT_ONCE):
+        rows = np.arange(begin, min(begin + AT_ONCE, len(q)))
         here, stated = q[rows], conditions.take(rows)
         unknown = [*([] if others is None else [others.take(rows)]), *unknown_conditions(arm, here, stated, ranges)]
-        spread = spread_of(arm, here, _from_home(stated, here, home), ranges)
+        spread = spread_of(arm, here, from_home(stated, here, home), ranges)
         covariance = sum((one.covariance for one in unknown), np.zeros_like(spread.network))
         spread = replace(spread, conditions=covariance)
         noise = _noise(arm, here, stated, ranges)
         excess = 0.0 if ranges.noise is None else ranges.noise.excess(arm.posterior.noise_m)
-        judged = _judged(spread, noise, excess, tolerances_mm[begin : begin + _AT_ONCE])
+        judged = _judged(spread, noise, excess, tolerances_mm[begin : begin + AT_ONCE])
         found += [replace(one, unknown=unknown_records(unknown, k)) for k, one in enumerate(judged)]
     return found
 
@@ -162,16 +163,6 @@ def _of_model(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> tup
         R = arm.geometry.T_M_B()[:3, :3]
         network = (R * arm.network.spread(q)[:, None] ** 2) @ R.T
     return share * whole, (1.0 - share) * whole, network
-
-
-def _from_home(conditions: MeasurementConditions, q: Array, home: Array) -> MeasurementConditions:
-    """The conditions with joints of unknown approach coming straight from home."""
-    step = q - home
-    approach = np.sign(step)
-    if conditions.approach is not None:
-        stated = np.asarray(conditions.approach, dtype=np.float64)
-        approach = np.where(stated == 0.0, approach, stated)
-    return replace(conditions, approach=approach, step=np.abs(step) * approach)
 
 
 def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:

@@ -27,6 +27,8 @@ class TargetRecord(Record):
     frame: str = "base"
     partner: str = ""
     definition: str = ""
+    orientation_tolerance_mrad: float | None = None
+    omitted_when_none = frozenset({"orientation_tolerance_mrad", "orientation"})
 
 
 class UnknownCondition(Record):
@@ -35,6 +37,45 @@ class UnknownCondition(Record):
     condition: str
     effects: tuple[str, ...]
     mm: float
+
+
+class PredictedTurn(Record):
+    """The rotation of the flange at one command, where readings had orientations [mrad].
+
+    Attributes
+    ----------
+    nominal_mrad : float or None
+        By what angle the command of the published geometry is off the target; None where any rotation will do.
+    uncertainty_mrad, model_mrad, noise_mrad : float
+        Standard uncertainty of a measured component of the rotation, that of the model alone, and the scatter of
+        measured orientations about the model.
+    within_mrad : float
+        Angle from the target that a measurement keeps with 95 % probability.
+    verdict : str
+        Of that bound against the orientation's tolerance.
+    """
+
+    nominal_mrad: float | None
+    uncertainty_mrad: float
+    model_mrad: float
+    noise_mrad: float
+    within_mrad: float
+    verdict: ToleranceVerdict = ""
+
+
+class MeasuredTurn(Record):
+    """Angle between the measured and the wanted rotation of the flange at one target [mrad].
+
+    ``nominal_mrad``, ``compensated_mrad``, ``final_mrad``, ``within_mrad``, ``expanded_mrad`` and ``verdict`` are as
+    those of the position in ``MeasuredTarget``; corrections by measuring are of the position.
+    """
+
+    nominal_mrad: float | None
+    compensated_mrad: float | None
+    final_mrad: float | None
+    within_mrad: float | None = None
+    expanded_mrad: float | None = None
+    verdict: ToleranceVerdict = ""
 
 
 class TargetCommand(TargetRecord):
@@ -72,6 +113,8 @@ class TargetCommand(TargetRecord):
         What the row holds for, in words: sides of approach, payload, and the conditions that the target states.
     verdict : str
         By the one decision rule, of an error of zero with ``within_mm`` as its uncertainty.
+    orientation : PredictedTurn, optional
+        Where orientations of this arm were measured.
     """
 
     refusal: str
@@ -90,6 +133,7 @@ class TargetCommand(TargetRecord):
     payload_kg: float | None = None
     holds_for: str = ""
     verdict: ToleranceVerdict = ""
+    orientation: PredictedTurn | None = None
 
 
 class CompensateResult(Result, schema="cellapp-compensate"):
@@ -131,6 +175,8 @@ class MeasuredTarget(TargetRecord):
         Expanded uncertainty (k = 2) of ``final_mm``; None where a contribution was not given.
     verdict : str
         Of ``final_mm`` against the tolerance, by the decision rule.
+    orientation : MeasuredTurn, optional
+        Where a probe on the flange measured it, and the target has a rotation.
     """
 
     nominal_mm: float | None
@@ -148,6 +194,7 @@ class MeasuredTarget(TargetRecord):
     q_corrected: tuple[float, ...] | None = None
     q_driven: tuple[float, ...] | None = None
     approach: tuple[int, ...] | None = None
+    orientation: MeasuredTurn | None = None
 
     @property
     def final_mm(self) -> float | None:
@@ -184,12 +231,15 @@ class ArmVerification(Record):
     """Distances from targets, or errors of distances between SMRs, with nominal and with compensated commands.
 
     ``corrected_mm`` is of the commands that were kept after correcting; None where no correction was asked for.
+    ``nominal_mrad`` and ``compensated_mrad`` are of the flange's rotation, where it was measured.
     """
 
     nominal_mm: ErrorSummary
     compensated_mm: ErrorSummary
     corrected_mm: ErrorSummary | None = None
-    omitted_when_none = frozenset({"corrected_mm"})
+    nominal_mrad: ErrorSummary | None = None
+    compensated_mrad: ErrorSummary | None = None
+    omitted_when_none = frozenset({"corrected_mm", "nominal_mrad", "compensated_mrad"})
 
 
 class VerifyResult(Result, schema="cellapp-verify"):
@@ -223,7 +273,12 @@ class VerifyResult(Result, schema="cellapp-verify"):
                 found += _no_better(f"arm {name}: the mean error at", arm)
         if self.cooperative is not None:
             found += _no_better("pairs: the mean error of the distance at", self.cooperative)
-        return found + _out_of_tolerance("targets", self.targets) + _out_of_tolerance("pairs", self.pairs)
+        return [
+            *found,
+            *_out_of_tolerance("targets", self.targets),
+            *_turned_out_of_tolerance(self.targets),
+            *_out_of_tolerance("pairs", self.pairs),
+        ]
 
 
 def _no_better(subject: str, errors: ArmVerification) -> list[str]:
@@ -237,14 +292,42 @@ def _no_better(subject: str, errors: ArmVerification) -> list[str]:
 
 def _out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
     out = [one for one in measured if one.verdict == "out" or _beyond(one)]
+    named = [f"{one.name} ({one.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)" for one in out]
+    verdicts, of_out = ([one.verdict for one in some] for some in (measured, out))
+    return _named_out(f"{what} with a tolerance", named, verdicts, of_out)
+
+
+def _turned_out_of_tolerance(measured: Sequence[MeasuredTarget]) -> list[str]:
+    """The same of the flange's rotation."""
+    judged = [
+        (one.name, one.orientation, one.orientation.final_mrad, one.orientation_tolerance_mrad)
+        for one in measured
+        if one.orientation is not None
+    ]
+    out = [
+        (f"{name} ({angle:.3f} mrad, tolerance {limit:g} mrad)", turn.verdict)
+        for name, turn, angle, limit in judged
+        if angle is not None and limit is not None and (turn.verdict == "out" or angle > limit)
+    ]
+    return _named_out(
+        "targets with a tolerance of orientation",
+        [words for words, _ in out],
+        [turn.verdict for _, turn, _, _ in judged],
+        [verdict for _, verdict in out],
+    )
+
+
+def _named_out(
+    what: str, out: Sequence[str], judged: Sequence[ToleranceVerdict], verdicts: Sequence[ToleranceVerdict]
+) -> list[str]:
+    """What is out of tolerance, each in words with its verdict, among all that was judged; empty if nothing is."""
     if not out:
         return []
-    named = [f"{one.name} ({one.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)" for one in out[:_MOST_NAMED]]
     more = [f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else []
-    judged = sum(one.verdict != "" for one in measured)
-    undecided = sum(one.verdict != "out" for one in out)
+    undecided = sum(verdict != "out" for verdict in verdicts)
     proven = f" ({undecided} of these not proven with the uncertainty)" if undecided else ""
-    return [f"{len(out)} of {judged} {what} with a tolerance are out of it: {', '.join(named + more)}{proven}"]
+    total = sum(verdict != "" for verdict in judged)
+    return [f"{len(out)} of {total} {what} are out of it: {', '.join([*out[:_MOST_NAMED], *more])}{proven}"]
 
 
 def _beyond(one: MeasuredTarget | MeasuredPair) -> bool:

@@ -96,3 +96,13 @@ def holds_for(command_signs: Sequence[int] | None, *, payload_kg: float | None, 
 def signs_words(signs: Sequence[int]) -> str:
     """Signs of last motions as columns have them: ``-1 +1 0``."""
     return " ".join(f"{sign:+d}" if sign else "0" for sign in signs)
+
+
+def from_home(conditions: MeasurementConditions, q: Array, home: Array) -> MeasurementConditions:
+    """The conditions with joints of unknown approach coming straight from home."""
+    step = q - home
+    approach = np.sign(step)
+    if conditions.approach is not None:
+        stated = np.asarray(conditions.approach, dtype=np.float64)
+        approach = np.where(stated == 0.0, approach, stated)
+    return replace(conditions, approach=approach, step=np.abs(step) * approach)

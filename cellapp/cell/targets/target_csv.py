@@ -7,6 +7,7 @@
     roll_deg, pitch_deg, yaw_deg                flange rotation; or _rad; or qw, qx, qy, qz; or the rotation vector
                                                 rx_deg, ry_deg, rz_deg (_rad)
     tolerance_mm                                or _m, _um
+    orientation_tolerance_mrad                  or _rad, _deg
     approach1 .. approachN                      preferred sign of each joint's last motion: -1, 0, 1
     payload_kg, temperature_c, time_s, dwell_s  working conditions
     partner_arm, partner_x_mm, ...              other arm of a cooperative target: arm, position, rotation, conditions
@@ -64,6 +65,7 @@ _OF_ONE_ARM: Mapping[str, _Quantity] = {
 _QUANTITIES: Mapping[str, _Quantity] = {
     **_OF_ONE_ARM,
     "tolerance": _Quantity(("tolerance",), "length", ("mm", "m", "um")),
+    "orientation_tolerance": _Quantity(("orientation_tolerance",), "angle", ("mrad", "rad", "deg")),
     **{f"partner_{name}": replace(of, path=("partner", *of.path)) for name, of in _OF_ONE_ARM.items()},
 }
 """By the name of the column without its unit."""

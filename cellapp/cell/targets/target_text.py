@@ -31,6 +31,13 @@ FIELDS = (
     FormField("rpy", ("rpy",), "vector", "Rotation", "roll, pitch, yaw of the flange: 90 deg, 0, 0; empty: any"),
     FormField("tolerance", ("tolerance",), "value", "Tolerance", "how far the SMR may be off: 0.1 mm; may be empty"),
     FormField(
+        "orientation_tolerance",
+        ("orientation_tolerance",),
+        "value",
+        "Tolerance of rotation",
+        "by what angle the flange may be off: 0.5 mrad; may be empty",
+    ),
+    FormField(
         "approach",
         ("approach",),
         "vector",
@@ -46,7 +53,7 @@ FIELDS = (
     ),
 )
 """What a person types of a target."""
-_OPTIONAL = frozenset({"frame", "rpy", "tolerance", "approach", "partner"})
+_OPTIONAL = frozenset({"frame", "rpy", "tolerance", "orientation_tolerance", "approach", "partner"})
 _PARTS = {"position": ("x", "y", "z"), "rpy": ("roll", "pitch", "yaw")}
 
 
@@ -91,6 +98,9 @@ def typed_texts(target: Target) -> dict[str, str]:
         "position": _lengths(target.position),
         "rpy": _angles(target.rpy),
         "tolerance": "" if target.tolerance_mm is None else f"{target.tolerance_mm:.10g} mm",
+        "orientation_tolerance": ""
+        if target.orientation_tolerance_mrad is None
+        else f"{target.orientation_tolerance_mrad:.10g} mrad",
         "approach": ", ".join(map(str, target.approach or ())),
         "partner": ""
         if partner is None
@@ -221,6 +231,9 @@ def _target_keys(target: Target, usual: Mapping[str, WorkingConditions]) -> dict
     if target.tolerance is not None:
         text = f"{target.tolerance * 1e3:.12g} mm"  # in mm where that is the same number
         keys["tolerance"] = text if parse_quantity("length", text) == target.tolerance else target.tolerance
+    if (turn := target.orientation_tolerance) is not None:
+        text = f"{turn * 1e3:.12g} mrad"
+        keys["orientation_tolerance"] = text if parse_quantity("angle", text) == turn else turn
     if target.approach is not None:
         keys["approach"] = list(target.approach)
     if target.partner is not None:

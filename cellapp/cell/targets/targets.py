@@ -29,9 +29,11 @@ from cellapp.cell.targets.target_source import TargetSource, checked, placed_err
 from cellapp.cell.targets.target_yaml import read_yaml
 from cellapp.cell.targets.written_rotation import ROTATIONS, with_rpy
 from cellapp.ground.profile import CellPoint, Profile
-from drivers.quantities import ArmLength, Length, Mass, Temperature, Time, Turn
+from drivers.quantities import Angle, ArmLength, Length, Mass, Temperature, Time, Turn
 from drivers.settings import Section
 
+_LOOSEST_RAD = 0.02
+"""The same of orientations: what is beyond was meant in mrad or degrees."""
 _LOOSEST_M = 0.01
 """Arms that are not calibrated do better: what is beyond was meant in millimetres, as 0.1 without a unit."""
 _FARTHEST_M = 10.0
@@ -48,6 +50,15 @@ def _tolerance(value: float) -> float:
         raise ValueError(
             f"expected a tolerance above 0 and at most {_LOOSEST_M * 1e3:g} mm, got {value:g} m;"
             f" a plain number is metres, write '{value:g} mm' for mm"
+        )
+    return value
+
+
+def _turn_tolerance(value: float) -> float:
+    if not 0.0 < value <= _LOOSEST_RAD:
+        raise ValueError(
+            f"expected a tolerance above 0 and at most {_LOOSEST_RAD * 1e3:g} mrad, got {value:g} rad;"
+            f" a plain number is rad, write '{value:g} mrad' for mrad"
         )
     return value
 
@@ -147,6 +158,8 @@ class Target(Section):
     work_frame : WorkFrame or None
     tolerance : float or None
         How far the SMR may be from the target, and the distance between two SMRs from the wanted one [m].
+    orientation_tolerance : float or None
+        By what angle the flange may be turned from the target's rotation [rad].
     approach : signs or None
         Preferred sign of each joint's last motion, 0 where it does not matter; None: as the way leads.
     conditions : WorkingConditions
@@ -165,6 +178,7 @@ class Target(Section):
     approach: tuple[Literal[-1, 0, 1], ...] | None = None
     conditions: WorkingConditions = WorkingConditions()
     partner: Partner | None = None
+    orientation_tolerance: Annotated[Angle, AfterValidator(_turn_tolerance)] | None = None
 
     _rotation = model_validator(mode="before")(with_rpy)
 
@@ -172,6 +186,11 @@ class Target(Section):
     def tolerance_mm(self) -> float | None:
         """Tolerance [mm]."""
         return None if self.tolerance is None else self.tolerance * 1e3
+
+    @property
+    def orientation_tolerance_mrad(self) -> float | None:
+        """Tolerance of the flange's rotation [mrad]."""
+        return None if self.orientation_tolerance is None else self.orientation_tolerance * 1e3
 
     @property
     def arms(self) -> tuple[str, ...]:
@@ -306,7 +325,8 @@ def partner_of(target: Target, arm: str) -> str:
 
 def definition(target: Target) -> str:
     """A digest of all that a target says: frame, partner and conditions too."""
-    return hashlib.sha256(target.model_dump_json().encode()).hexdigest()[:_DIGEST]
+    later = {"orientation_tolerance"} if target.orientation_tolerance is None else set()
+    return hashlib.sha256(target.model_dump_json(exclude=later).encode()).hexdigest()[:_DIGEST]
 
 
 @contextlib.contextmanager
@@ -408,6 +428,8 @@ def _misfit(target: Target, profile: Profile, frames: Iterable[str]) -> TargetPr
             f": approach: expected {joints} signs, one for each joint of arm {target.arm}, got {len(target.approach)}"
         )
         return TargetProblem("approach", text)
+    if target.orientation_tolerance is not None and target.rpy is None:
+        return TargetProblem("orientation_tolerance", ": give the target a rotation; where any will do none is off")
     return None if target.partner is None else _partner_misfit(target, target.partner, profile)
 
 

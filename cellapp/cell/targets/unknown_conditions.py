@@ -112,7 +112,7 @@ def approach_sides(arm: ArmModel, q: Array, conditions: MeasurementConditions, r
     terms = _dependent(arm, "approach")
     if not terms:
         return None
-    mover = _Mover.of(arm, terms, q)
+    mover = _Mover.of(arm, terms, q, conditions.R_M_S)
     stated = np.zeros(q.shape) if conditions.approach is None else np.asarray(conditions.approach, dtype=np.float64)
     vectors = []
     for joint in range(q.shape[1]):
@@ -169,8 +169,8 @@ class _Mover:
     by_joint: Array
 
     @classmethod
-    def of(cls, arm: ArmModel, terms: tuple[EffectTerm, ...], q: Array) -> _Mover:
-        _, by_joint = joint_jacobian(arm.geometry, JointAngles.of(q))
+    def of(cls, arm: ArmModel, terms: tuple[EffectTerm, ...], q: Array, R_M_S: Array | None) -> _Mover:
+        _, by_joint = joint_jacobian(arm.geometry, JointAngles.of(q, R_M_S))
         return cls(replace(arm, effects=terms, network=None, posterior=None), q, by_joint)
 
     def shift(self, conditions: MeasurementConditions) -> Array:
@@ -197,7 +197,7 @@ def _dwell(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: C
     terms = _dependent(arm, "dwell")
     if not terms or ranges.dwell_s is None or ranges.step is None:
         return None
-    mover, n = _Mover.of(arm, terms, q), len(q)
+    mover, n = _Mover.of(arm, terms, q, conditions.R_M_S), len(q)
     rows = _unstated(conditions, "dwell", n)
     each = []
     for joint in range(q.shape[1]):
@@ -219,7 +219,7 @@ def _over_range(
     terms = _dependent(arm, condition)
     if not terms or change is None:
         return None
-    mover, n = _Mover.of(arm, terms, q), len(q)
+    mover, n = _Mover.of(arm, terms, q, conditions.R_M_S), len(q)
     default = mover.shift(conditions)
     moved = np.array([mover.shift(change(conditions, place, n)) - default for place in _POINTS.tolist()])
     moved = np.where(_unstated(conditions, condition, n)[:, None], moved, 0.0)

@@ -2,7 +2,8 @@
 
 Only what was measured after compensation is judged: the newest verification that holds. ``position`` is the largest
 distance of an arm's SMR from its targets, ``distance`` the largest error of the distance between any two verified
-targets of an arm, ``cooperative`` the largest error of the distance between the SMRs of two arms. Without a
+targets of an arm, ``orientation`` the largest angle of its flange from the wanted rotation where a probe measured it,
+``cooperative`` the largest error of the distance between the SMRs of two arms. Without a
 verification nothing is decided; the held-out error of the calibration, which is a prediction, is named in ``source``.
 The characteristics of ISO 9283 are those that its test measured. After a check that found other arms, nothing that was
 measured before is decided.
@@ -10,7 +11,7 @@ measured before is decided.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,12 +26,18 @@ from cellapp.estimation.iso9283.norm import NORM_CYCLES
 from cellapp.estimation.uncertainty.budget import distance_budget, expanded_mm, not_given, position_budget
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.decision import conformity
-from cellapp.estimation.uncertainty.records import Characteristic, Judgement, UncertaintyContribution
+from cellapp.estimation.uncertainty.records import (
+    Characteristic,
+    Judgement,
+    TurnContribution,
+    UncertaintyContribution,
+)
+from cellapp.estimation.uncertainty.turn_budget import expanded_mrad, turn_budget
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.acceptance import Tolerances
-from cellapp.ground.results import BEST_METHODS, CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName
+from cellapp.ground.results import BEST_METHODS, CALIBRATE, COMPENSATE, ISO9283, VERIFY, ErrorSummary, StageName
 
 Budget = Sequence[UncertaintyContribution]
 
@@ -67,7 +74,7 @@ def judge_run(
         *(_distance(results, arm, budget) for arm, budget in budgets.items()),
         *_cooperative(profile.tolerances, results, budgets),
     ]
-    judged = [_judged(profile.tolerances, one) for one in own]
+    judged = [*(_judged(profile.tolerances, one) for one in own), *_orientations(profile, results)]
     changed = other_arms_found(results)
     return tuple(_undecided(one, changed) for one in (*judged, *_iso(profile, results)) if one is not None)
 
@@ -121,6 +128,51 @@ def _cooperative(tolerances: Tolerances, results: StageResults, budgets: Mapping
     return [_Measured("cooperative", _both(list(budgets)), (), _unverified(results, "cooperative", best))]
 
 
+def _orientations(profile: Profile, results: StageResults) -> Iterator[Judgement]:
+    """The largest error of orientation at verified targets of each arm with a probe; where none has one, of each."""
+    limit, rule = profile.tolerances.orientation, profile.tolerances.decision
+    if limit is None:
+        return
+    verify = held_verification(results)
+    probed = [name for name, arm in profile.arms.items() if arm.smr.probe is not None]
+    for arm in probed or profile.arms:
+        targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
+        angles = [turn.final_mrad for one in targets if (turn := one.orientation) and turn.final_mrad is not None]
+        source = _unverified(results, "orientation", None)
+        if verify is not None and angles:
+            source = _verified(verify, len(angles), len(targets), "targets")
+        elif arm not in probed:
+            source = "not measured: the flange has no 6-D probe (smr.probe)"
+        value = max(angles, default=None)
+        expanded = None if value is None else expanded_mrad(orientation_budget(profile, results, arm))
+        yield Judgement(
+            characteristic="orientation",
+            where=arm,
+            value_mm=None,
+            expanded_mm=None,
+            tolerance_mm=None,
+            value_mrad=value,
+            expanded_mrad=expanded,
+            tolerance_mrad=limit * 1e3,
+            rule=rule,
+            conformity=conformity(value, expanded, limit * 1e3, rule),
+            source=source,
+            n=len(angles),
+        )
+
+
+def orientation_budget(profile: Profile, results: StageResults, arm: str) -> tuple[TurnContribution, ...]:
+    """Contributions to the uncertainty of an error of orientation of one arm, at the command where the model's is
+    largest; empty where no orientation was predicted."""
+    commands = () if COMPENSATE in results.out_of_date or results.compensate is None else results.compensate.targets
+    turns = [one.orientation for one in commands if one.arm == arm and one.orientation is not None]
+    if not turns:
+        return ()
+    worst = max(turns, key=lambda one: one.model_mrad)
+    basis = f"largest of {counted(len(turns), 'command')}"
+    return turn_budget(profile, arm, worst.model_mrad, worst.noise_mrad, basis)
+
+
 def _iso(profile: Profile, results: StageResults) -> list[Judgement | None]:
     """What the test measured, and what it did not measure although it has a tolerance."""
     held = _held_iso(profile.tolerances, results)
@@ -163,7 +215,7 @@ def _judged(tolerances: Tolerances, one: _Measured) -> Judgement | None:
 
 def _undecided(one: Judgement, why: str) -> Judgement:
     """The same error without a decision; unchanged if nothing stands against it or nothing was measured."""
-    if not why or one.value_mm is None:
+    if not why or one.value is None:
         return one
     return one.model_copy(update={"conformity": "cannot say", "source": f"{one.source}; {why}"})
 

@@ -6,7 +6,12 @@ from collections.abc import Mapping
 
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import IsoLine
-from cellapp.estimation.uncertainty.records import Characteristic, Judgement, UncertaintyContribution
+from cellapp.estimation.uncertainty.records import (
+    Characteristic,
+    Judgement,
+    TurnContribution,
+    UncertaintyContribution,
+)
 from cellapp.ground.results import ErrorSummary, Record, Result, StageName
 
 Range = tuple[float, float]
@@ -17,20 +22,26 @@ class CertifiedErrors(Record):
 
     ``found`` and ``left`` were measured at the verified targets: with commands of the published geometry, and with
     those that are kept. ``predicted_found`` and ``predicted_left`` are errors of the nominal and of the calibrated
-    model at stops that the calibration did not use: predictions, not measurements of a compensated arm.
+    model at stops that the calibration did not use: predictions, not measurements of a compensated arm. Those in mrad
+    are the same of the flange's rotation, where a probe measured it.
     """
 
     found: ErrorSummary | None = None
     left: ErrorSummary | None = None
     predicted_found: ErrorSummary | None = None
     predicted_left: ErrorSummary | None = None
+    found_mrad: ErrorSummary | None = None
+    left_mrad: ErrorSummary | None = None
+    predicted_found_mrad: ErrorSummary | None = None
+    predicted_left_mrad: ErrorSummary | None = None
+    omitted_when_none = frozenset({"found_mrad", "left_mrad", "predicted_found_mrad", "predicted_left_mrad"})
 
 
 class CertifiedArm(Record):
     """One arm: what identifies it, what it was measured under, its errors.
 
     Empty texts and None were not given. Ranges are those of the readings; ``expanded_mm`` is the expanded uncertainty
-    (k = 2) of a position error, None where a contribution was not given.
+    (k = 2) of a position error, None where a contribution was not given; ``expanded_mrad`` that of an orientation.
     """
 
     type: str
@@ -46,6 +57,8 @@ class CertifiedArm(Record):
     air_c: Range | None = None
     joints_c: Range | None = None
     distance_m: Range | None = None
+    expanded_mrad: float | None = None
+    omitted_when_none = frozenset({"expanded_mrad"})
 
 
 class CertifiedInstrument(Record):
@@ -92,7 +105,8 @@ class CertifiedTests(Record):
 class CertifiedTarget(Record):
     """A verified target of one arm: position in the tracker frame [m]; its errors [mm], None where not measured.
 
-    ``found_mm`` is with the command of the published geometry, ``left_mm`` with the one that is kept.
+    ``found_mm`` is with the command of the published geometry, ``left_mm`` with the one that is kept; ``found_mrad``
+    and ``left_mrad`` are of the flange's rotation, where it was measured.
     """
 
     name: str
@@ -100,6 +114,9 @@ class CertifiedTarget(Record):
     wanted_M: tuple[float, float, float] | None = None
     found_mm: float | None = None
     left_mm: float | None = None
+    found_mrad: float | None = None
+    left_mrad: float | None = None
+    omitted_when_none = frozenset({"found_mrad", "left_mrad"})
 
     @property
     def wanted_M_mm(self) -> tuple[float, ...]:
@@ -155,6 +172,8 @@ class CertificateResult(Result, schema="cellapp-certificate"):
         Smallest and largest while measuring, as stated.
     targets : tuple
         Those that were verified.
+    orientation_contributions : tuple, optional
+        To the uncertainty of an error of orientation, where readings had orientations.
     """
 
     number: str
@@ -186,7 +205,8 @@ class CertificateResult(Result, schema="cellapp-certificate"):
     files: tuple[str, ...] = ()
     documents: Mapping[str, str] = {}
     key_id: str = ""
-    omitted_when_none = frozenset({"iso9283"})
+    orientation_contributions: tuple[TurnContribution, ...] | None = None
+    omitted_when_none = frozenset({"iso9283", "orientation_contributions"})
 
     @property
     def is_simulated(self) -> bool:

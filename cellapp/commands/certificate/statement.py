@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
 from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.certificate.instruments import missing_data, used_instruments
-from cellapp.commands.certificate.judgements import held_verification, judge_run
+from cellapp.commands.certificate.judgements import held_verification, judge_run, orientation_budget
 from cellapp.commands.certificate.result import (
     SIMULATED,
     CertificateResult,
@@ -25,6 +25,7 @@ from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import expanded_mm, position_budget
 from cellapp.estimation.uncertainty.conditions import MeasuredConditions
 from cellapp.estimation.uncertainty.records import Characteristic
+from cellapp.estimation.uncertainty.turn_budget import expanded_mrad
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, CERTIFICATE, COMPENSATE, ISO9283, VERIFY
@@ -80,7 +81,11 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
     budgets = {
         arm: position_budget(profile, arm, evidence_of(results, arm, given.conditions.get(arm))) for arm in profile.arms
     }
-    arms = {arm: _arm(given, arm, expanded_mm(budget)) for arm, budget in budgets.items()}
+    turns = {arm: orientation_budget(profile, results, arm) for arm in profile.arms}
+    arms = {
+        arm: _arm(given, arm, expanded_mm(budget)).model_copy(update={"expanded_mrad": expanded_mrad(turns[arm])})
+        for arm, budget in budgets.items()
+    }
     lines = [one.model_copy(update={"where": arm}) for arm, budget in budgets.items() for one in budget]
     return CertificateResult.like(
         given,
@@ -98,6 +103,7 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
         instruments=instruments,
         judgements=judge_run(profile, results, given.conditions),
         contributions=tuple(lines),
+        orientation_contributions=tuple(line for lines in turns.values() for line in lines) or None,
         targets=_targets(held_verification(results)),
         iso9283=_tests(results),
         limits=tuple(_limits(results, held_verification(results))),
@@ -139,6 +145,8 @@ def _errors(results: StageResults, arm: str) -> CertifiedErrors:
         update={
             "predicted_found": predicted["nominal"].position_mm if "nominal" in predicted else None,
             "predicted_left": None if calibrated is None else predicted[calibrated.best_stage].position_mm,
+            "predicted_found_mrad": predicted["nominal"].orientation_mrad if "nominal" in predicted else None,
+            "predicted_left_mrad": None if calibrated is None else predicted[calibrated.best_stage].orientation_mrad,
         }
     )
 
@@ -158,7 +166,12 @@ def _pair(results: StageResults) -> CertifiedErrors:
 def _measured(verified: ArmVerification | None) -> CertifiedErrors:
     if verified is None:
         return CertifiedErrors()
-    return CertifiedErrors(found=verified.nominal_mm, left=verified.corrected_mm or verified.compensated_mm)
+    return CertifiedErrors(
+        found=verified.nominal_mm,
+        left=verified.corrected_mm or verified.compensated_mm,
+        found_mrad=verified.nominal_mrad,
+        left_mrad=verified.compensated_mrad,
+    )
 
 
 def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
@@ -169,6 +182,8 @@ def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
             wanted_M=None if one.wanted_M is None else (one.wanted_M[0], one.wanted_M[1], one.wanted_M[2]),
             found_mm=one.nominal_mm,
             left_mm=one.final_mm,
+            found_mrad=None if one.orientation is None else one.orientation.nominal_mrad,
+            left_mrad=None if one.orientation is None else one.orientation.final_mrad,
         )
         for one in (() if verify is None else verify.targets)
     )

@@ -22,7 +22,7 @@ from cellapp.commands.view.acceptance_words import (
     verdict_of,
 )
 from cellapp.commands.view.parts import Facts, Section
-from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
+from cellapp.commands.view.table import Cell, Column, Field, Table, number_column, table_of
 from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
@@ -51,6 +51,21 @@ _UNCERTAINTY = (
     " of both arms. A contribution that is not given leaves the uncertainty unknown."
 )
 _STAGE_WORDS: Mapping[StageName, str] = {"verify": "verification", "iso9283": "test by ISO 9283"}
+_VERIFIED, _HELD_OUT = "verified targets", "predicted, held out"
+_ERROR_COLUMNS = (
+    Column("error"),
+    Column("from"),
+    number_column("as found: mean", ".3f"),
+    number_column("largest", ".3f"),
+    number_column("as left: mean", ".3f"),
+    number_column("95 %", ".3f"),
+    number_column("largest", ".3f"),
+    number_column("n", "d"),
+)
+_TURNED: tuple[Field, ...] = (
+    ("rotation as found [mrad]", "found_mrad", ".3f"),
+    ("as left [mrad]", "left_mrad", ".3f"),
+)
 _NOWHERE = (None, None, None)
 """Coordinates of a target whose position was not stored."""
 
@@ -71,7 +86,15 @@ def certificate_tables(result: CertificateResult) -> list[Table]:
     """Errors as found and as left, judgements, uncertainty budget, instruments."""
     judged = [judgement_table(result.judgements)] if result.judgements else []
     tested = [iso_table(result.iso9283)] if result.iso9283 is not None else []
-    return [errors_table(result), *judged, *tested, budget_table(result), instruments_table(result)]
+    return [
+        errors_table(result),
+        *turn_tables(result),
+        *judged,
+        *tested,
+        budget_table(result),
+        *turn_budget_tables(result),
+        instruments_table(result),
+    ]
 
 
 def certificate_sentences(result: CertificateResult) -> list[str]:
@@ -111,11 +134,13 @@ def certificate_sections(result: CertificateResult) -> list[Section]:
     return [
         *([_of_table(judgement_table(result.judgements))] if result.judgements else []),
         _of_table(errors_table(result), _FOUND_AND_LEFT),
+        *(_of_table(table) for table in turn_tables(result)),
         *([_of_table(targets_table(result))] if result.targets else []),
         *([] if result.iso9283 is None else [_of_table(iso_table(result.iso9283), iso_sentence(result.iso9283))]),
         Section("Object and conditions", [objects, Facts(tuple(_facts(result)))]),
         _of_table(instruments_table(result)),
         _of_table(budget_table(result), _UNCERTAINTY),
+        *(_of_table(table) for table in turn_budget_tables(result)),
         Section("Statements", _statements(result)),
         *([Section("Data (SHA-256)", [Facts(tuple(hashes))])] if hashes else []),
     ]
@@ -152,6 +177,7 @@ def targets_table(result: CertificateResult) -> Table:
         ),
         ("as found", "found_mm", ".3f"),
         ("as left", "left_mm", ".3f"),
+        *(_TURNED if any(one.left_mrad is not None for one in result.targets) else ()),
     )
 
 
@@ -161,17 +187,35 @@ def errors_table(result: CertificateResult) -> Table:
     for name, arm in result.arms.items():
         rows += _error_rows(f"Arm {name}, position", arm.errors)
     rows += _error_rows("Both arms, distance between them", result.pair)
-    columns = (
-        Column("error"),
-        Column("from"),
-        number_column("as found: mean", ".3f"),
-        number_column("largest", ".3f"),
-        number_column("as left: mean", ".3f"),
-        number_column("95 %", ".3f"),
-        number_column("largest", ".3f"),
-        number_column("n", "d"),
-    )
-    return Table("Errors as found (published geometry) and as left (compensated) [mm]", columns, tuple(rows))
+    return Table("Errors as found (published geometry) and as left (compensated) [mm]", _ERROR_COLUMNS, tuple(rows))
+
+
+def turn_tables(result: CertificateResult) -> list[Table]:
+    """The same of the flange's rotation [mrad], where a probe measured it."""
+    rows: list[tuple[Cell, ...]] = []
+    for name, arm in result.arms.items():
+        errors = arm.errors
+        for row in (
+            _error_row(f"Arm {name}, orientation", _VERIFIED, errors.found_mrad, errors.left_mrad),
+            _error_row(f"Arm {name}, orientation", _HELD_OUT, errors.predicted_found_mrad, errors.predicted_left_mrad),
+        ):
+            rows += [] if row is None else [row]
+    return [Table("Errors of orientation as found and as left [mrad]", _ERROR_COLUMNS, tuple(rows))] if rows else []
+
+
+def turn_budget_tables(result: CertificateResult) -> list[Table]:
+    """Standard uncertainties of an error of orientation by arm [mrad], and expanded; empty where none was measured."""
+    lines = result.orientation_contributions or ()
+    rows: list[tuple[Cell, ...]] = [
+        (one.source, one.where, _or_unknown(one.standard_mrad), one.evaluation, one.basis) for one in lines
+    ]
+    coverage = f"k = {COVERAGE:g}, about 95 %"
+    rows += [
+        ("expanded, U", arm, _or_unknown(result.arms[arm].expanded_mrad), "", coverage)
+        for arm in dict.fromkeys(one.where for one in lines)
+    ]
+    columns = (Column("contribution"), Column("arm"), number_column("u", ".4f"), Column("type"), Column("basis"))
+    return [Table("Uncertainty of a measured error of orientation [mrad]", columns, tuple(rows))] if rows else []
 
 
 def iso_table(tests: CertifiedTests) -> Table:
@@ -239,8 +283,8 @@ def instruments_table(result: CertificateResult) -> Table:
 
 
 def _error_rows(what: str, errors: CertifiedErrors) -> list[tuple[Cell, ...]]:
-    measured = _error_row(what, "verified targets", errors.found, errors.left)
-    predicted = _error_row(what, "predicted, held out", errors.predicted_found, errors.predicted_left)
+    measured = _error_row(what, _VERIFIED, errors.found, errors.left)
+    predicted = _error_row(what, _HELD_OUT, errors.predicted_found, errors.predicted_left)
     return [row for row in (measured, predicted) if row is not None]
 
 

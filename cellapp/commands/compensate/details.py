@@ -84,6 +84,8 @@ def place_lines(target: Target) -> list[str]:
         )
     if target.tolerance_mm is not None:
         lines.append(f"tolerance {shown_tolerance(target.tolerance_mm):g} mm")
+    if target.orientation_tolerance_mrad is not None:
+        lines.append(f"tolerance of the rotation {shown_tolerance(target.orientation_tolerance_mrad):g} mrad")
     of_arms = [(target.arm, target.conditions)]
     of_arms += [] if target.partner is None else [(target.partner.arm, target.partner.conditions)]
     lines += [f"conditions of arm {arm}: {words}" for arm, stated in of_arms if (words := _condition_words(stated))]
@@ -134,6 +136,15 @@ def _command_lines(command: TargetCommand) -> Iterator[str]:
     yield f"{arm}: standard uncertainty of a coordinate {command.uncertainty_mm:.4f} mm{within}"
     if command.verdict:
         yield f"{arm}: predicted against {shown_tolerance(command.tolerance_mm):g} mm: {command.verdict}"
+    if (turn := command.orientation) is not None:
+        before = "" if turn.nominal_mrad is None else f"; the nominal command turns it {turn.nominal_mrad:.3f} mrad off"
+        yield (
+            f"{arm}: standard uncertainty of the flange's rotation about each axis {turn.uncertainty_mrad:.4f} mrad;"
+            f" 95 % of measured angles are within {turn.within_mrad:.4f} mrad{before}"
+        )
+        if turn.verdict:
+            limit = shown_tolerance(command.orientation_tolerance_mrad)
+            yield f"{arm}: predicted against {limit:g} mrad: {turn.verdict}"
 
 
 def _measured_lines(measured: MeasuredTarget) -> Iterator[str]:
@@ -153,6 +164,11 @@ def _measured_lines(measured: MeasuredTarget) -> Iterator[str]:
         yield f"{arm}: {_rounds(measured.rounds_mm)}"
     if measured.verdict:
         yield f"{arm}: {measured.verdict} of tolerance" if measured.verdict == "out" else f"{arm}: within tolerance"
+    turn = measured.orientation
+    if turn is not None and turn.final_mrad is not None:
+        before = "" if turn.nominal_mrad is None else f", {turn.nominal_mrad:.4f} mrad with the nominal command"
+        judged = "" if not turn.verdict else f"; tolerance {measured.orientation_tolerance_mrad:g} mrad: {turn.verdict}"
+        yield f"{arm}: the flange is turned {turn.final_mrad:.4f} mrad from the target{before}{judged}"
 
 
 def _pair_lines(state: TargetState) -> Iterator[str]:

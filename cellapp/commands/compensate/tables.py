@@ -88,7 +88,28 @@ def predicted_tables(result: CompensateResult) -> list[Table]:
         ("tolerance met", lambda target: target.refusal or target.verdict),
         count=len(judged),
     )
-    return [table] if judged else []
+    return [*([table] if judged else []), *turn_tables(result)]
+
+
+def turn_tables(result: CompensateResult) -> list[Table]:
+    """The flange's rotation: by the published geometry, its uncertainty with the compensated command, its tolerance.
+
+    Empty where no orientation was measured.
+    """
+    known = [(target, target.orientation) for target in result.targets if target.orientation is not None]
+    table = table_of(
+        "Predicted: rotation of the flange [mrad]",
+        most_urgent(known, lambda row: row[1].within_mrad / (row[0].orientation_tolerance_mrad or math.inf)),
+        ("target", lambda row: row[0].name),
+        ("arm", lambda row: row[0].arm),
+        ("before", lambda row: row[1].nominal_mrad, MM),
+        ("standard uncertainty", lambda row: row[1].uncertainty_mrad, MM),
+        ("95 % bound", lambda row: row[1].within_mrad, MM),
+        ("tolerance", lambda row: shown_tolerance(row[0].orientation_tolerance_mrad), "g"),
+        ("tolerance met", lambda row: row[1].verdict),
+        count=len(known),
+    )
+    return [without_empty(table)] if known else []
 
 
 def uncertainty_tables(result: CompensateResult) -> list[Table]:
@@ -144,7 +165,31 @@ def measured_targets(verify: VerifyResult, arm: str) -> list[MeasuredTarget]:
 
 def measured_tables(verify: VerifyResult) -> list[Table]:
     """Each target with its errors, one table for each arm; cooperative targets; those without a measurement."""
-    return [*_arm_tables(verify), *pair_tables(verify), *not_measured_tables(verify)]
+    return [
+        *_arm_tables(verify),
+        *measured_turn_tables(verify),
+        *pair_tables(verify),
+        *not_measured_tables(verify),
+    ]
+
+
+def measured_turn_tables(verify: VerifyResult) -> list[Table]:
+    """Targets at which a probe measured the rotation of the flange; empty without any."""
+    measured = [(target, target.orientation) for target in verify.targets if target.orientation is not None]
+    table = table_of(
+        "Measured: rotation of the flange, angle from the target [mrad]",
+        most_urgent(measured, lambda row: row[1].final_mrad or 0.0),
+        ("target", lambda row: row[0].name),
+        ("arm", lambda row: row[0].arm),
+        ("before", lambda row: row[1].nominal_mrad, MM),
+        ("after", lambda row: row[1].final_mrad, MM),
+        ("95 % bound", lambda row: row[1].within_mrad, MM),
+        ("tolerance", lambda row: shown_tolerance(row[0].orientation_tolerance_mrad), "g"),
+        ("U", lambda row: row[1].expanded_mrad if row[1].verdict else None, MM),
+        ("met", lambda row: row[1].verdict),
+        count=len(measured),
+    )
+    return [without_empty(table)] if measured else []
 
 
 def all_measured_tables(verify: VerifyResult) -> list[Table]:
@@ -217,8 +262,18 @@ def verification_tables(result: VerifyResult) -> list[Table]:
     ]
     if not rows:
         return []
-    title = "Targets: measured distance from where they should be [mm]"
-    return [Table(title, (Column("arm, command"), *ERROR_COLUMNS), tuple(rows)), *_tolerance_tables(result)]
+    columns = (Column("arm, command"), *ERROR_COLUMNS)
+    turned = [
+        (f"{name}, {label}", *error_cells(summary))
+        for name, arm in result.arms.items()
+        for label, summary in (("uncompensated", arm.nominal_mrad), ("compensated", arm.compensated_mrad))
+        if summary is not None
+    ]
+    return [
+        Table("Targets: measured distance from where they should be [mm]", columns, tuple(rows)),
+        *([Table("Targets: measured angle from the rotation wanted [mrad]", columns, tuple(turned))] if turned else []),
+        *_tolerance_tables(result),
+    ]
 
 
 def _tolerance_tables(result: VerifyResult) -> list[Table]:

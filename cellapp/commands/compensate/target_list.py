@@ -78,7 +78,11 @@ class TargetState:
     def verdict(self) -> str:
         """The worst verdict of what was measured; without measurements, of what is predicted."""
         judged: list[Measured] = [*self.measured, *([] if self.pair is None else [self.pair])]
-        words: list[str] = [one.verdict for one in judged if one.verdict] or [one.verdict for one in self.commands]
+        turned = [one.orientation.verdict for one in self.measured if one.orientation is not None]
+        words: list[str] = [word for word in (*(one.verdict for one in judged), *turned) if word]
+        if not words:
+            predicted = [one.orientation.verdict for one in self.commands if one.orientation is not None]
+            words = [*(one.verdict for one in self.commands), *predicted]
         return next((word for word in ("out", "cannot say", "in") if word in words), "")
 
     @property
@@ -121,7 +125,7 @@ def target_states(targets: Sequence[Target], results: StageResults | None) -> li
                 one for one in measured.get(target.name, ()) if same_target(_with_tolerance(target, one), one)
             )
             if not state.measured and found:
-                found = tuple(_judged(one, target.tolerance_mm, rule) for one in found)
+                found = tuple(_turn_judged(_judged(one, target.tolerance_mm, rule), target, rule) for one in found)
                 pair = pairs.get(target.name)
                 judged = None if pair is None else _judged(pair, target.tolerance_mm, rule)
                 state = replace(state, measured=found, pair=judged)
@@ -169,7 +173,12 @@ def _state_words(target: Target, state: TargetState) -> str:
         words.append(f"compensated; {_uncertainty_words(state.commands)}")
     predicted = TargetState(state.commands).verdict
     if predicted:
-        words.append(f"tolerance {shown_tolerance(target.tolerance_mm):g} mm predicted: {predicted}")
+        limits = [
+            f"{shown_tolerance(limit):g} {unit}"
+            for limit, unit in ((target.tolerance_mm, "mm"), (target.orientation_tolerance_mrad, "mrad"))
+            if limit is not None
+        ]
+        words.append(f"tolerance {' and '.join(limits)} predicted: {predicted}")
     several = len(state.measured) > 1
     for one in state.measured:
         if (mm := one.final_mm) is not None:
@@ -246,11 +255,27 @@ def _short_state(state: TargetState) -> str:
 
 
 def _with_tolerance(target: Target, stored: TargetRecord) -> Target:
-    """The target with the tolerance that it had when a result was made."""
-    if stored.tolerance_mm == target.tolerance_mm:
-        return target
-    then = None if stored.tolerance_mm is None else round(stored.tolerance_mm * 1e-3, 12)
-    return target.model_copy(update={"tolerance": then})
+    """The target with the tolerances that it had when a result was made."""
+    changed: dict[str, float | None] = {}
+    if stored.tolerance_mm != target.tolerance_mm:
+        changed["tolerance"] = _thousandth(stored.tolerance_mm)
+    if stored.orientation_tolerance_mrad != target.orientation_tolerance_mrad:
+        changed["orientation_tolerance"] = _thousandth(stored.orientation_tolerance_mrad)
+    return target.model_copy(update=changed) if changed else target
+
+
+def _thousandth(value: float | None) -> float | None:
+    return None if value is None else round(value * 1e-3, 12)
+
+
+def _turn_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> MeasuredTarget:
+    """A measurement whose rotation is judged by the target's tolerance; as it is where that is the same."""
+    limit, turn = target.orientation_tolerance_mrad, one.orientation
+    if turn is None or one.orientation_tolerance_mrad == limit:
+        return one
+    verdict = target_verdict(turn.final_mrad, turn.expanded_mrad, limit, rule)
+    judged = turn.model_copy(update={"verdict": verdict})
+    return one.model_copy(update={"orientation_tolerance_mrad": limit, "orientation": judged})
 
 
 def _judged(one: J, tolerance_mm: float | None, rule: DecisionRule) -> J:

@@ -96,7 +96,13 @@ def compensate_lines(result: CompensateResult) -> list[str]:
 
 def compensate_summary(result: CompensateResult) -> list[str]:
     """How many targets can be commanded, how many are predicted in and out, the largest bound, what is not seen."""
-    return [_count_words(result), *_prediction_words(result), *_bound_words(result), *_unseen_words(result)]
+    return [
+        _count_words(result),
+        *_prediction_words(result),
+        *_bound_words(result),
+        *_turn_words(result),
+        *_unseen_words(result),
+    ]
 
 
 def refusal_lines(result: CompensateResult) -> list[str]:
@@ -164,6 +170,24 @@ def _bound_words(result: CompensateResult) -> list[str]:
     return [f"95 % bound of the measured error: median {median:.3f} mm, largest {largest:.3f} mm at {name}{sided}"]
 
 
+def _turn_words(result: CompensateResult) -> list[str]:
+    """Rotations of the flange before, their bounds after, their verdicts; empty where no orientation was measured."""
+    known = [(one.orientation, one.name) for one in result.targets if one.orientation is not None]
+    if not known:
+        return []
+    bounds = [turn.within_mrad for turn, _ in known]
+    largest = max(known, key=lambda row: row[0].within_mrad)[1]
+    before = [turn.nominal_mrad for turn, _ in known if turn.nominal_mrad is not None]
+    was = f"; {np.mean(before):.3f} mrad in the mean without compensation" if before else ""
+    lines = [
+        f"95 % bound of the measured rotation: median {float(np.median(bounds)):.3f} mrad, largest"
+        f" {max(bounds):.3f} mrad at {largest}{was}"
+    ]
+    judged = [turn.verdict for turn, _ in known if turn.verdict]
+    counts = [f"{judged.count(word)} {word}" for word in ("in", "out", "cannot say")]
+    return [*lines, *([f"tolerances of orientation, predicted: {', '.join(counts)}"] if judged else [])]
+
+
 def _unseen_words(result: CompensateResult) -> list[str]:
     unseen = dict.fromkeys(target.name for target in result.targets if target.visible is False and not target.refusal)
     if not unseen:
@@ -186,6 +210,13 @@ def verify_message(verify: VerifyResult) -> str:
         nominal = np.mean([pair.nominal_mm for pair in pairs if pair.nominal_mm is not None])
         last = np.mean([mm for pair in pairs if (mm := pair.final_mm) is not None])
         parts.append(f"distance of both SMRs {nominal:.2f} -> {last:.3f} mm at {len(pairs)} cooperative targets")
+    turned = [one.orientation for one in verify.targets if one.orientation is not None]
+    was = [turn.nominal_mrad for turn in turned if turn.nominal_mrad is not None]
+    left = [turn.final_mrad for turn in turned if turn.final_mrad is not None]
+    if was and left:
+        judged = [turn.verdict for turn in turned if turn.verdict]
+        met = f" ({judged.count('in')} of {len(judged)} within tolerance)" if judged else ""
+        parts.append(f"rotation of the flange {np.mean(was):.2f} -> {np.mean(left):.3f} mrad{met}")
     return "; ".join(parts)
 
 

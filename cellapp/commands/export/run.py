@@ -186,7 +186,7 @@ def _rigid_notes(run: RunFile, stages: RunStages, exports: Mapping[str, ArmExpor
         if loss is not None and own is not None and loss.rms_mm < own.rms_mm:
             notes.append(
                 f"arm {name}: the geometry that 'calibrate' identified without effects is off by only"
-                f" {loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most: --stage calibrate writes it"
+                f" {loss.words}: --stage calibrate writes it"
             )
     return notes
 
@@ -196,7 +196,7 @@ def lost_by_arm(run: RunFile) -> list[str]:
     lines = []
     for name, export in calibrated_arms(run, read_stages(run)).items():
         loss = export.lost_together
-        words = "nothing" if loss is None else f"{loss.rms_mm:.3f} mm rms, {loss.max_mm:.3f} mm at most"
+        words = "nothing" if loss is None else loss.words
         parts = f" ({', '.join(export.lost)})" if export.lost else ""
         lines.append(f"arm {name}{parts} {words}")
     return lines

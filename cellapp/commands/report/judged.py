@@ -14,7 +14,7 @@ class JudgedRow:
     """One characteristic: judgements by arm, or one of several arms together, which has no column of its own."""
 
     label: str
-    tolerance_mm: float
+    tolerance: float
     by_arm: dict[str, Judgement] = field(default_factory=dict)
     together: Judgement | None = None
 
@@ -34,17 +34,16 @@ def judged_matrix(judgements: Sequence[Judgement], arms: Sequence[str]) -> Judge
         label = CHARACTERISTIC_WORDS[one.characteristic]
         if one.where not in arms:
             more = "" if one.characteristic == "cooperative" and len(arms) == 2 else f", {one.where}"
-            rows.append(JudgedRow(label + more, one.tolerance_mm, together=one))
+            rows.append(JudgedRow(label + more, one.tolerance, together=one))
             continue
         free = (
             row
             for row in rows
-            if (row.label, row.tolerance_mm, row.together) == (label, one.tolerance_mm, None)
-            and one.where not in row.by_arm
+            if (row.label, row.tolerance, row.together) == (label, one.tolerance, None) and one.where not in row.by_arm
         )
         row = next(free, None)
         if row is None:
-            row = JudgedRow(label, one.tolerance_mm)
+            row = JudgedRow(label, one.tolerance)
             rows.append(row)
         row.by_arm[one.where] = one
     shown = tuple(arm for arm in arms if any(arm in row.by_arm for row in rows))

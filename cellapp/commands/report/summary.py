@@ -145,11 +145,11 @@ def _accuracy_steps(data: ReportData, judgements: Sequence[Judgement]) -> Iterat
     out = [one for one in judgements if one.conformity == "does not conform"]
     if any(one.characteristic in _AT_TARGETS for one in out) and data.verify is not None:
         yield Step("Correct by measuring what the model leaves at targets:", f"{_VERIFY} --iterate 2")
-    unmeasured = {one.characteristic for one in judgements if one.value_mm is None}
+    unmeasured = {one.characteristic for one in judgements if one.value is None}
     if unmeasured & set(_AT_TARGETS) and "--verify" not in data.next_step:
         what = "cooperative targets" if unmeasured.isdisjoint(("position", "distance")) else "targets"
         yield Step(f"Measure {what}, which have a tolerance:", _VERIFY)
-    near = [one for one in judgements if one.conformity == "cannot say" and one.value_mm is not None]
+    near = [one for one in judgements if one.conformity == "cannot say" and one.value is not None]
     if near and not other_arms_found(data.results):
         yield Step(f"Measure with a smaller uncertainty, as with the tracker nearer: {named_errors(near)}.")
     if unmeasured - set(_AT_TARGETS):

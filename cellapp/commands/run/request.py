@@ -21,7 +21,7 @@ class RunRequest(Request):
     sweeps: Annotated[
         int | None,
         Field(ge=1, le=1000),
-        Asked("Measure N stops only, and record a sweep of every arm about each; for simulated cells.", "N"),
+        Asked("Measure N stops only, and record a sweep of every arm about each.", "N"),
     ] = None
 
 

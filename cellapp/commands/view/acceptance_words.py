@@ -14,6 +14,7 @@ from cellapp.ground.results import DecisionRule
 
 CHARACTERISTIC_WORDS: Mapping[Characteristic, str] = {
     "position": "Position error",
+    "orientation": "Orientation error",
     "distance": "Distance error",
     "cooperative": "Cooperative error",
     "pose_accuracy": "Pose accuracy AP",
@@ -72,7 +73,7 @@ def judged_sentence(judgements: Sequence[Judgement]) -> str:
     total = len(judgements)
     counts = {state: [one for one in judgements if one.conformity == state] for state in _STATES}
     out, unsure = counts["does not conform"], counts["cannot say"]
-    missing = [one for one in unsure if one.value_mm is None]
+    missing = [one for one in unsure if one.value is None]
     if len(counts["conforms"]) == total:
         return f"All {counted(total, 'error')} with a tolerance are inside it."
     parts = [f"{len(counts['conforms'])} of {counted(total, 'error')} with a tolerance conform"]
@@ -94,14 +95,15 @@ def named_errors(judgements: Sequence[Judgement]) -> str:
 
 def judgement_table(judgements: Sequence[Judgement]) -> Table:
     """Every judgement with its uncertainty; 80 columns show it up to the verdict, then comes what it rests on."""
+    turned = any(one.unit == "mrad" for one in judgements)
     return table_of(
-        "Errors against their tolerances [mm]",
+        f"Errors against their tolerances [mm{', of orientation mrad' if turned else ''}]",
         judgements,
         ("error", lambda one: CHARACTERISTIC_WORDS[one.characteristic]),
         ("of", "where"),
-        ("measured", "value_mm", ".3f"),
-        ("U (k = 2)", "expanded_mm", ".3f"),
-        ("tolerance", lambda one: round(one.tolerance_mm, 6), "g"),
+        ("measured", "value", ".3f"),
+        ("U (k = 2)", "expanded", ".3f"),
+        ("tolerance", lambda one: round(one.tolerance, 6), "g"),
         ("verdict", "conformity"),
         ("n", lambda one: one.n or None, "d"),
         ("measured by", "source"),

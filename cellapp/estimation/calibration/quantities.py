@@ -99,16 +99,20 @@ def _stated(readings: Readings, of_points: Array | None, rows: NDArray[np.intp])
     of_turns = np.full(len(rows), NOT_STATED)
     if readings.sigma_rad is not None and np.isfinite(readings.sigma_rad[rows]).all():
         of_turns = readings.sigma_rad[rows]
+    if readings.turning_covariance_M is not None:
+        of_turns = readings.turning_covariance_M[rows]
     if of_points is None:
         of_points = np.full(len(readings), NOT_STATED)
-    if of_points.ndim == 1:
+    if of_points.ndim == of_turns.ndim:
         return np.concatenate([of_points, of_turns])
-    return np.concatenate([of_points, of_turns[:, None, None] ** 2 * np.eye(3)])
+    return np.concatenate(
+        [one if one.ndim == 3 else one[:, None, None] ** 2 * np.eye(3) for one in (of_points, of_turns)]
+    )
 
 
 def states_nothing(stated: Array) -> bool:
     """Whether an uncertainty, (n,) or (n, 3, 3), is that of a kind of quantity that states none."""
-    return float(stated.max()) <= NOT_STATED
+    return float(stated.max()) <= (NOT_STATED if stated.ndim == 1 else NOT_STATED**2)
 
 
 def with_probe(geometry: Geometry, q: Array, R_M_S: Array | None) -> Geometry:

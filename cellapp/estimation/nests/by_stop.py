@@ -3,9 +3,8 @@
 A nest's row at a stop is p_k = p + R s_k with the figure s of the nests. Position p and orientation R of a stop follow
 from three nests or more by weighted least squares, with their covariance. Two nests fix no orientation.
 
-Both errors are stated without directions: of position the rms of a coordinate, of orientation that about the axis which
-is known least. Errors of p and R are correlated, which that leaves out. With full covariances discovery named a
-transmission error for an eccentric encoder in three of three simulated arms; the cause is not known.
+Both are stated with full covariances: about the beam an orientation is known several times less well than across it.
+Errors of p and R are correlated, which that leaves out: they are taken as two readings.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.nests.shape import NestShape, UnseenPair, fit_shape, laid_on
-from cellapp.estimation.nests.stop_groups import StopGroups
-from cellapp.estimation.readings import Readings, coordinate_uncertainty
+from cellapp.estimation.nests.stop_groups import StopGroups, covariances
+from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.transforms import Array, twist_columns
 
 
@@ -94,16 +93,16 @@ def _with_poses(one: Readings, shape: NestShape, groups: StopGroups, turned: NDA
     rotation, origin, covariance = _weighted(shape.points_S, p_M, information, rotation, origin)
     S = len(one)
     points, quaternion = one.p_M.copy(), np.full((S, 4), np.nan)
-    sigma_rad = np.full(S, np.nan)
+    sigma_rad, turning = np.full(S, np.nan), np.full((S, 3, 3), np.nan)
     points[turned] = origin
     quaternion[turned] = np.roll(Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=1)
-    sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(covariance[:, 3:, 3:])[:, -1])
-    stated: dict[str, Any] = {"covariance_M": None}
-    if groups.stated:
-        of_rows = coordinate_uncertainty(one)
-        assert of_rows is not None
-        stated["sigma_m"] = sigma_m = of_rows.copy()
-        sigma_m[turned] = np.sqrt(np.einsum("nii->n", covariance[:, :3, :3]) / 3.0)
+    turning[turned] = covariance[:, 3:, 3:]
+    sigma_rad[turned] = np.sqrt(np.linalg.eigvalsh(turning[turned])[:, -1])  # about the axis that is known least
+    stated: dict[str, Any] = {"turning_covariance_M": turning}
+    of_rows = covariances(one)
+    if of_rows is not None:
+        of_rows[turned] = covariance[:, :3, :3]
+        stated |= {"covariance_M": of_rows, "sigma_m": None}
     return replace(one, p_M=points, quaternion_M=quaternion, sigma_rad=sigma_rad, **stated)
 
 

@@ -53,7 +53,7 @@ class StopGroups:
         row[group.ravel(), nest] = np.arange(len(readings))
         seen = row >= 0
         p_M = np.where(seen[:, :, None], readings.p_M[row], np.nan)
-        covariance = _covariances(readings)
+        covariance = covariances(readings)
         information = np.tile(np.eye(3), (*row.shape, 1, 1)) if covariance is None else np.linalg.inv(covariance)[row]
         return cls(tuple(names), row, p_M, np.where(seen[:, :, None, None], information, 0.0), covariance is not None)
 
@@ -68,9 +68,9 @@ class StopGroups:
         return np.asarray(np.where(self.seen, self.row, np.iinfo(np.intp).max).min(axis=1))
 
 
-def _covariances(readings: Readings) -> Array | None:
-    """Stated covariances (n, 3, 3) [m^2] of all readings; None where one has none."""
+def covariances(readings: Readings) -> Array | None:
+    """Stated covariances (n, 3, 3) [m^2] of all readings, a copy; None where one has none."""
     stated = stated_uncertainty(readings)
     if stated is None or stated.ndim == 3:
-        return stated
+        return None if stated is None else stated.copy()
     return np.asarray(stated[:, None, None] ** 2 * np.eye(3))

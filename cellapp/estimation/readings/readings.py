@@ -163,6 +163,9 @@ class Readings:
         Names of fixed but unknown points that the ball's centre rests in, instead of ``p_M``, which is NaN in all rows.
     distances : tuple of Distance
         Known distances between such points.
+    turning_covariance_M : array, shape (n, 3, 3), or None
+        Covariance of a rotation about the axes of M [rad^2], of an orientation that follows from several nests; it
+        comes before ``sigma_rad``. No column: it is computed from the rows of the nests.
     split : tuple of n (str or None), or None
         identify, train or validate.
     extras : dict
@@ -191,6 +194,7 @@ class Readings:
     station: tuple[str | None, ...] | None = None
     point: tuple[str | None, ...] | None = None
     distances: tuple[Distance, ...] = ()
+    turning_covariance_M: _Floats | None = None
     split: tuple[str | None, ...] | None = None
     extras: dict[str, tuple[str, ...]] = field(default_factory=dict)
 

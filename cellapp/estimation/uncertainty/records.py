@@ -13,6 +13,7 @@ ToleranceVerdict = Literal["in", "out", "cannot say", ""]
 Conformity = Literal["conforms", "does not conform", "cannot say"]
 Characteristic = Literal[
     "position",
+    "orientation",
     "distance",
     "cooperative",
     "pose_accuracy",
@@ -28,21 +29,46 @@ Characteristic = Literal[
 
 
 class Judgement(Record):
-    """One characteristic of one arm, or of a pair of arms, against its tolerance [mm].
+    """One characteristic of one arm, or of a pair of arms, against its tolerance [mm]; of an orientation [mrad].
 
     ``value_mm`` is the measured error and ``expanded_mm`` its expanded uncertainty (coverage factor 2); None where it
     was not measured, or its uncertainty is not known. ``source`` says what was measured, as "verification, 40 targets".
+    Of an orientation those in mm are None, and those in mrad stand instead.
     """
 
     characteristic: Characteristic
     where: str
     value_mm: float | None
     expanded_mm: float | None
-    tolerance_mm: float
+    tolerance_mm: float | None
     rule: DecisionRule
     conformity: Conformity
     source: str
     n: int = 0
+    value_mrad: float | None = None
+    expanded_mrad: float | None = None
+    tolerance_mrad: float | None = None
+    omitted_when_none = frozenset({"value_mrad", "expanded_mrad", "tolerance_mrad"})
+
+    @property
+    def unit(self) -> Literal["mm", "mrad"]:
+        """Of ``value``, ``expanded`` and ``tolerance``."""
+        return "mm" if self.tolerance_mrad is None else "mrad"
+
+    @property
+    def value(self) -> float | None:
+        """The measured error."""
+        return self.value_mm if self.unit == "mm" else self.value_mrad
+
+    @property
+    def expanded(self) -> float | None:
+        """Its expanded uncertainty."""
+        return self.expanded_mm if self.unit == "mm" else self.expanded_mrad
+
+    @property
+    def tolerance(self) -> float:
+        """The largest permissible error."""
+        return self.tolerance_mm or self.tolerance_mrad or 0.0
 
 
 def overall(judgements: Sequence[Judgement]) -> Conformity | None:
@@ -76,6 +102,19 @@ class UncertaintyContribution(Record):
 
     source: str
     standard_mm: float | None
+    evaluation: Literal["A", "B"]
+    basis: str
+    where: str = ""
+
+
+class TurnContribution(Record):
+    """One line of the uncertainty budget of an orientation: standard uncertainty of a component [mrad].
+
+    As ``UncertaintyContribution``.
+    """
+
+    source: str
+    standard_mrad: float | None
     evaluation: Literal["A", "B"]
     basis: str
     where: str = ""

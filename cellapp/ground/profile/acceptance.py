@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from cellapp.ground.profile.grown import GrownSection
 from cellapp.ground.results import DecisionRule
-from drivers.quantities import Length
+from drivers.quantities import Angle, Length
 from drivers.settings import Section
 
 MpeRule = Literal["rectangular", "half"]
@@ -48,13 +48,15 @@ HumiditySpan = Annotated[tuple[Humidity, Humidity], BeforeValidator(_span_of), A
 class Tolerances(GrownSection):
     """Largest permissible errors of a cell; what is left out is not judged.
 
-    ``position`` is the distance of an arm's SMR from where it was commanded, at any target; ``distance`` the error of
-    the distance between two positions of one arm; ``cooperative`` the error of the distance between the SMRs of two
+    ``position`` is the distance of an arm's SMR from where it was commanded, at any target; ``orientation`` the angle
+    of its flange from the wanted rotation, where a probe measures that; ``distance`` the error of the distance between
+    two positions of one arm; ``cooperative`` the error of the distance between the SMRs of two
     arms. The others are the characteristics of ISO 9283. ``decision`` and ``mpe`` say how all of them are judged, and
     the tolerances of targets and paths.
     """
 
     position: Tolerance | None = None
+    orientation: Annotated[Angle, Field(gt=0.0, le=0.02)] | None = None
     distance: Tolerance | None = None
     cooperative: Tolerance | None = None
     pose_accuracy: Tolerance | None = None
@@ -68,7 +70,7 @@ class Tolerances(GrownSection):
     decision: DecisionRule = "guarded"
     mpe: MpeRule = "rectangular"
 
-    later_keys = frozenset({"mpe"})
+    later_keys = frozenset({"mpe", "orientation"})
 
     @property
     def any_given(self) -> bool:

@@ -99,6 +99,9 @@ def _target(target: MeasuredTarget | TargetCommand) -> dict[str, Any]:
         q = target.q_compensated
         row |= {"uncertainty_mm": target.uncertainty_mm, "refusal": target.refusal}
     row |= {"within_mm": target.within_mm, "verdict": target.verdict, "note": target.note}
+    if target.orientation is not None:
+        row["orientation_tolerance_mrad"] = target.orientation_tolerance_mrad
+        row |= {f"orientation_{name}": value for name, value in target.orientation.model_dump().items()}
     return row | {f"q{joint}": value for joint, value in enumerate(q or (), start=1)}
 
 
@@ -107,7 +110,7 @@ def _numbered(values: Sequence[float] | None, names: Sequence[str]) -> dict[str,
 
 
 def _units_of_targets(columns: Sequence[str]) -> dict[str, str]:
-    suffixes = {"_mm": "mm", "_m": "m", "_rad": "rad"}
+    suffixes = {"_mm": "mm", "_m": "m", "_rad": "rad", "_mrad": "mrad"}
     units = {name: unit for name in columns for suffix, unit in suffixes.items() if name.endswith(suffix)}
     return units | {name: "rad" for name in columns if name[0] == "q" and name[1:].isdigit()}
 

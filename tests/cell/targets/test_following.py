@@ -162,7 +162,8 @@ def test_an_event_in_mid_path_stops_all_arms(
 
 def crossing(monkeypatch: pytest.MonkeyPatch, cells: list[Any], times: int) -> list[float]:
     """Let somebody walk through the beam for 1.5 s on each of the first ``times`` paths; when that was [s]."""
-    start, crossed = SimulatedArm.start_path, []
+    start = SimulatedArm.start_path
+    crossed: list[float] = []
 
     def started(arm: SimulatedArm, q: Any, period_s: float) -> None:
         plant, tracker = plant_of(cells[0]), cells[0].tracker

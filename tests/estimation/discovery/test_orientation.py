@@ -12,7 +12,10 @@ from cellapp.cell.targets.invert import invert
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.estimation.calibration.quantities import measured_quantities
+from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.discovery.joint_fit import fit_terms
+from cellapp.estimation.discovery.search.comparison import scatter
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
@@ -101,6 +104,22 @@ def test_stated_intervals_of_orientations_hold(both):
     assert 0.90 < np.mean(np.abs(left[rows]) < 1.96 * sd[rows, None]) < 0.99
     assert model.posterior is not None
     assert model.posterior.noise_rad == pytest.approx(SIGMA_RAD, rel=0.15)
+
+
+def test_the_same_uncertainty_as_covariances_leaves_the_same_scatter(both):
+    """Variances of positions, some 1e-9 m^2, are not taken for standard uncertainties that state nothing."""
+    readings, found = both
+    blocks = np.tile(np.eye(3), (len(readings), 1, 1))
+    as_blocks = replace(
+        readings, sigma_m=None, covariance_M=SIGMA_M**2 * blocks, turning_covariance_M=SIGMA_RAD**2 * blocks
+    )
+    left = []
+    for its in (readings, as_blocks):
+        data = ArmData.of(twin(), found["both"].model, its, measurement_conditions(its))
+        left.append(scatter(data, fit_terms(data, ())))
+    assert left[0] is not None
+    assert left[1] is not None
+    assert left[1].ratio == pytest.approx(left[0].ratio, rel=1e-6)
 
 
 def test_commands_put_the_flange_where_base_and_links_turn_it(both):

@@ -17,7 +17,13 @@ from cellapp.cell.driving.iso9283 import path_tests, reach
 from cellapp.cell.driving.iso9283 import tests as driving
 from cellapp.cell.driving.iso9283.alignment import published_cell
 from cellapp.cell.driving.iso9283.chosen_cube import ChosenCube, choose_cube
-from cellapp.cell.driving.iso9283.findings import IsoFindings, arm_results, missing_words, pair_results
+from cellapp.cell.driving.iso9283.findings import (
+    IsoFindings,
+    arm_results,
+    lost_beam_words,
+    missing_words,
+    pair_results,
+)
 from cellapp.cell.driving.iso9283.paths import path_specs
 from cellapp.cell.driving.iso9283.reach import CubeSearch
 from cellapp.cell.driving.iso9283.tests import IsoTask, drive_tests
@@ -30,6 +36,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress
 from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import apply
+from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
@@ -232,6 +239,43 @@ def test_a_rounded_corner_is_missed_by_what_its_programme_rounds(monkeypatch: py
         assert one.rounding.value_mm < 0.1
         assert one.overshoot.value_mm < 0.1
         assert other.rounding.value_mm == pytest.approx(blend * ROUNDED_SHARE, abs=0.5)
+
+
+def test_a_cycle_on_which_the_beam_broke_is_driven_again_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def line_alone(name: str, cube: ChosenCube, share: float) -> list[PathSpec]:
+        specs = path_specs(name, cube, share)
+        assert not isinstance(specs, str)
+        return specs[:1]
+
+    start = SimulatedArm.start_path
+    crossed: list[float] = []
+
+    def started(arm: SimulatedArm, q: Any, period_s: float) -> None:
+        def cross() -> None:
+            tracker.covered.add("left")
+            plant.schedule.at(plant.clock_s + 1.5, tracker.covered.clear)
+            crossed.append(plant.clock_s)
+
+        plant = plant_of(cells[0])
+        tracker: Any = cells[0].tracker
+        if not crossed:
+            plant.schedule.at(plant.clock_s + 0.5, cross)
+        start(arm, q, period_s)
+
+    monkeypatch.setattr(path_tests, "path_specs", line_alone)
+    monkeypatch.setattr(path_tests.PathTests, "_weave", lambda *_: None)
+    monkeypatch.setattr(SimulatedArm, "start_path", started)
+    task, findings = task_of(cell_of(one_arm()), "path"), IsoFindings()
+    cells: list[Cell] = []
+    drive_tests(task, findings, opened=cells.append)
+    (runs,) = findings.paths
+    assert len(crossed) == 1
+    assert [track.lost_beams for track in runs.tracks] == [1, 0]
+    assert missing_words(findings, task.tests) == ()
+    (words,) = lost_beam_words(findings)
+    assert words.startswith("path of left, nominal commands, line P2 to P4: the beam broke 1 time; these cycles were")
+    (path,) = results(task, findings)["left"].tests["nominal"].path
+    assert path.points == 50, "no point is one of the cycle that was not ended"
 
 
 def test_poses_and_paths_are_repeated_at_other_speeds() -> None:

@@ -63,10 +63,10 @@ def verdict_lines(judgements: Sequence[Judgement], width: int) -> list[Content]:
 
 def error_bar(one: Judgement, cells: int) -> str:
     """``━`` up to the error, ``─`` as far as its uncertainty may take it, ``│`` at the tolerance."""
-    value, more = one.value_mm, one.expanded_mm or 0.0
+    value, more = one.value, one.expanded or 0.0
 
-    def place(mm: float) -> int:
-        return min(max(round(mm / (_SCALE * one.tolerance_mm) * cells), 0), cells)
+    def place(amount: float) -> int:
+        return min(max(round(amount / (_SCALE * one.tolerance) * cells), 0), cells)
 
     bar = [" "] * cells
     if value is not None:
@@ -74,12 +74,13 @@ def error_bar(one: Judgement, cells: int) -> str:
         bar[: place(value)] = "━" * place(value)
         bar[low:high] = "─" * (high - low) if more else bar[low:high]
         bar[max(place(value) - 1, 0)] = "╋" if more else "━"
-    bar[min(place(one.tolerance_mm), cells - 1)] = "│"
+    bar[min(place(one.tolerance), cells - 1)] = "│"
     return "".join(bar)
 
 
 def _numbers(one: Judgement) -> str:
-    if one.value_mm is None:
-        return f"not measured / {one.tolerance_mm:.3f} mm"
-    sure = "" if one.expanded_mm is None else f" ± {one.expanded_mm:.3f}"
-    return f"{one.value_mm:.3f}{sure} / {one.tolerance_mm:.3f} mm"
+    limit = f"{one.tolerance:.3f} {one.unit}"
+    if one.value is None:
+        return f"not measured / {limit}"
+    sure = "" if one.expanded is None else f" ± {one.expanded:.3f}"
+    return f"{one.value:.3f}{sure} / {limit}"
