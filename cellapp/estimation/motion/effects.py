@@ -31,9 +31,9 @@ from cellapp.estimation.motion.loops import Loop, loops
 from cellapp.estimation.motion.noise import whitening_filter
 from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.records import MotionFit
-from cellapp.estimation.motion.terms import JointTerm, Law
+from cellapp.estimation.motion.terms import JointTerm, Law, terms_of
 from cellapp.ground.progress import Told, ignore_words
-from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw, motion_laws
 from cellapp.robot.kinematics.transforms import Array
 
 _CHANCE = 1e-3
@@ -43,7 +43,6 @@ _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE)
 """Laws that a filter for slow noise takes away while the residuals hold them: they are tested without it, too."""
-_ALTERNATIVES = len(Law) + len(_OF_POSTURE)
 _COUNT_ROUNDS = 3
 SHOWN = 3.5
 """Standard errors from which a joint is named as having an effect that was found."""
@@ -137,14 +136,15 @@ class MotionDiscovery:
 
 def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
     """Search recordings of one arm for effects of its joints; as ``identify_from_motion``, which raises the same."""
-    return _Search(*motion_problem(arm, told), told).run()
+    own = tuple(motion_laws(EFFECTS.values()))
+    return _Search(*motion_problem(arm, told), told, own).run()
 
 
 @dataclass(frozen=True)
 class _Step:
     """What entered: its terms, its statistic, and held-out errors before and after."""
 
-    law: Law
+    law: Law | MotionLaw
     terms: tuple[JointTerm, ...]
     statistic: float
     p_value: float
@@ -166,13 +166,22 @@ class _Search:
     problem: Problem
     stop_rows: NDArray[np.intp]
     told: Told
+    own: tuple[MotionLaw, ...] = ()
+    """Laws of speeds that plug-ins add."""
+
+    @property
+    def alternatives(self) -> int:
+        """Laws that chance may choose from."""
+        return len(Law) + len(_OF_POSTURE) + len(self.own)
 
     def run(self) -> MotionDiscovery:
         """Laws of all joints and lines, until none is left that chance does not explain."""
         state = self._state(self.problem.without_terms(), None)
         state = _whitened(state)
         first_mm, steps = state.heldout_mm, list[_Step]()
-        laws = [Law.PLAY, Law.LAG, *((Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ())]
+        loads = (Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ()
+        own = (law for law in self.own if self.problem.masses is not None or not law.needs_torques)
+        laws: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, *loads, *own]
         while True:
             found = self._law(state, [law for law in laws if not _has(steps, law)]) or self._lines(state, steps)
             if found is None:
@@ -190,7 +199,7 @@ class _Search:
         at_rest = [term for law in laws_at_rest for term in _shown(final, law, steps)]
         places = [*range(final.problem.layout.geometric), *_places(final, at_rest)]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
-        lost = {joint for one in effects if Law(one.slug) in (Law.PLAY, Law.WINDUP) for joint in one.joints}
+        lost = {joint for one in effects if one.slug in (Law.PLAY.value, Law.WINDUP.value) for joint in one.joints}
         drawn = loops(final.problem, final.solution, sorted(lost))
         return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, drawn)
 
@@ -226,7 +235,7 @@ class _Search:
         for step in list(steps):
             if step.law is Law.LINE:
                 continue
-            p_value = min(1.0, float(chdtrc(len(step.terms), _statistic(state, step.terms))) * _ALTERNATIVES)
+            p_value = min(1.0, float(chdtrc(len(step.terms), _statistic(state, step.terms))) * self.alternatives)
             if p_value > _CHANCE or not _shown(state, step.law, steps):
                 steps = [one for one in steps if one is not step]
                 state = self._refitted(state, steps)
@@ -282,16 +291,16 @@ class _Search:
         start = np.insert(state.solution.values, at, np.zeros(len(terms)))
         return self._state(state.problem.with_terms(terms), start)
 
-    def _law(self, state: _State, laws: Sequence[Law]) -> tuple[_State, _Step] | None:
+    def _law(self, state: _State, laws: Sequence[Law | MotionLaw]) -> tuple[_State, _Step] | None:
         """The law of all joints that is least likely to be chance and lowers the held-out error."""
         tried = []
         for law in laws:
-            terms = tuple(JointTerm(law, joint) for joint in range(state.problem.layout.parameters.joints))
+            terms = terms_of(law, state.problem.layout.parameters.joints)
             trials = [self._extended(state, terms)]
             if law in _OF_POSTURE:
                 trials.append(self._extended(replace(state, problem=replace(state.problem, whitening=None)), terms))
             statistic, trial = max(((_statistic(one, terms), one) for one in trials), key=lambda each: each[0])
-            p_value = min(1.0, float(chdtrc(len(terms), statistic)) * _ALTERNATIVES)
+            p_value = min(1.0, float(chdtrc(len(terms), statistic)) * self.alternatives)
             if p_value < _CHANCE:
                 tried.append((trial, _Step(law, terms, statistic, p_value, state.heldout_mm, math.nan)))
         for trial, step in sorted(tried, key=lambda each: (each[1].p_value, -each[1].statistic)):
@@ -367,15 +376,15 @@ def _recounted(step: _Step, better: Mapping[tuple[int, int], int | None]) -> _St
     return replace(step, terms=tuple(terms))
 
 
-def _has(steps: Sequence[_Step], law: Law) -> bool:
-    return any(step.law is law for step in steps)
+def _has(steps: Sequence[_Step], law: Law | MotionLaw) -> bool:
+    return any(step.law.value == law.value for step in steps)
 
 
-def _terms(law: Law, steps: Sequence[_Step]) -> tuple[JointTerm, ...]:
+def _terms(law: Law | MotionLaw, steps: Sequence[_Step]) -> tuple[JointTerm, ...]:
     return tuple(term for step in steps if step.law is law for term in step.terms)
 
 
-def _shown(state: _State, law: Law, steps: Sequence[_Step]) -> tuple[JointTerm, ...]:
+def _shown(state: _State, law: Law | MotionLaw, steps: Sequence[_Step]) -> tuple[JointTerm, ...]:
     """Terms of the joints that show a law."""
     terms = _terms(law, steps)
     values, covariance = _values(state, terms)
@@ -407,7 +416,7 @@ def _statistic(state: _State, terms: Sequence[JointTerm]) -> float:
     return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 
 
-def _effect(state: _State, law: Law, steps: Sequence[_Step]) -> MotionEffect:
+def _effect(state: _State, law: Law | MotionLaw, steps: Sequence[_Step]) -> MotionEffect:
     own, terms = [step for step in steps if step.law is law], _shown(state, law, steps)
     values, covariance = _values(state, _terms(law, steps))
     places = [_terms(law, steps).index(term) for term in terms]
@@ -415,6 +424,8 @@ def _effect(state: _State, law: Law, steps: Sequence[_Step]) -> MotionEffect:
     only = ""
     if law is Law.LAG:
         only = "a delay moves nothing at rest"
+    elif isinstance(law, MotionLaw):
+        only = "it depends on speeds, which readings at rest do not have"
     elif law is Law.LINE and all(term.cycles >= DENSE for term in terms):
         only = "lines as dense as these are aliased by the few hundred stops of a plan"
     return MotionEffect(

@@ -7,18 +7,20 @@
     compliance dq_j = k_j tau_j           tau = gravity + inertia: torque of all masses beyond, at their acceleration
 
 The torque of inertia is that of point masses (``statics``): ``tau_j = z_j . sum_k (c_k - o_j) x m_k (g - a_k)``. Lags
-serve motion only; the others serve commands at rest as well. What only motion can show: lag, the part of inertia in a
-compliance, and lines that are denser than stops can sample.
+serve motion only, as do laws of speeds that plug-ins add; the others serve commands at rest as well. What only motion
+can show: lag, the part of inertia in a compliance, and lines that are denser than stops can sample.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
 from cellapp.estimation.motion.joint_path import JointPath
+from cellapp.robot.effects import MotionLaw
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
@@ -42,19 +44,31 @@ _SD = {Law.PLAY: 1e-4, Law.WINDUP: 1e-5, Law.LINE: 3e-4, Law.LAG: 5e-3, Law.COMP
 """Prior standard deviations, several times what arms of this kind have (handbook, chapter "effects")."""
 
 
+def terms_of(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
+    """The parameters of a law of all joints, but for lines."""
+    names = tuple(law.parameters) if isinstance(law, MotionLaw) else ("",)
+    return tuple(JointTerm(law, joint, parameter=name) for joint in range(joints) for name in names)
+
+
 @dataclass(frozen=True)
 class JointTerm:
-    """One parameter of a law: of joint ``joint`` (from 0); ``cycles`` a turn and ``sine`` for lines."""
+    """One parameter of a law: of joint ``joint`` (from 0).
 
-    law: Law
+    ``cycles`` a turn and ``sine`` are those of lines, ``parameter`` is its name in a law of a plug-in.
+    """
+
+    law: Law | MotionLaw
     joint: int
     cycles: int = 0
     sine: bool = False
+    parameter: str = ""
 
     @property
     def name(self) -> str:
         """Name of the parameter, as the effects name theirs."""
         number = self.joint + 1
+        if isinstance(self.law, MotionLaw):
+            return f"{self.parameter}{number}"
         return {
             Law.PLAY: f"half_play{number}",
             Law.WINDUP: f"windup{number}",
@@ -66,16 +80,25 @@ class JointTerm:
     @property
     def unit(self) -> str:
         """Unit of the parameter."""
-        return _UNIT[self.law]
+        return self.law.parameters[self.parameter].unit if isinstance(self.law, MotionLaw) else _UNIT[self.law]
 
     @property
     def prior_sd(self) -> float:
         """Standard deviation of its prior."""
-        return _SD[self.law]
+        return self.law.parameters[self.parameter].most if isinstance(self.law, MotionLaw) else _SD[self.law]
+
+    @property
+    def needs_torques(self) -> bool:
+        """Whether it depends on torques."""
+        if isinstance(self.law, MotionLaw):
+            return self.law.needs_torques
+        return self.law in (Law.WINDUP, Law.COMPLIANCE)
 
     def offset(self, state: JointState) -> Array:
         """Offset of the joint (n,) per unit of the parameter [rad]."""
         j = self.joint
+        if isinstance(self.law, MotionLaw):
+            return self.law.offset(self.parameter, j, state.quantity)
         if self.law is Law.PLAY:
             return np.asarray(-state.direction[:, j])
         if self.law is Law.LAG:
@@ -89,12 +112,36 @@ class JointTerm:
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """Joint positions, speeds, directions with history and torques of all masses [Nm], each (n, N)."""
+    """Joint positions, speeds, directions with history and torques of all masses [Nm], each (n, N).
+
+    ``acceleration`` computes the accelerations (n, N), which few laws need; None at rest.
+    """
 
     q: Array
     qd: Array
     direction: Array
     torque: Array
+    acceleration: Callable[[], Array] | None = None
+
+    @property
+    def qdd(self) -> Array:
+        """Accelerations (n, N) [rad/s^2]."""
+        return np.zeros_like(self.q) if self.acceleration is None else self.acceleration()
+
+    def quantity(self, name: str) -> Array:
+        """What laws of plug-ins take, (n, N), by their name for it."""
+        match name:
+            case "q":
+                return self.q
+            case "qd":
+                return self.qd
+            case "qdd":
+                return self.qdd
+            case "tau":
+                return self.torque
+            case "approach":
+                return self.direction
+        raise ValueError(f"no quantity '{name}' in motion")
 
     def offsets(self, terms: tuple[JointTerm, ...], values: Array) -> Array:
         """Sum of the offsets of all terms (n, N) [rad]."""
@@ -120,7 +167,7 @@ def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, to
     torque = np.zeros_like(q)
     if torques and masses is not None:
         torque = torques_in_motion(path, time_s, masses)
-    return JointState(q, qd, path.direction_at(time_s), torque)
+    return JointState(q, qd, path.direction_at(time_s), torque, lambda: path.acceleration_at(time_s))
 
 
 def state_at_rest(q: Array, direction: Array, masses: Masses | None) -> JointState:
