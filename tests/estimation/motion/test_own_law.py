@@ -50,7 +50,7 @@ def test_nothing_is_found_where_nothing_is(plugin):
 @pytest.mark.fast
 def test_readings_at_rest_cannot_show_it(plugin):
     assert len(motion_laws(EFFECTS.values())) == 3
-    assert "no speeds" in EFFECTS[GREASE].missing_data(None)
+    assert "no speeds" in EFFECTS[GREASE].missing_data(None)  # type: ignore[arg-type]
 
 
 @pytest.mark.fast
