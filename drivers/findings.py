@@ -21,6 +21,10 @@ class DeviceReport:
         Temperature of each joint [degC].
     air_c, pressure_hpa, humidity_percent : float or None
         The air at a sensor [degC, hPa, %].
+    dh_rows : tuple of rows or None
+        Rows theta, d, a, alpha of each joint by which a controller computes [rad, m, m, rad].
+    dh_checksum : str or None
+        Of the factory's calibration in it; empty if it has none.
     """
 
     model: str | None = None
@@ -31,6 +35,8 @@ class DeviceReport:
     air_c: float | None = None
     pressure_hpa: float | None = None
     humidity_percent: float | None = None
+    dh_rows: tuple[tuple[float, ...], ...] | None = None
+    dh_checksum: str | None = None
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -36,6 +36,8 @@ class ArmContext:
         Load on the flange, centre of mass in the flange frame [m].
     plant : Plant or None
         The simulated cell; None if no device of the cell is simulated.
+    simulation : bool
+        Whether the arm's controller must be in its simulation mode, in which no arm moves.
     """
 
     name: str
@@ -45,6 +47,7 @@ class ArmContext:
     payload_kg: float
     payload_center_m: NDArray[np.float64]
     plant: Plant | None = None
+    simulation: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,10 @@ class ArmSettings(Section):
     @abstractmethod
     def probe(self, arm: ArmContext, patience_s: float) -> Sequence[Finding]:
         """Check the arm without moving it; a controller that is silent for ``patience_s`` [s] counts as dead."""
+
+    def excerpt(self, patience_s: float) -> Sequence[Mapping[str, object]]:
+        """Some states of the arm as its controller sends them, for a report of a fault; none from other kinds."""
+        return ()
 
     def read_at_rest(self, arm: ArmContext, rest_s: float, patience_s: float) -> ArmState:
         """Read the joints of an arm that a person leads, once it has rested for ``rest_s`` [s]. Nothing can move by it.

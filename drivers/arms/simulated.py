@@ -27,6 +27,7 @@ from drivers.arms.protocol import (
 )
 from drivers.arms.recording import JointRecord
 from drivers.plant import Plant
+from drivers.plant.factory import factory_calibration
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
 
 CYCLE_S = 0.008
@@ -104,7 +105,14 @@ class SimulatedArm:
         """Return the identity of a simulated arm."""
         self._link()
         model = f"simulated, {self._config.joints} joints"
-        return ArmIdentity(model=model, serial=f"SIM-{self._name}", software="simulated")
+        own = factory_calibration(self._plant, self._name)
+        return ArmIdentity(
+            model=model,
+            serial=f"SIM-{self._name}",
+            software="simulated",
+            dh_rows=None if own is None else own.rows,
+            dh_checksum="" if own is None else own.checksum,
+        )
 
     def limits(self) -> JointLimits:
         """Return the limits of the arm in the plant."""

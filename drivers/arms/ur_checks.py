@@ -52,6 +52,8 @@ class UrExpectation:
         Tool centre point: position [m], rotation vector [rad]; None: not compared.
     payload_slack_kg, payload_slack_m : float
         Accepted deviation of the payload configured in the controller.
+    simulation : bool
+        Whether the controller must be in simulation mode, in which no arm moves; else it must not.
     """
 
     model: str
@@ -63,6 +65,7 @@ class UrExpectation:
     checksum: str | None = None
     payload_slack_kg: float = 0.05
     payload_slack_m: float = 0.01
+    simulation: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,7 @@ def checks(expected: UrExpectation, probe: UrProbe) -> list[Check]:
         _safety(probe),
         _robot_mode(probe),
         _remote_control(probe),
+        _real_robot(expected, probe),
         _program(probe),
         *(_port(port, is_open) for port, is_open in probe.ports.items()),
         _state(probe),
@@ -171,6 +175,21 @@ def _remote_control(probe: UrProbe) -> Check:
         return Check(subject, "ok", "on")
     text = "off; enable it (Settings > System > Remote Control), then switch the pendant from Local to Remote"
     return Check(subject, "failed", text, NotInRemoteControl)
+
+
+def _real_robot(expected: UrExpectation, probe: UrProbe) -> Check:
+    subject, real = "real robot", probe.real_robot
+    if real is None and not expected.simulation:
+        return Check(subject, "ok", "the controller does not report whether it is in simulation mode")
+    if expected.simulation:
+        if real is False:
+            return Check(subject, "ok", "off: the controller is in simulation mode, no arm moves")
+        has = "it drives the real arm" if real else "the controller does not report its mode"
+        return Check(subject, "failed", f"{has}; a rehearsal in simulation needs Simulation on the pendant's footer")
+    if real:
+        return Check(subject, "ok", "on")
+    text = "off: the controller is in simulation mode, and its arm would not move; choose Real Robot on the pendant"
+    return Check(subject, "failed", text)
 
 
 def _program(probe: UrProbe) -> Check:

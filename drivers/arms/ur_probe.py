@@ -39,6 +39,8 @@ _MAX_STATES = 20  # the kinematics come in the first one; 20 states last two sec
 _PACKAGE_HEADER = struct.Struct(">iB")
 _SUB_HEADER = struct.Struct(">IB")
 _ROBOT_STATE = 16
+_MODE_DATA = 0
+_MODE = struct.Struct(">Q7?")  # time; connected to and enabled: the real robot; then power, stops, program
 _CARTESIAN_INFO = 4
 _CARTESIAN = struct.Struct(">12d")  # the tool's pose in the base, then the TCP in the flange
 _KINEMATICS_INFO = 5
@@ -117,6 +119,8 @@ class UrPrimary:
     limits : JointLimits or None
     tcp : tuple of float or None
         Tool centre point in the flange frame: position [m], rotation vector [rad].
+    real_robot : bool or None
+        Whether motions move the real arm; not in simulation mode.
     note : str
         Why no kinematics were read; empty if they were.
     """
@@ -124,6 +128,7 @@ class UrPrimary:
     kinematics: UrKinematics | None = None
     limits: JointLimits | None = None
     tcp: tuple[float, ...] | None = None
+    real_robot: bool | None = None
     note: str = ""
 
 
@@ -156,6 +161,8 @@ class UrProbe:
         The arm's state over RTDE.
     sample_note : str
         Why no state was read; empty if one was.
+    real_robot : bool or None
+        Whether motions move the real arm; False: the controller is in simulation mode.
     """
 
     host: str
@@ -176,6 +183,7 @@ class UrProbe:
     tcp: tuple[float, ...] | None = None
     sample: UrSample | None = None
     sample_note: str = ""
+    real_robot: bool | None = None
 
     @property
     def full_model(self) -> str | None:
@@ -185,7 +193,8 @@ class UrProbe:
         return self.model
 
     def report(self) -> DeviceReport:
-        """Identity, modes and joint temperatures."""
+        """Identity, modes, joint temperatures and the D-H rows that the controller computes with."""
+        kinematics = self.kinematics
         modes = [mode for mode in (self.robot_mode, self.safety_mode) if mode is not None]
         return DeviceReport(
             model=self.full_model,
@@ -193,6 +202,8 @@ class UrProbe:
             software=f"PolyScope {self.software}",
             state=", ".join(modes) or None,
             joints_c=None if self.sample is None else self.sample.joints_c,
+            dh_rows=None if kinematics is None else tuple(map(tuple, kinematics.rows.tolist())),
+            dh_checksum=None if kinematics is None else kinematics.checksum,
         )
 
 
@@ -256,6 +267,7 @@ def probe_ur(
         tcp=primary_state.tcp,
         sample=sample,
         sample_note=sample_note,
+        real_robot=primary_state.real_robot,
     )
 
 
@@ -341,6 +353,7 @@ def _read_primary(link: Connection, patience: Patience) -> UrPrimary:
                         kinematics=now.kinematics or primary_state.kinematics,
                         limits=now.limits or primary_state.limits,
                         tcp=now.tcp or primary_state.tcp,
+                        real_robot=primary_state.real_robot if now.real_robot is None else now.real_robot,
                     )
                     if primary_state.kinematics is not None:
                         return primary_state
@@ -367,9 +380,12 @@ def parse_robot_state(state: bytes) -> UrPrimary:
     ValueError
         If the sizes are inconsistent, or a value is not a finite number.
     """
-    kinematics, limits, tcp = None, None, None
+    kinematics, limits, tcp, real_robot = None, None, None, None
     for kind, payload in _sub_packages(state):
-        if kind == _CARTESIAN_INFO:
+        if kind == _MODE_DATA:
+            if len(payload) >= _MODE.size:
+                real_robot = bool(_MODE.unpack_from(payload)[2])
+        elif kind == _CARTESIAN_INFO:
             if len(payload) >= _CARTESIAN.size:  # older software omits the TCP
                 tcp = _values(_CARTESIAN, payload, "tool's position")[6:]
         elif kind == _KINEMATICS_INFO:
@@ -385,7 +401,7 @@ def parse_robot_state(state: bytes) -> UrPrimary:
         elif kind == _CONFIGURATION:
             numbers = np.array(_values(_JOINT_LIMITS, payload, "joint limits")).reshape(12, 2)
             limits = JointLimits(position=numbers[:6], speed=numbers[6:, 0], acceleration=numbers[6:, 1])
-    return UrPrimary(kinematics, limits, tcp)
+    return UrPrimary(kinematics, limits, tcp, real_robot)
 
 
 def _sub_packages(state: bytes) -> Iterator[tuple[int, bytes]]:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import asdict
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from drivers.arms.protocol import Arm, ArmError, ArmState
 from drivers.arms.settings import ArmContext
 from drivers.arms.ur_options import UrOptions
 from drivers.findings import Finding
+from drivers.patience import Patience
 from drivers.settings import SettingError
 
 if TYPE_CHECKING:
     from drivers.arms.ur_checks import UrExpectation
 
 
+_EXCERPT = 50
+"""States of an excerpt: 0.1 s of an e-Series controller, 0.4 s of a CB3."""
 _SAFETY_LIMITS = (
     "not asked: planes and other limits of the safety configuration are known to a running program only; before the"
     " first motion the controller is asked about every planned stop"
@@ -47,6 +53,7 @@ class UrSettings(UrOptions):
             tcp=None if self.tcp is None else np.array(self.tcp),
             payload_slack_kg=self.payload_tolerance,
             payload_slack_m=self.payload_center_tolerance,
+            simulation=arm.simulation,
         )
 
     def open(self, arm: ArmContext) -> Arm:
@@ -75,6 +82,21 @@ class UrSettings(UrOptions):
         checked = [Finding(check.subject, check.status, check.text) for check in found]
         link = Finding("link", "ok", where, answers.report())
         return [link, *checked, Finding("safety limits", "ok", _SAFETY_LIMITS), motion]
+
+    def excerpt(self, patience_s: float) -> list[dict[str, object]]:
+        """The next states over RTDE; fewer where the controller stops sending, and why in the last one."""
+        from drivers.arms.ur_links import RTDE_PORT, Connection
+        from drivers.arms.ur_rtde_reader import samples
+
+        patience, found = Patience(min(self.timeout, patience_s)), list[dict[str, object]]()
+        began_s = time.monotonic()
+        try:
+            with Connection.to(self.host, RTDE_PORT, patience) as link:
+                for sample in islice(samples(link, patience), _EXCERPT):
+                    found.append({"received_s": round(time.monotonic() - began_s, 6), **asdict(sample)})
+        except ArmError as error:
+            found.append({"received_s": round(time.monotonic() - began_s, 6), "error": str(error)})
+        return found
 
     def read_at_rest(self, arm: ArmContext, rest_s: float, patience_s: float) -> ArmState:
         """Read the outputs of the controller over RTDE, after a look whether it is the expected one."""

@@ -190,6 +190,7 @@ class PlantConfig:
     ``repeatability`` [rad]: standard deviation of each joint's stop position. ``noise``: whether the tracker has noise.
     ``floor`` [m]: height in C of the floor plane of the collision monitor. ``holding_k`` [K]: steady-state rise of a
     joint at rest above the air; 5 to 15 K on real arms. ``torques``: how drives measure them; None: they do not.
+    ``factory``: how well controllers know their arms' axes from the factory; None: they have the published rows.
     """
 
     seed: int
@@ -202,6 +203,7 @@ class PlantConfig:
     floor: float = 0.0
     holding_k: float = 0.0
     torques: TorqueSensing | None = None
+    factory: GeometryErrors | None = None
 
     def __post_init__(self) -> None:
         names = [arm.name for arm in self.arms]

@@ -3,8 +3,9 @@
 An effect returns the deviation from the ideal arm in a situation: ``offset`` without loads, ``bend`` under the loads of
 a posture. Effects with hysteresis or lag keep a memory of motions and temperatures (``initial_memory``,
 ``memory_after_motion``, ``memory_after_time``, or ``assumed_memory`` for arms without a known history).
-``apparent_position`` changes what the tracker measures. An effect overrides what it needs. The cell adds up all effects
-and iterates ``bend`` until the loads of the deflected posture cause exactly that deflection.
+``response`` is what the course of a motion adds. ``apparent_position`` changes what the tracker measures. An effect
+overrides what it needs. The cell adds up all effects and iterates ``bend`` until the loads of the deflected posture
+cause exactly that deflection.
 """
 
 from __future__ import annotations
@@ -48,6 +49,8 @@ class Situation:
         The true, undeflected arm.
     load : Load or None
         Load on the flange; None: the mechanism's payload.
+    inertia : array, shape (n, N), or None
+        Torques of inertia about the axes [Nm]; None: at rest.
     """
 
     q: Array
@@ -61,6 +64,7 @@ class Situation:
     T_B_others: Mapping[str, Array]
     mechanism: Mechanism
     load: Load | None = None
+    inertia: Array | None = None
 
 
 class Effect:
@@ -93,6 +97,11 @@ class Effect:
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
         """Return the deviation from the ideal arm that the loads of ``posture`` cause."""
         return NO_DEFLECTION
+
+    def response(self, time_s: Array, q: Array, mechanism: Mechanism) -> Array | None:
+        """Return the deviation (n, N) of joints that depends on the whole course of a motion ``q`` (n, N) from rest at
+        evenly spaced times (n,); zero at rest. None: there is none."""
+        return None
 
     def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
         """Return apparent positions (n, 3) of SMRs at ``p_M`` (n, 3) with viewing directions ``normal_M`` (n, 3)."""

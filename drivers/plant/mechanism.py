@@ -176,7 +176,7 @@ class Posture:
     """A mechanism at n vectors of reported joint angles with the deflection ``bend``; all in B, computed on demand.
 
     ``gravity`` (3,) is the acceleration of free fall in B [m/s^2]; ``load`` is the load of the flange, by default the
-    mechanism's payload.
+    mechanism's payload; ``inertia`` (n, N) are torques of inertia in motion [Nm], by default none.
     """
 
     mechanism: Mechanism
@@ -184,6 +184,7 @@ class Posture:
     gravity: Array
     bend: Deflection = NO_DEFLECTION
     load: Load | None = None
+    inertia: Array | None = None
 
     @cached_property
     def placements(self) -> Array:
@@ -238,11 +239,12 @@ class Posture:
 
     @cached_property
     def torques(self) -> Array:
-        """Torque of gravity and pull about each axis, (n, N) [Nm]; positive if they would increase the angle."""
+        """Torque of gravity, pull and inertia about each axis, (n, N) [Nm]; positive if it would increase the angle."""
         directions, points = self.axes
         arms = np.cumsum(self.first_moments[::-1], axis=0)[::-1]
         arms -= self.masses_beyond[..., None] * points
-        return _torques(directions, arms, self.gravity) + self._pull_torques
+        torques = _torques(directions, arms, self.gravity) + self._pull_torques
+        return torques if self.inertia is None else torques + self.inertia
 
     @cached_property
     def load_torques(self) -> Array:

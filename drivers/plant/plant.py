@@ -115,9 +115,8 @@ class Plant:
             fixed = combined((fixed, Deflection(joints=stop_error)))
         load_deflection = start
         for _ in range(_MAX_ITERATIONS):
-            posture = Posture(
-                arm.mechanism, situation.q, arm.gravity, combined((fixed, load_deflection)), situation.load
-            )
+            bend = combined((fixed, load_deflection))
+            posture = Posture(arm.mechanism, situation.q, arm.gravity, bend, situation.load, situation.inertia)
             after = combined(effect.bend(situation, posture) for effect in arm.effects)
             if largest_change(load_deflection, after) <= _EQUILIBRIUM_RAD:
                 return posture, after

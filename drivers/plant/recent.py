@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from drivers.plant.config import Array
+from drivers.plant.inertia import inertia_torques
 from drivers.plant.mechanism import NO_DEFLECTION
 from drivers.plant.plant import Plant
 from drivers.plant.trail import Phase, joints_at
 from drivers.plant.true_arm import TrueArm
+
+_BACK_S = 0.024
+"""Step of the differences that give accelerations: what comes is not known, so that they are this much late; whole
+cycles of all controllers, whose ripple it leaves out."""
 
 
 def recent_smr(plant: Plant, name: str, time_s: Array, nest: str = "") -> tuple[Array, Array]:
@@ -18,17 +25,35 @@ def recent_smr(plant: Plant, name: str, time_s: Array, nest: str = "") -> tuple[
     """
     arm = plant._arm(name)
     q, known = joints_at(arm, time_s, plant._clock_s)
+    inertia = np.zeros_like(q)
+    if arm.effects and any(phase.motion is not None for phase, _ in known):
+        earlier, first = (joints_at(arm, time_s - n * _BACK_S, plant._clock_s)[0] for n in (1, 2))
+        inertia = inertia_torques(arm.mechanism, first, earlier, q, _BACK_S)
     p_M, normal_M = np.empty((2, len(time_s), 3))
     for phase, rows in known:
         moving = phase.motion is not None
-        p_M[rows], normal_M[rows] = smr_in(plant, arm, phase, q[rows], time_s[rows], nest, moving=moving)
+        p_M[rows], normal_M[rows] = smr_in(
+            plant, arm, phase, q[rows], time_s[rows], nest, moving=moving, inertia=inertia[rows]
+        )
     return p_M, normal_M
 
 
 def smr_in(
-    plant: Plant, arm: TrueArm, phase: Phase, q: Array, time_s: Array, nest: str = "", *, moving: bool
+    plant: Plant,
+    arm: TrueArm,
+    phase: Phase,
+    q: Array,
+    time_s: Array,
+    nest: str = "",
+    *,
+    moving: bool,
+    inertia: Array | None = None,
+    response: Array | float = 0.0,
 ) -> tuple[Array, Array]:
-    """Apparent positions and viewing directions (n, 3) of an arm at ``q`` (n, N) in a phase without reversal."""
+    """Apparent positions and viewing directions (n, 3) of an arm at ``q`` (n, N) in a phase without reversal;
+    ``inertia`` (n, N) are torques of its acceleration [Nm], ``response`` (n, N) is what the course of its motion adds
+    to the joints [rad]."""
     situation, memories = plant._in_phase(arm, phase, q, time_s, moving=moving)
-    posture, _ = plant._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None])
+    situation = replace(situation, inertia=inertia)
+    posture, _ = plant._equilibrium(arm, situation, memories, NO_DEFLECTION, arm.stop_error[None] + response)
     return plant._apparent_smr(arm, situation, posture, nest)

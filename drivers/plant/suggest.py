@@ -377,6 +377,16 @@ def _workspace_field(draw: Draw) -> dict[str, Any]:
     return {"rms": draw.log_uniform(80e-6, 200e-6), "length": draw.uniform(0.4, 0.9), "seed": draw.seed()}
 
 
+def _drive_lag(draw: Draw) -> dict[str, Any]:
+    # filters and drives of controllers: an estimate
+    return {"time_constant": [draw.log_uniform(0.01, 0.03) for _ in range(draw.arm.joints)]}
+
+
+def _joint_vibration(draw: Draw) -> dict[str, Any]:
+    # first modes of arms of this class lie at some 8 to 15 Hz
+    return {"stiffness": _drive_stiffness(draw), "damping": draw.log_uniform(0.02, 0.08)}
+
+
 _CATALOGUED: dict[str, Callable[[Draw], dict[str, Any]]] = {
     "joint_compliance": _joint_compliance,
     "payload_compliance": _payload_compliance,
@@ -414,11 +424,19 @@ _UNCATALOGUED: dict[str, Callable[[Draw], dict[str, Any]]] = {
     "workspace_field": _workspace_field,
 }
 
+_ONLY_MOVING: dict[str, Callable[[Draw], dict[str, Any]]] = {
+    "drive_lag": _drive_lag,
+    "joint_vibration": _joint_vibration,
+}
+
 REALISTIC: tuple[str, ...] = tuple(_CATALOGUED)
 """Effects that robots, trackers and pedestals are known to have."""
 
 OUTSIDE: tuple[str, ...] = tuple(_UNCATALOGUED)
 """Effects outside that catalogue."""
+
+ONLY_MOVING: tuple[str, ...] = tuple(_ONLY_MOVING)
+"""Effects that move nothing at rest."""
 
 
 def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: float = 18000.0) -> dict[str, Any]:
@@ -427,7 +445,7 @@ def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: flo
     Parameters
     ----------
     slug : str
-        One of ``REALISTIC`` or ``OUTSIDE``.
+        One of ``REALISTIC``, ``OUTSIDE`` or ``ONLY_MOVING``.
     rng : numpy.random.Generator
         Draws joints, signs, phases, sizes and onsets; the same state gives the same parameters.
     arm : ArmConfig
@@ -437,7 +455,7 @@ def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: flo
 
     Raises ``ValueError`` for a slug that does not exist or a duration that is not positive.
     """
-    factories = _CATALOGUED | _UNCATALOGUED
+    factories = _CATALOGUED | _UNCATALOGUED | _ONLY_MOVING
     if slug not in factories:
         raise ValueError(f"unknown effect '{slug}'; effects are {', '.join(sorted(factories))}")
     return factories[slug](Draw.of(rng, arm, duration_s))

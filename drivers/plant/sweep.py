@@ -2,8 +2,9 @@
 
 The controller's joints follow the commands as in ``servo``: each a critically damped second-order system. Its encoders
 sit before the gears. Behind the gears every effect of the plant acts along the path: one with hysteresis sees a motion
-from each reversal of a joint to the next. Controller and tracker stamp their samples with clocks of their own; the
-controller loses samples when its client is slow, the tracker loses the beam now and then.
+from each reversal of a joint to the next; late drives and swinging joints follow from the whole course. Controller and
+tracker stamp their samples with clocks of their own; the controller loses samples when its client is slow, the tracker
+loses the beam now and then.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 
 from drivers.plant.climate import joint_rise
 from drivers.plant.config import Array
+from drivers.plant.inertia import inertia_torques
 from drivers.plant.plant import Plant
 from drivers.plant.recent import smr_in
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, servo_rate
@@ -22,6 +24,8 @@ from drivers.plant.true_arm import TrueArm
 
 _STEP_S = 1e-3
 """Step of the joints' motion [s]."""
+_BEND_S = 5e-3
+"""Step of the differences that give accelerations [s]."""
 _REST_S = 0.5
 """Rest on record before and after the motion [s]."""
 _AT_ONCE = 4096
@@ -164,6 +168,7 @@ def _turns(q: Array) -> np.ndarray:
 def _points(plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, began_s: float) -> Array:
     """True apparent points (m, 3) at times ``seen`` (m,), segment by segment between reversals of joints."""
     q_seen = np.column_stack([np.interp(seen, time_s, column) for column in q.T])
+    inertia, added = _of_course(arm, time_s, q, seen)
     turns = [0, *_turns(q).tolist(), len(q) - 1]
     points = np.empty((len(seen), 3))
     segment = np.searchsorted(time_s[turns[1:-1]], seen, side="right")
@@ -172,9 +177,23 @@ def _points(plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, be
         phase = phase_of(arm, began_s)
         for at in range(0, len(rows), _AT_ONCE):
             some = rows[at : at + _AT_ONCE]
-            points[some], _ = smr_in(plant, arm, phase, q_seen[some], began_s + seen[some], moving=True)
+            at_s, turn, more = began_s + seen[some], inertia[some], added[some]
+            points[some], _ = smr_in(plant, arm, phase, q_seen[some], at_s, moving=True, inertia=turn, response=more)
         _note_turn(arm, q[first], q[turns[number + 1]], q[min(turns[number + 1] + 1, len(q) - 1)])
     return points
+
+
+def _of_course(arm: TrueArm, time_s: Array, q: Array, seen: Array) -> tuple[Array, Array]:
+    """Torques of inertia [Nm], and what effects of the whole course add to the joints [rad], each (m, N)."""
+
+    def at(times: Array, table: Array) -> Array:
+        return np.column_stack([np.interp(times, time_s, column) for column in table.T])
+
+    now, responses = at(seen, q), [effect.response(time_s, q, arm.mechanism) for effect in arm.effects]
+    added = np.sum([np.zeros_like(now), *(at(seen, one) for one in responses if one is not None)], axis=0)
+    if not arm.effects:
+        return added, added
+    return inertia_torques(arm.mechanism, at(seen - _BEND_S, q), now, at(seen + _BEND_S, q), _BEND_S), added
 
 
 def _note_turn(arm: TrueArm, begun: Array, turned: Array, after: Array) -> None:

@@ -16,7 +16,7 @@ def candidates_of(count):
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(count, 3, COLUMNS)) * rng.uniform(0.2, 2.0, (count, 1, 1))
     candidates = Candidates(rows, np.eye(COLUMNS))
-    reference = reference_errors(rows, STOPS, candidates.prior, COLUMNS)
+    reference = reference_errors(candidates.mean_information, STOPS, candidates.prior, COLUMNS)
     return candidates, Criterion(reference, rng.normal(size=(600, 3, COLUMNS)))
 
 

@@ -19,7 +19,9 @@ from cellapp.ground.progress import CancelToken
 PATIENT_S = 60.0
 
 
-def _serve(profile_text: str, hosts: Mapping[str, str], pace: float, lost_beams: float, pipe: Connection) -> None:
+def _serve(
+    profile_text: str, hosts: Mapping[str, str], pace: float, lost_beams: float, simulation: bool, pipe: Connection
+) -> None:
     """The emulators, in a process of their own because the real client holds the interpreter while it connects."""
     profile = profile_from_json(profile_text)
     arms = [arm.model_copy(update={"host": hosts[arm.arm]}) for arm in emulated_arms(profile)]
@@ -34,24 +36,27 @@ def _serve(profile_text: str, hosts: Mapping[str, str], pace: float, lost_beams:
     emulate(
         profile,
         cancel,
-        lambda _: pipe.send(ports[0]),
+        lambda _: pipe.send(ports[0] if ports else 0),
         arms,
         pace=pace,
         tracker=EmulatedTracker(host="127.0.0.1", port=0),
         announce_tracker=lambda where: ports.append(where.port),
         lost_beams=lost_beams,
+        simulation=simulation,
     )
 
 
 @contextmanager
-def emulated(profile: Profile, hosts: Mapping[str, str], pace: float, lost_beams: float = 0.0) -> Iterator[int]:
-    """The emulators of a profile at ``hosts``, arm -> address; gives the port of the tracker's bridge.
+def emulated(
+    profile: Profile, hosts: Mapping[str, str], pace: float, lost_beams: float = 0.0, *, simulation: bool = False
+) -> Iterator[int]:
+    """The emulators of a profile at ``hosts``, arm -> address; gives the port of the tracker's bridge, 0 without.
 
-    ``lost_beams`` is how often the beam to a moving SMR breaks [1/min].
+    ``lost_beams`` is how often the beam to a moving SMR breaks [1/min]; in ``simulation`` mode no arm moves.
     """
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    args = (profile_to_json(profile), dict(hosts), pace, lost_beams, theirs)
+    args = (profile_to_json(profile), dict(hosts), pace, lost_beams, simulation, theirs)
     process = context.Process(target=_serve, args=args, daemon=True)
     process.start()
     theirs.close()

@@ -65,10 +65,10 @@ def _points_hold(fit: MotionFit, arm: Arm, q: np.ndarray) -> np.ndarray:
     return np.abs(arm.points(q).T - P) < 1.96 * np.sqrt(variance)
 
 
-def coverage(runs: int, noise: str, seconds: float) -> dict[str, float]:
+def coverage(runs: int, noise: str, seconds: float, first: int = 0) -> dict[str, float]:
     """Share of intervals that hold, by quantity, and the largest errors of the clocks."""
     with one_blas_thread():
-        held = [one_run(seed, noise, seconds) for seed in range(runs)]
+        held = [one_run(seed, noise, seconds) for seed in range(first, first + runs)]
     return {
         "offset": float(np.mean([one.offset for one in held])),
         "rate": float(np.mean([one.rate for one in held])),
@@ -84,9 +84,10 @@ def main(
     runs: Annotated[int, typer.Option(min=1)] = 200,
     noise: Annotated[str, typer.Option(help="white, slow or effects")] = "slow",
     seconds: Annotated[float, typer.Option(min=10.0)] = 120.0,
+    first: Annotated[int, typer.Option(min=0, help="first seed")] = 0,
 ) -> None:
     """Simulate, identify and count the intervals that hold."""
-    for name, value in coverage(runs, noise, seconds).items():
+    for name, value in coverage(runs, noise, seconds, first).items():
         typer.echo(f"{name:28s} {value:.3f}")
 
 

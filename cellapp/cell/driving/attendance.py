@@ -20,10 +20,10 @@ class SimulatedPerson:
 
     plant: Plant
 
-    def hang(self, arm: str, load_kg: float) -> None:
-        """Put another load on a flange, its centre of mass where that of the present one is."""
+    def hang(self, arm: str, load_kg: float, center_F: Array | None = None) -> None:
+        """Put another load on a flange; None: its centre of mass (3,) [m] where that of the present one is."""
         _, center = self.plant.payload(arm)
-        self.plant.set_payload(arm, load_kg, center)
+        self.plant.set_payload(arm, load_kg, center if center_F is None else center_F)
 
     def pull(self, arm: str, force_B: Array) -> None:
         """Pull at a flange with a force (3,) [N] in the arm's base; zeros: let it go."""

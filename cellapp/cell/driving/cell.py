@@ -16,6 +16,7 @@ from cellapp.cell.driving.attendance import SimulatedPerson
 from cellapp.cell.driving.pulse import JobPulse
 from cellapp.cell.driving.together import Together, answers_of_all, in_threads, one_by_one
 from cellapp.cell.driving.tracker_watch import Watch, monitored, unwatched, watched
+from cellapp.cell.driving.unasked_tracker import UnaskedTracker
 from cellapp.cell.safety.gate import Gate, refuse_motion
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
@@ -157,6 +158,19 @@ def open_cell(
             )
 
 
+@contextmanager
+def open_arms(profile: Profile, control: JobControl, *, simulation: bool) -> Iterator[Cell]:
+    """Connect to the arms of a profile alone; the tracker is never asked. At the end they are disconnected.
+
+    With ``simulation`` every controller must be in its simulation mode. Raises as ``open_cell``.
+    """
+    arms = {name: _driver_of(name, arm, None, simulation=simulation) for name, arm in profile.arms.items()}
+    with ExitStack() as stack:
+        stack.callback(answers_of_all, in_threads, {name: arm.disconnect for name, arm in arms.items()})
+        _connect_all(arms, in_threads, control)
+        yield Cell(arms, UnaskedTracker(), RealClock(), watch_tracker=unwatched)
+
+
 def _needs_plant(profile: Profile) -> bool:
     """Whether a device is simulated in this process. A section 'plant' may also describe what 'emulate' simulates."""
     air = profile.sensors.air
@@ -214,8 +228,8 @@ def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...
 # -- drivers ----------------------------------------------------------------------------------------------------------
 
 
-def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None) -> ArmContext:
-    """Return what the profile specifies for the driver of an arm."""
+def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None, *, simulation: bool = False) -> ArmContext:
+    """Return what the profile specifies for the driver of an arm; ``simulation``: its controller moves no arm."""
     speed, acceleration = joint_rates(arm)
     return ArmContext(
         name=name,
@@ -225,6 +239,7 @@ def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None) -> ArmCo
         payload_kg=arm.payload.mass,
         payload_center_m=np.array(arm.payload.center_of_mass),
         plant=plant,
+        simulation=simulation,
     )
 
 
@@ -246,9 +261,9 @@ def tracker_driver(profile: Profile, plant: Plant | None) -> Tracker:
         raise InputError(f"tracker.{error}") from error
 
 
-def _driver_of(name: str, arm: ArmProfile, plant: Plant | None) -> Arm:
+def _driver_of(name: str, arm: ArmProfile, plant: Plant | None, *, simulation: bool = False) -> Arm:
     try:
-        return arm.driver.open(arm_context(name, arm, plant))
+        return arm.driver.open(arm_context(name, arm, plant, simulation=simulation))
     except SettingError as error:
         raise InputError(f"arms.{name}.{error}") from error
 
@@ -291,6 +306,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             noise=settings.noise,
             floor=profile.plan.floor,
             torques=None if torques is None else TorqueSensing(**torques.model_dump()),
+            factory=None if settings.factory is None else GeometryErrors(**settings.factory.model_dump()),
         )
         return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)
     except ValueError as error:

@@ -13,9 +13,10 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.working_conditions import conditions_of
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.profile import Arm, Profile
+from cellapp.ground.profile import Arm as ArmProfile
+from cellapp.ground.profile import Profile
 from cellapp.robot.model import ArmModel, CellModel
-from drivers.arms.protocol import ArmError
+from drivers.arms.protocol import Arm, ArmError
 
 PAYLOAD_SLACK_KG = 0.05
 """Accepted deviation of a controller's payload, as when the link to the controller is opened."""
@@ -61,12 +62,7 @@ def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed
     InputError
         If the run's record of its controllers is damaged.
     """
-    found = check_controllers(run, cell)
-    if found.changed and not changed_controller:
-        raise HardwareError(
-            f"push: {'; '.join(found.changed)}; nothing was moved. Insist with --out-of-date to use the model all the"
-            " same"
-        )
+    found = check_controllers(run, cell, insist=changed_controller)
     wrong = list(_wrong_payloads(run, cell, commands))
     if wrong:
         more = [f"{len(wrong) - _MOST_NAMED} more"] if len(wrong) > _MOST_NAMED else []
@@ -80,7 +76,7 @@ def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _other_mount(arm: Arm, model: ArmModel) -> str:
+def _other_mount(arm: ArmProfile, model: ArmModel) -> str:
     """How the SMR's mount in the profile differs from the one that the model was calibrated with; empty if not."""
     offset, before = arm.smr.offset, model.nominal.tool
     if offset != "unknown" and not np.allclose(offset, before, rtol=0.0, atol=_SAME_MOUNT):
@@ -97,6 +93,19 @@ def _other_mount(arm: Arm, model: ArmModel) -> str:
 
 def _millimetres(point: Sequence[float]) -> str:
     return f"({', '.join(f'{1e3 * x:.3f}' for x in point)}) mm"
+
+
+def known_payload(arm: Arm, load_kg: float) -> str:
+    """Why an arm is not driven with a load: its controller has another; empty if it agrees, or reports none.
+
+    Raises ``ArmError`` if the controller does not answer.
+    """
+    known_kg = arm.state().payload_kg
+    if known_kg is None or abs(known_kg - load_kg) <= PAYLOAD_SLACK_KG:
+        return ""
+    return (
+        f"the payload of its controller is set to {known_kg:.3f} kg; an arm that does not know its load is not driven"
+    )
 
 
 def _wrong_payloads(run: RunFile, cell: Cell, commands: Sequence[Command]) -> Iterator[str]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 
-from cellapp.cell.driving.cell import Cell
+from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.controllers import check_controllers
+from cellapp.cell.driving.loads import Hung, change_load, require_load
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.records import CollectResult, End
 from cellapp.cell.driving.session import CollectSession
@@ -23,6 +27,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Listener, ignore
 from drivers.arms.protocol import ArmError
+from drivers.plant import Plant
 
 
 def collect_run(
@@ -36,6 +41,8 @@ def collect_run(
     watch_clearance: bool = False,
     confirm: Confirm | None = None,
     opened: Opened | None = None,
+    payload: Mapping[str, float] | None = None,
+    hung: Hung | None = None,
 ) -> CollectResult:
     """Collect all planned stops that are not stored yet.
 
@@ -47,42 +54,98 @@ def collect_run(
     With ``again`` only those stops are visited, as planned. Their new readings count, those before are kept beside, and
     an arm that gives none keeps what it has.
 
+    Stops with another load are collected in a session of their own, with the cell opened anew, after ``hung`` was
+    asked. ``payload`` is what a person says that the arms carry now [kg].
+
     Raises
     ------
     InputError
         If there is no plan, stops are stored and ``resume`` is False, a stop of ``again`` was not tried yet, the first
-        motion is not confirmed, or the run file cannot be written.
+        motion is not confirmed, ``payload`` is not the load that is due, or the run file cannot be written.
     HardwareError
         If an arm or the tracker fails, or nothing could be measured; all committed stops stay.
     Stopped, Aborted
-        On request; the arms have been braked, and the run can be resumed.
+        On request, or as nobody hangs the next load; the arms have been braked, and the run can be resumed.
     """
     control = control or JobControl()
     work = work_again(run, again) if again is not None else remaining_work(run, resume=resume)
     if not work.stops and not (again is None and sweeps_left(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
-    bodies, before = cell_bodies(run.profile), replaced_counts(run)
-    with opening(run.profile, control, opened, watch_clearance=watch_clearance) as cell:
-        notes = list(check_controllers(run, cell).notes)
-        number = run.begin_session(", ".join(str(stop + 1) for stop in work.stops) if work.again else "")
-        with (
-            _session_recorded(run, number),
-            _late_heartbeats_noted(run, cell, notes),
-            reacting(cell, control) as reaction,
-        ):
-            session = CollectSession(
-                run, work, cell, bodies, reaction, control, listener, number, accept_drift, confirm, notes
-            )
-            outcome = session.collect()
-            if not run.stops_done():
-                reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
-                raise HardwareError(f"nothing could be measured: {reason}")
-            run.end_session(number, outcome, "")
+    before, notes, session = replaced_counts(run), list[str](), _Session(run, listener, control, accept_drift, confirm)
+    for load in work.loads or (0,):
+        change_load(run, load, payload, hung)
+        payload = None  # it was said of the first one
+        part = work if run.profile.loads == 1 else _left_of(run, work).with_load(load)
+        outcome = session.collect(part, load, opened, notes, watch_clearance=watch_clearance)
     result = _collected(run, outcome, notes, session.standard_error_mm)
     if not work.again:
         return result
     replaced = sum(replaced_counts(run).values()) - sum(before.values())
     return result.model_copy(update={"replaced": replaced, "notes": (*result.notes, *_held_out_notes(run, work))})
+
+
+def _left_of(run: RunFile, work: Work) -> Work:
+    """What is left of the work now."""
+    return work if work.again else remaining_work(run, resume=True)
+
+
+@dataclass
+class _Session:
+    """Sessions of a run one after the other, each with its load; a simulated cell stays as the last one left it."""
+
+    run: RunFile
+    listener: Listener
+    control: JobControl
+    accept_drift: bool
+    confirm: Confirm | None
+    standard_error_mm: Mapping[str, float] = field(default_factory=dict)
+    plant: Plant | None = None
+    began_s: float | None = None
+    ended_s: float = math.inf
+    """When the last session ended, on the clock of its cell."""
+
+    def collect(
+        self, work: Work, load: int, opened: Opened | None, notes: list[str], *, watch_clearance: bool = False
+    ) -> End:
+        """Collect the stops of a load. Raises as ``collect_run`` does."""
+        run, control, profile = self.run, self.control, self.run.profile.with_load(load)
+        bodies = cell_bodies(profile)
+        if opened is None and self.plant is not None:
+            opened = partial(open_cell, plant=self.plant, control=control)
+        with opening(profile, control, opened, watch_clearance=watch_clearance) as cell:
+            self.plant = None if cell.person is None else cell.person.plant
+            if run.profile.loads > 1:
+                require_load(cell, profile)
+            notes += [note for note in check_controllers(run, cell).notes if note not in notes]
+            number = run.begin_session(", ".join(str(stop + 1) for stop in work.stops) if work.again else "")
+            with (
+                _session_recorded(run, number),
+                _late_heartbeats_noted(run, cell, notes),
+                reacting(cell, control) as reaction,
+            ):
+                session = CollectSession(
+                    run=run,
+                    profile=profile,
+                    work=work,
+                    cell=cell,
+                    bodies=bodies,
+                    reaction=reaction,
+                    control=control,
+                    listener=self.listener,
+                    number=number,
+                    accept_drift=self.accept_drift,
+                    confirm=self.confirm,
+                    notes=notes,
+                    began_s=self.began_s if cell.clock.now_s() >= self.ended_s else None,
+                )
+                outcome = session.collect()
+                if not run.stops_done():
+                    reason = next((one.reason for one in run.outcomes()), "no stop could be visited")
+                    raise HardwareError(f"nothing could be measured: {reason}")
+                run.end_session(number, outcome, "")
+            self.began_s, self.ended_s = session.began_s, cell.clock.now_s()
+        self.standard_error_mm = session.standard_error_mm
+        return outcome
 
 
 def _collected(

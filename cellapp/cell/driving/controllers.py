@@ -3,39 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile.device_plugins import plugins_of_devices
+from cellapp.robot.kinematics.plain_dh import same_chain
+from cellapp.robot.model.nominal import controller_rows, published_rows
 from cellapp.robot.plugins import program_of
 from drivers.arms.protocol import Arm, ArmError, stale
 
 
 @dataclass(frozen=True)
 class ControllerIdentity:
-    """Identity of one controller, as it reports it; ``dh_checksum`` distinguishes factory calibrations of its D-H."""
+    """Identity of one controller, as it reports it; ``dh_checksum`` distinguishes factory calibrations of its D-H.
+
+    ``dh_rows`` are the rows theta, d, a, alpha of such a calibration [rad, m]; None without one.
+    """
 
     model: str
     serial: str
     software: str
     dh_checksum: str
+    dh_rows: tuple[tuple[float, float, float, float], ...] | None = None
 
 
 @dataclass(frozen=True)
 class ControllerCheck:
-    """The controllers of an open cell by arm, and what a person must know about them.
-
-    ``changed`` are those notes that make an earlier model stale.
-    """
+    """The controllers of an open cell by arm, and what a person must know about them."""
 
     identities: Mapping[str, ControllerIdentity]
     notes: tuple[str, ...]
-    changed: tuple[str, ...] = ()
 
 
 _STORED = TypeAdapter(dict[str, ControllerIdentity])
@@ -52,15 +56,17 @@ def recorded_controllers(run: RunFile) -> dict[str, ControllerIdentity]:
         raise InputError(f"{run.path}: the record of its controllers is damaged; start a new run") from None
 
 
-def check_controllers(run: RunFile, cell: Cell) -> ControllerCheck:
+def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -> ControllerCheck:
     """Record new controllers in the run, compare the others with their record, and log the notes.
 
-    A changed checksum of a controller's own D-H is noted: an earlier model is stale.
+    ``insist`` only notes a controller whose own D-H was changed since the run began, or is not that of the profile;
+    None: the verb has no such option.
 
     Raises
     ------
     HardwareError
-        If an arm has another controller than the one recorded, or its controller does not answer.
+        If an arm has another controller than the one recorded, or another calibration in it, or its controller does
+        not answer. Nothing has moved.
     InputError
         If the record is damaged.
     """
@@ -73,24 +79,30 @@ def check_controllers(run: RunFile, cell: Cell) -> ControllerCheck:
         notes += warnings
         if name in recorded:
             changed += _compare(name, recorded[name], identities[name])
+        changed += _not_the_profiles(name, run.profile.arms[name], identities[name])
+    if changed and not insist:
+        way = "" if insist is None else ". Insist with --out-of-date to use the model all the same"
+        raise HardwareError(f"{'; '.join(changed)}; nothing was moved{way}")
     notes += changed
     if set(identities) - set(recorded):
-        run.write_result(CONTROLLERS_RESULT, _STORED.dump_json(identities | recorded).decode("utf-8"))
+        run.write_result(
+            CONTROLLERS_RESULT, _STORED.dump_json(identities | recorded, exclude_none=True).decode("utf-8")
+        )
     for note in notes:
         run.log("warning", note)
     if plugins_of_devices(run.profile):
         run.log("info", f"devices opened by {program_of(run.profile)}")
-    return ControllerCheck(identities, tuple(notes), tuple(changed))
+    return ControllerCheck(identities, tuple(notes))
 
 
-def noting_controllers(run: RunFile, notes: list[str]) -> Callable[[Cell], None]:
+def noting_controllers(run: RunFile, notes: list[str], *, insist: bool | None = None) -> Callable[[Cell], None]:
     """Return what is to be called with the opened cell before anything moves.
 
     It checks the controllers and raises as ``check_controllers`` does; what it finds is added to ``notes``.
     """
 
     def opened(cell: Cell) -> None:
-        notes.extend(check_controllers(run, cell).notes)
+        notes.extend(check_controllers(run, cell, insist=insist).notes)
 
     return opened
 
@@ -101,7 +113,11 @@ def _query(arm: Arm) -> tuple[ControllerIdentity, tuple[str, ...]]:
         warnings = arm.warnings()
     except ArmError as error:
         raise HardwareError(str(error)) from error
-    return ControllerIdentity(found.model, found.serial, found.software, found.dh_checksum), warnings
+    identity = ControllerIdentity(found.model, found.serial, found.software, found.dh_checksum)
+    if found.dh_rows is not None and found.dh_checksum:
+        rows = tuple((theta, d, a, alpha) for theta, d, a, alpha in found.dh_rows.tolist())
+        identity = replace(identity, dh_rows=rows)
+    return identity, warnings
 
 
 def _compare(name: str, before: ControllerIdentity, now: ControllerIdentity) -> list[str]:
@@ -113,3 +129,22 @@ def _compare(name: str, before: ControllerIdentity, now: ControllerIdentity) -> 
     if before.dh_checksum != now.dh_checksum:
         return [f"arm {name}: {stale(before.dh_checksum, now.dh_checksum)}"]
     return []
+
+
+def _not_the_profiles(name: str, arm: ArmProfile, now: ControllerIdentity) -> list[str]:
+    """In words that the calibration in a controller is not the one that the profile takes as nominal."""
+    if arm.factory is None or same_calibration(arm, now):
+        return []
+    has = f"another calibration ({now.dh_checksum})" if now.dh_checksum else "no calibration of its own"
+    return [
+        f"arm {name}: its controller has {has} than that of arms.{name}.factory"
+        f" ({arm.factory.checksum or 'without a checksum'}); write it with 'cellapp doctor PROFILE --controllers DIR',"
+        " then collect and calibrate again"
+    ]
+
+
+def same_calibration(arm: ArmProfile, controller: ControllerIdentity) -> bool:
+    """Whether a controller computes by the rows that are nominal in the profile."""
+    wanted, published = controller_rows(arm), published_rows(arm)
+    has = published if controller.dh_rows is None else np.array(controller.dh_rows)
+    return same_chain(wanted, has, published)

@@ -26,11 +26,19 @@ class SweepCount(Record):
     omitted_when_none = frozenset({"forecast"})
 
 
+class PlannedLoad(Record):
+    """Stops (numbers from 1) of a plan that are measured with one load, and what each arm carries then [kg]."""
+
+    first: int
+    last: int
+    payload_kg: Mapping[str, float]
+
+
 class PlanResult(Result, schema="cellapp-plan"):
     """``plan``: number of planned stops of each arm, and of further ones in reserve.
 
     ``design`` is what is known of designed stops, ``time`` how long collecting them takes; ``sweeps`` are
-    those of each arm.
+    those of each arm, ``loads`` the loads one after the other where there are several.
     """
 
     run: str
@@ -39,8 +47,9 @@ class PlanResult(Result, schema="cellapp-plan"):
     design: PlanDesignResult | None = None
     time: PlannedTime | None = None
     sweeps: Mapping[str, SweepCount] | None = None
+    loads: tuple[PlannedLoad, ...] | None = None
     notes: tuple[str, ...] = ()
-    omitted_when_none = frozenset({"design", "time", "sweeps"})
+    omitted_when_none = frozenset({"design", "time", "sweeps", "loads"})
 
 
 class CollectResult(Result, schema="cellapp-collect"):

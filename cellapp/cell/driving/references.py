@@ -43,6 +43,9 @@ class References:
     supervisor: Supervisor
     suspect: Callable[[Suspicion], None]
     accept_drift: bool = False
+    carried: Mapping[str, str] = field(default_factory=dict)
+    """Reference -> what the arm carries, in words, where that is not the first load: an arm that sinks under another
+    load does not drift."""
     _first_M: dict[str, Vector] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -91,7 +94,8 @@ class References:
         for suspicion in self._watch.at_reference({name: point.p_M for name, point in points.items()}, arms):
             self.suspect(suspicion)
         drift_mm = {}
-        for name, point in points.items():
+        for reference, point in points.items():
+            name = reference + self.carried.get(reference, "")
             first_M = self._first_M.setdefault(name, point.p_M)
             drift_mm[name] = float(np.linalg.norm(point.p_M - first_M)) * 1e3
             row = ReferenceRow(name, stops_done, point.time_s - began_s, point.p_M, self.session)

@@ -15,6 +15,7 @@ from cellapp.cell.driving.cell import Cell, start_tracker
 from cellapp.cell.driving.details import missed_sentence, point_measured, record_sentence, state_of
 from cellapp.cell.driving.driven_sweep import SweepDriver
 from cellapp.cell.driving.forbidden import forbidden_stops
+from cellapp.cell.driving.loads import other_loads
 from cellapp.cell.driving.measuring import SmrMeasurement
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.nests import Nests
@@ -35,6 +36,7 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Detail, Listener, LogReport, MeasurementBegun, PointMissed, Progress, Suspicion
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
@@ -52,11 +54,13 @@ T = TypeVar("T")
 class CollectSession:
     """Collects the remaining stops of a run with the devices of an open cell.
 
-    ``number`` is the session's number in the run. With ``accept_drift``, drift counts from this session's first
-    reference measurements. ``confirm`` is asked once, before the first motion.
+    ``profile`` is that of the run, its arms with the load of the stops. ``number`` is the session's number in the run.
+    With ``accept_drift``, drift counts from this session's first reference measurements. ``confirm`` is asked once,
+    before the first motion.
     """
 
     run: RunFile
+    profile: Profile
     work: Work
     cell: Cell
     bodies: CellBodies
@@ -71,8 +75,9 @@ class CollectSession:
     """Start of the run on the cell's clock [s]; controllers have clocks of their own, which are not used."""
 
     def __post_init__(self) -> None:
-        profile = self.run.profile
+        profile = self.profile
         self._settings = profile.collection
+        self._is_loaded = profile.loads > 1  # then each reading says with which load, and none is left out early
         self._queue = StopQueue(self.work)
         self._mover = Mover(profile, self.cell, self.bodies, self.reaction, self._emit)
         self._supervisor = Supervisor(
@@ -87,7 +92,13 @@ class CollectSession:
         )
         self._measurement = SmrMeasurement(self._mover, self._supervisor, self._settings.repeat, self._tracker_ready)
         self._references = References(
-            self.run, self.number, self._measurement, self._supervisor, self._suspect, self.accept_drift
+            self.run,
+            self.number,
+            self._measurement,
+            self._supervisor,
+            self._suspect,
+            self.accept_drift,
+            other_loads(self.run.profile, profile),
         )
         self._nests = Nests.of(profile, self.bodies)
         self._air = None if self.cell.air is None else AirTemperature(self.cell.air, self._log, self._emit)
@@ -184,7 +195,7 @@ class CollectSession:
         self._until_reference -= 1
         self._report(stop, rows)
         self._check_missed(rows)
-        return not self.work.again and self._model.accurate_enough(self._queue.finished)
+        return not (self.work.again or self._is_loaded) and self._model.accurate_enough(self._queue.finished)
 
     def _sweep(self, stop: int) -> None:
         """Record the sweeps that are left about a stop, the arms resting at it; stops that were left out have none."""
@@ -377,13 +388,14 @@ class CollectSession:
 
     def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
         """Return the reading of a point that was just measured; its dwell ends at the middle of the averaging."""
-        rested_s = self._mover.rested_s(name)
+        rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
         return Reading(
             q=state.q,
             p_M=point.p_M,
             time_s=point.time_s - self._begin(point.time_s - point.averaging_s),
             approach=self._mover.approach(name).copy(),
-            payload_kg=state.payload_kg,
+            payload_kg=carried.mass if state.payload_kg is None and self._is_loaded else state.payload_kg,
+            payload_center_F=np.array(carried.center_of_mass) if self._is_loaded else None,
             temperature_c=temperature_c,
             joint_temperature_c=state.joint_temperature_c,
             step=self._mover.step(name),

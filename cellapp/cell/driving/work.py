@@ -70,6 +70,15 @@ class Work:
         """Return the joint positions of a stop by arm."""
         return self.route.targets(stop)
 
+    @property
+    def loads(self) -> tuple[int, ...]:
+        """The loads of the stops to collect, in their order."""
+        return tuple(sorted({int(self.route.load[stop]) for stop in self.stops}))
+
+    def with_load(self, load: int) -> Work:
+        """The part of the work that has one load; reserves have any."""
+        return replace(self, stops=tuple(stop for stop in self.stops if self.route.load[stop] == load))
+
     def dwell_s(self, stop: int, name: str) -> float:
         """Return the least rest of an arm before it is measured at a stop [s]."""
         return float(self.route.dwell_s[name][stop])

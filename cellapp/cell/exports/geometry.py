@@ -71,13 +71,13 @@ class GeometryExport(Result, schema="cellapp-geometry"):
     arms: Mapping[str, ArmGeometry]
 
 
-def geometry_export(model: CellModel) -> GeometryExport:
-    """Every arm of a calibrated cell as URDF values and as UR deltas."""
+def geometry_export(model: CellModel, published: Mapping[str, Array]) -> GeometryExport:
+    """Every arm of a calibrated cell as URDF values and as UR deltas to its ``published`` rows (N, 4)."""
     return GeometryExport(
         arms={
             name: ArmGeometry(
                 urdf=urdf_joints(arm.geometry),
-                ur_deltas=ur_deltas(arm.nominal, arm.geometry),
+                ur_deltas=ur_deltas(published[name], arm.geometry),
                 smr_in_flange_m=xyz_of(arm.geometry.tool),
                 not_exported=(
                     *(term.slug for term in arm.effects),
@@ -105,13 +105,15 @@ def _origin(name: str, kind: Literal["revolute", "fixed"], T: Array) -> UrdfJoin
     return UrdfJoint(name=name, type=kind, xyz_m=xyz_of(T[:3, 3]), rpy_rad=rpy_of(T[:3, :3]))
 
 
-def ur_deltas(nominal: Geometry, identified: Geometry) -> UrDeltas:
+def ur_deltas(published: Array, identified: Geometry) -> UrDeltas:
     """``delta_theta``, ``delta_a``, ``delta_d``, ``delta_alpha`` as in UR's calibration file, and what they lose.
+
+    They are those to ``published`` rows (N, 4): theta, d, a, alpha [rad, m].
 
     UR's tables have no Hayati angle beta. ``lost`` states each beta and the position error without them, over random
     configurations of one turn a joint.
     """
-    delta = identified.rows - nominal.rows
+    delta = identified.rows[:, :4] - published
     rows = identified.rows.copy()
     rows[:, 4] = 0.0
     without = replace(identified, rows=rows)

@@ -13,21 +13,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cellapp.cell.exports.arm_export import ArmExport, hashed, millimetres
+from cellapp.cell.exports.arm_export import ArmExport, millimetres
 from cellapp.cell.exports.export_format import ExportFormat, smr_in_plain_flange
 from cellapp.cell.exports.ur_chain import ur_rows
+from cellapp.cell.profile.controller_file import controller_file_text
 from cellapp.robot.kinematics.plain_dh import plain_geometry
-from cellapp.robot.kinematics.transforms import Array, rotation_vectors
-
-_DIGITS = 18
-"""Significant digits, as the controller writes them; 17 make a double exact. Of 200 UR10 drawn at 0.3 mm and 0.05
-degrees, nine digits lose 0.5 um in the median and 8 um at most, twelve 0.01 um at most."""
+from cellapp.robot.kinematics.transforms import rotation_vectors
+from cellapp.robot.model.nominal import published_rows
 
 
 def ur_calibration(export: ArmExport, sentences: Sequence[str]) -> str:
     """The four lines of deltas. Raises ``InputError`` if the arm is no UR arm."""
-    rows, nominal = ur_rows(export), export.model.nominal.rows
-    delta = rows - nominal[:, :4]
+    rows, nominal = ur_rows(export), published_rows(export.arm)
+    delta = rows - nominal
     delta[:, [0, 3]] -= 2.0 * np.pi * np.round(delta[:, [0, 3]] / (2.0 * np.pi))
     comment = [
         *sentences,
@@ -37,9 +35,7 @@ def ur_calibration(export: ArmExport, sentences: Sequence[str]) -> str:
         *(f"  {name} = {nominal[:, place].tolist()}" for name, place in (("a", 2), ("d", 1), ("alpha", 3))),
         *frame_sentences(export),
     ]
-    lists = (("theta", 0), ("a", 2), ("d", 1), ("alpha", 3))
-    lines = [f"delta_{name} = {_list(delta[:, place])}" for name, place in lists]
-    return hashed(comment) + "\n".join(["[mounting]", *lines]) + "\n"
+    return controller_file_text(delta.tolist(), "", comment)
 
 
 def frame_sentences(export: ArmExport) -> list[str]:
@@ -51,10 +47,6 @@ def frame_sentences(export: ArmExport) -> list[str]:
         f"Base in the tracker frame: position [mm] {millimetres(T_M_B[:3, 3])};",
         f"  rotation vector [rad] {turn}",
     ]
-
-
-def _list(values: Array) -> str:
-    return "[ " + ", ".join(f"{value:.{_DIGITS}g}" for value in values.tolist()) + "]"
 
 
 UR_CALIBRATION = ExportFormat(

@@ -8,6 +8,7 @@ from cellapp.cell.exports.arm_export import ArmExport
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model.nominal import published_rows
 
 _ALPHA = np.radians([90.0, 0.0, 0.0, 90.0, -90.0, 0.0])
 _A, _D = [1, 2], [0, 3, 4, 5]
@@ -24,7 +25,7 @@ def ur_rows(export: ArmExport) -> Array:
     InputError
         If the arm's published table is not that of a UR arm.
     """
-    rows = export.model.nominal.rows
+    rows = np.column_stack([published_rows(export.arm), np.zeros(len(export.arm.type.joints))])
     if len(rows) == len(_ALPHA):
         expected = np.zeros((6, 5))
         expected[_D, 1], expected[_A, 2], expected[:, 3] = rows[_D, 1], rows[_A, 2], _ALPHA

@@ -18,9 +18,9 @@ _STOPS_PER_BLOCK = 100
 _LEAST_BLOCKS, _LEAST_STOPS = 4, 6
 """Blocks of smaller plans: with fewer than four, time and posture correlate along the way; blocks of fewer than six
 stops are hardly a sample of the workspace."""
-_STEPS_PER_STOP = 40
+_STEPS_PER_STOP = 12
 """Steps of the search for each stop; twice as many save half a percent of travel more."""
-_LEAST_STEPS = 1000
+_LEAST_STEPS = 500
 _FORBIDDEN_STEPS = 20.0
 """Cost of a pair that must not stand together, in usual steps: never worth it."""
 _PAIR_GOAL = 0.1

@@ -107,16 +107,16 @@ class InformationModel:
         """Number of columns whose standard errors count: without the potential terms."""
         return len(self.size) - self.potential
 
-    def rows(self, q: Array, conditions: MeasurementConditions) -> Array:
+    def rows(self, q: Array, conditions: MeasurementConditions, dtype: type = np.float64) -> Array:
         """Whitened derivatives of readings at ``q`` (n, N) [rad] by parameters in units of ``size``, (n, 3, p)."""
-        return self._rows(q, conditions, weighted=True)
+        return self._rows(q, conditions, dtype, weighted=True)
 
     def prediction_rows(self, q: Array, conditions: MeasurementConditions) -> Array:
         """Derivatives [m] of the SMR position at ``q`` (n, N) [rad] by parameters in units of ``size``, (n, 3, p)."""
         return self._rows(q, conditions, weighted=False)
 
-    def _rows(self, q: Array, conditions: MeasurementConditions, *, weighted: bool) -> Array:
-        found = np.empty((len(q), 3, len(self.size)))
+    def _rows(self, q: Array, conditions: MeasurementConditions, dtype: type = np.float64, *, weighted: bool) -> Array:
+        found: Array = np.empty((len(q), 3, len(self.size)), dtype=dtype)
         for first in range(0, len(q), _ROWS_AT_ONCE):
             part = np.arange(first, min(first + _ROWS_AT_ONCE, len(q)))
             context = self.model.context(q[part], conditions=conditions.take(part))

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.cell.planning.design_report import design_result
 from cellapp.cell.planning.designed import design_stops
@@ -64,9 +68,23 @@ def make_stops(
         )
     count = wanted - (0 if kept is None else len(kept)) if add is None else add
     if profile.plan.method == "random":
-        return _random(profile, count, listener, cancel, kept), None
+        return _with_loads(profile, _random(profile, count, listener, cancel, kept), kept), None
     designed = design_stops(profile, count, listener, cancel, kept)
-    return designed.stops, design_result(profile, designed, listener, cancel)
+    return _with_loads(profile, designed.stops, kept), design_result(profile, designed, listener, cancel)
+
+
+def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None) -> PlannedStops:
+    """The stops with the loads of the profile one after the other, as many with each; those that are kept have theirs.
+
+    Blocks are in random order and each covers the workspace, so that every load does. Reserves have the last one.
+    """
+    before = 0 if kept is None else len(kept)
+    first = 0 if kept is None or not before else int(kept.load[-1])
+    left, n = profile.loads - first, len(stops) - before - (0 if before else len(profile.plan.reserves(len(stops))))
+    if n < left:
+        raise InputError(f"plan: {counted(n, 'stop is', 'stops are')} too few for {left} loads; ask for more stops")
+    load = first + np.minimum(np.arange(len(stops) - before) * left // max(n, 1), left - 1)
+    return replace(stops, load=np.concatenate([stops.load[:before], load]))
 
 
 def _random(

@@ -10,10 +10,12 @@
 | block | part of the run to which the stop belongs, from 0 (optional; 0) |
 | repeat_of | configuration that is visited again (optional) |
 | frozen | ``yes`` for a stop that a new design leaves (optional; ``no``) |
+| load | what the arms carry: 0 for ``payload`` of the profile, from 1 on ``payloads`` (optional; 0) |
 
 Every arm of the profile has a row ``stop`` for each configuration. A leg has rows of the arms that move on it, and
-without a row ``approach`` the last motion of an arm comes straight from the point before. The last four columns belong
-to rows ``stop``; block, repeat_of and frozen say the same for all arms, or stand for one and are empty for the others.
+without a row ``approach`` the last motion of an arm comes straight from the point before. The last five columns belong
+to rows ``stop``; block, repeat_of, frozen and load say the same for all arms, or stand for one and are empty for the
+others.
 Numbers are written in their shortest exact form: reading a file again gives the same plan bit for bit.
 """
 
@@ -39,7 +41,7 @@ from cellapp.robot.kinematics.transforms import Array
 STOP, APPROACH = "stop", "approach"
 _POINT = re.compile(r"stop|approach|leg([1-9][0-9]{0,2})")
 _KEYS = ("configuration", "arm", "point")
-_OF_STOP = ("dwell_s", "block", "repeat_of", "frozen")
+_OF_STOP = ("dwell_s", "block", "repeat_of", "frozen", "load")
 _WORDS = {"": False, "no": False, "yes": True}
 _ROUNDING_RAD = 1e-9
 """Joint positions may exceed a limit by rounding, as for the safety gate."""
@@ -69,8 +71,9 @@ class PlanFile:
 def write_plan_csv(stops: PlannedStops, path: Path, outputs: Outputs = NEW_ONLY) -> None:
     """Write a plan, which must have stops. Raises ``InputError`` if the file cannot be written, or may not."""
     joints = max(q.shape[1] for q in stops.q.values())
-    header = [*_KEYS, *(f"q{joint + 1}" for joint in range(joints)), *_OF_STOP]
-    write_csv(Path(path), header, _rows(stops, joints), outputs)
+    of_stop = _OF_STOP if stops.load.any() else _OF_STOP[:-1]
+    header = [*_KEYS, *(f"q{joint + 1}" for joint in range(joints)), *of_stop]
+    write_csv(Path(path), header, _rows(stops, joints, len(of_stop)), outputs)
 
 
 def read_plan_csv(path: Path, profile: Profile) -> PlanFile:
@@ -97,8 +100,8 @@ def read_plan_csv(path: Path, profile: Profile) -> PlanFile:
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def _rows(stops: PlannedStops, joints: int) -> Iterator[list[str]]:
-    nothing = [""] * len(_OF_STOP)
+def _rows(stops: PlannedStops, joints: int, of_stops: int) -> Iterator[list[str]]:
+    nothing = [""] * of_stops
     for stop in range(len(stops)):
 
         def row(name: str, point: str, q: Array, of_stop: Sequence[str] = nothing, number: int = stop) -> list[str]:
@@ -113,7 +116,8 @@ def _rows(stops: PlannedStops, joints: int) -> Iterator[list[str]]:
             dwell_s = repr(float(stops.dwell_s[name][stop]))
             repeated = "" if source < 0 else str(source)
             frozen = "yes" if stops.frozen[stop] else "no"
-            yield row(name, STOP, q, [dwell_s, str(int(stops.block[stop])), repeated, frozen])
+            cells = [dwell_s, str(int(stops.block[stop])), repeated, frozen, str(int(stops.load[stop]))]
+            yield row(name, STOP, q, cells[:of_stops])
 
 
 # -- reading ----------------------------------------------------------------------------------------------------------
@@ -152,6 +156,7 @@ class _Point:
     block: int | None
     repeat_of: int | None
     frozen: bool | None
+    load: int | None
 
 
 class _Points:
@@ -211,12 +216,17 @@ class _Points:
         for column in _OF_STOP:
             if point != STOP and cells.get(column):
                 self._problems.add(line, column, f"there is a value, but it belongs to the row '{STOP}' of this arm")
-        dwell, block, repeat, frozen = (cells.get(column, "") for column in _OF_STOP)
+        dwell, block, repeat, frozen, load = (cells.get(column, "") for column in _OF_STOP)
         dwell_s = self._number(line, "dwell_s", dwell) if dwell else 0.0
         if dwell_s is not None and not 0.0 <= dwell_s <= LONGEST_DWELL_S:
             self._problems.add(line, "dwell_s", f"expected 0 to {LONGEST_DWELL_S:g} s, got {dwell_s:g}")
         if frozen.lower() not in _WORDS:
             self._problems.add(line, "frozen", f"expected yes or no, got '{short(frozen)}'")
+        most, load_number = self._profile.loads - 1, self._whole(line, "load", load) if load else None
+        if load_number is not None and load_number > most:
+            self._problems.add(
+                line, "load", f"there is no load {load_number}; with arms.NAME.payloads there are 0 to {most}"
+            )
         found = _Point(
             line=line,
             q=np.empty(0),
@@ -224,6 +234,7 @@ class _Points:
             block=self._whole(line, "block", block) if block else None,
             repeat_of=self._whole(line, "repeat_of", repeat) if repeat else None,
             frozen=_WORDS.get(frozen.lower()) if frozen else None,
+            load=load_number,
         )
         return found if self._problems.count == before else None
 
@@ -263,6 +274,7 @@ class _Points:
             block=np.array([self._agreed(number, "block") or 0 for number in numbers], dtype=np.intp),
             repeat_of=np.array([-1 if one is None else place[one] for one in repeats], dtype=np.intp),
             frozen=np.array([bool(self._agreed(number, "frozen")) for number in numbers], dtype=np.bool_),
+            load=np.array([self._agreed(number, "load") or 0 for number in numbers], dtype=np.intp),
         )
 
     def _check_stop(self, number: int) -> None:
@@ -276,7 +288,7 @@ class _Points:
             self._problems.add(
                 line, "point", f"configuration {number} has no leg{missing}; number legs from 1, no gaps"
             )
-        for column in ("block", "repeat_of", "frozen"):
+        for column in ("block", "repeat_of", "frozen", "load"):
             said = {getattr(points[STOP], column) for points in arms.values() if STOP in points} - {None}
             if len(said) > 1:
                 self._problems.add(line, column, f"the arms of configuration {number} do not say the same")

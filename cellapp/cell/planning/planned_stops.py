@@ -39,6 +39,8 @@ class PlannedStops:
         Number of the stop whose configuration is visited again; -1 for none.
     frozen : array, shape (n,), bool
         Stops that a person chose; a new design leaves them.
+    load : array, shape (n,), int
+        What the arms carry: 0 for ``payload`` of the profile, from 1 on ``payloads``.
     """
 
     q: Mapping[str, Array]
@@ -48,6 +50,7 @@ class PlannedStops:
     block: NDArray[np.intp]
     repeat_of: NDArray[np.intp]
     frozen: NDArray[np.bool_]
+    load: NDArray[np.intp]
 
     def __len__(self) -> int:
         return len(self.block)
@@ -80,6 +83,7 @@ class PlannedStops:
             block=self.block[chosen],
             repeat_of=place[self.repeat_of[chosen]],
             frozen=self.frozen[chosen],
+            load=self.load[chosen],
         )
 
 
@@ -94,6 +98,7 @@ def straight_stops(q: Mapping[str, Array]) -> PlannedStops:
         block=np.zeros(n, dtype=np.intp),
         repeat_of=np.full(n, -1, dtype=np.intp),
         frozen=np.zeros(n, dtype=np.bool_),
+        load=np.zeros(n, dtype=np.intp),
     )
 
 
@@ -112,6 +117,7 @@ def joined(first: PlannedStops, second: PlannedStops) -> PlannedStops:
         block=np.concatenate([first.block, second.block]),
         repeat_of=np.concatenate([first.repeat_of, later]),
         frozen=np.concatenate([first.frozen, second.frozen]),
+        load=np.concatenate([first.load, second.load]),
     )
 
 

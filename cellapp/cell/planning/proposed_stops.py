@@ -23,8 +23,9 @@ def append_proposed_stops(run: RunFile, stops: Sequence[ProposedStop]) -> int:
     further = range(first, first + len(stops))
     whole = joined(plan.take(range(first)), _planned(stops))
     block = np.where(np.arange(len(whole)) < first, whole.block, whole.block[:first].max(initial=-1) + 1)
+    load = np.where(np.arange(len(whole)) < first, whole.load, whole.load[:first].max(initial=0))  # what hangs by then
     earlier = {stop for stop in proposed if stop < first}
-    write_planned_stops(run, replace(whole, block=block), proposed={*earlier, *further})
+    write_planned_stops(run, replace(whole, block=block, load=load), proposed={*earlier, *further})
     return first
 
 

@@ -74,10 +74,10 @@ def _select(
     model = information_model(profile, name, q, conditions)
     kept = np.empty((0, q.shape[1])) if kept is None else kept
     before = model.rows(kept, even_conditions(profile, name, kept, others, rng))
-    candidates = Candidates(model.rows(q, conditions), np.eye(len(model.size)) + information_of(before))
+    candidates = Candidates(model.rows(q, conditions, np.float32), np.eye(len(model.size)) + information_of(before))
     targets = workspace_configurations(profile, cell_bodies(profile), name, _POINTS, rng)
     criterion = Criterion(
-        reference_errors(candidates.rows, count, candidates.prior, model.wanted),
+        reference_errors(candidates.mean_information, count, candidates.prior, model.wanted),
         model.prediction_rows(targets, even_conditions(profile, name, targets, others, rng)),
     )
     chosen = choose_blocks(candidates, count, criterion, rng, cancel=cancel)

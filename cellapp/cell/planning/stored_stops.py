@@ -2,7 +2,8 @@
 
 The table ``plan`` holds the joint positions, the document of ``stop_conditions`` approach and dwell. The document
 ``planned_stops`` holds the rest: ``{"legs": {stop: [{arm: [q1, ...]}, ...]}, "block": [...], "repeat_of": {stop: stop},
-"frozen": [stop, ...]}``, stops from 0, ``block`` for each stop. Runs without it have straight ways in one block. All
+"frozen": [stop, ...], "load": [...]}``, stops from 0, ``block`` and ``load`` for each stop, without loads the profile's
+payload. Runs without it have straight ways in one block. All
 three are written in one transaction.
 """
 
@@ -41,6 +42,7 @@ class _Stored(Record):
     block: tuple[int, ...]
     repeat_of: Mapping[int, int] = {}
     frozen: tuple[int, ...] = ()
+    load: tuple[int, ...] = ()
 
 
 def read_planned_stops(run: RunFile) -> PlannedStops:
@@ -62,7 +64,7 @@ def read_planned_stops(run: RunFile) -> PlannedStops:
     if text is None:
         return stops
     try:
-        return _with_stored(stops, _Stored.model_validate_json(text))
+        return _with_stored(stops, _Stored.model_validate_json(text), run.profile.loads)
     except (ValidationError, ValueError) as error:
         raise InputError(
             f"{run.path}: the document '{PLANNED_STOPS_RESULT}' with the ways of its plan is damaged"
@@ -97,6 +99,7 @@ def write_planned_stops(
             block=tuple(stops.block.tolist()),
             repeat_of={stop: source for stop, source in enumerate(stops.repeat_of.tolist()) if source >= 0},
             frozen=tuple(np.flatnonzero(stops.frozen).tolist()),
+            load=tuple(stops.load.tolist()) if stops.load.any() else (),
         ).model_dump_json(exclude_defaults=True),
     }
     if design is not None:
@@ -124,17 +127,19 @@ def conditions_of(stops: PlannedStops, proposed: Collection[int] = ()) -> dict[i
     return found
 
 
-def _with_stored(stops: PlannedStops, stored: _Stored) -> PlannedStops:
+def _with_stored(stops: PlannedStops, stored: _Stored, loads: int) -> PlannedStops:
     """The stops with what the document says of them. Raises ``ValueError`` if it does not fit them.
 
     Stops that were appended without it are in the last block.
     """
     n = len(stops)
     numbers = [*stored.legs, *stored.repeat_of, *stored.repeat_of.values(), *stored.frozen]
-    if len(stored.block) > n or any(not 0 <= stop < n for stop in numbers):
+    if max(len(stored.block), len(stored.load)) > n or any(not 0 <= stop < n for stop in numbers):
         raise ValueError(f"it tells of more stops than the {n} that are planned")
     legs = [stored.legs.get(stop, ()) for stop in range(n)]
     more = (stored.block[-1] if stored.block else 0,) * (n - len(stored.block))
+    if not all(0 <= load < loads for load in stored.load):
+        raise ValueError(f"it tells of load {max(stored.load)}, the profile has 0 to {loads - 1}")
     frozen = np.zeros(n, dtype=np.bool_)
     frozen[list(stored.frozen)] = True
     return replace(
@@ -143,6 +148,9 @@ def _with_stored(stops: PlannedStops, stored: _Stored) -> PlannedStops:
         block=np.array((*stored.block, *more), dtype=np.intp),
         repeat_of=np.array([stored.repeat_of.get(stop, -1) for stop in range(n)], dtype=np.intp),
         frozen=frozen,
+        load=np.array(
+            (*stored.load, *(stored.load[-1] if stored.load else 0,) * (n - len(stored.load))), dtype=np.intp
+        ),
     )
 
 

@@ -6,8 +6,9 @@ pairs that are not allowed and correlations between the arms' poses are avoided.
 
 Moves: a part of the order is reversed, or a few positions are shifted to another place, or two positions are exchanged,
 for all arms; or two stops of one arm are exchanged, which makes new pairs. Half of the moves bring a stop beside one of
-its nearest neighbours. Of each block many moves are tried at once, and the first that is accepted is made: at low
-temperature nearly all are refused, so that this is nearly one move after the other.
+its nearest neighbours. Of each block many moves are tried at once, and of those that are accepted the one with most to
+spare is made: at high temperature that takes a third of the steps that the first one takes, at low temperature nearly
+all are refused, so that this is nearly one move after the other.
 """
 
 from __future__ import annotations
@@ -25,9 +26,12 @@ from cellapp.robot.kinematics.transforms import Array
 
 _NEIGHBOURS = 10
 """Nearest stops beside which a stop is tried."""
-_TRIES_AT_ONCE = 256
+_TRIES_AT_ONCE = 512
 """Moves tried in one step, over all blocks: then numpy's overhead of a call is small against its work."""
-_HOT, _COLD = 0.1, 0.01
+_TRIES_A_STOP = 2
+"""Moves tried in one step at most for each stop of a block: the best of more is nearly the best of all, which no
+temperature would ever leave for a worse one."""
+_HOT, _COLD = 0.1, 0.015
 """First and last temperature over the mean time between two stops: at first a move that costs half as much as a usual
 step is often accepted, at last only gains are."""
 _RANDOM_SHARE = 0.5
@@ -190,15 +194,15 @@ class _Tours:
         return np.where(stops == self._m, -1, stops)
 
     def step(self, temperature: float, rng: np.random.Generator) -> None:
-        """Try many moves of one kind in each block; make the first that is accepted."""
+        """Try many moves of one kind in each block; of those that are accepted make the one with most to spare."""
         move = self._propose(rng)
-        accepted = self._gain(move) > temperature * np.log(rng.random(move.low.shape))
-        accepted &= move.high > move.low
-        first = np.argmax(accepted, axis=1)
-        blocks = np.flatnonzero(accepted[self._first[:, 0], first])
+        spare = self._gain(move) - temperature * np.log(rng.random(move.low.shape))
+        spare = np.where(move.high > move.low, spare, 0.0)
+        best = np.argmax(spare, axis=1)
+        blocks = np.flatnonzero(spare[self._first[:, 0], best] > 0.0)
         if not len(blocks):
             return
-        made = move.take((blocks, first[blocks]))
+        made = move.take((blocks, best[blocks]))
         if made.arm is not None:
             self._update_correlation(made, made.arm, blocks[:, None])
         source = made.source(np.arange(self._m + 2)) + blocks[:, None] * (self._m + 2)
@@ -210,7 +214,7 @@ class _Tours:
     def _propose(self, rng: np.random.Generator) -> Move:
         """Moves (B, R) that bring two random positions, or a stop and a near neighbour, beside each other."""
         arms, blocks = len(self._at), len(self._sizes)
-        shape = blocks, max(1, _TRIES_AT_ONCE // blocks)
+        shape = blocks, max(1, min(_TRIES_AT_ONCE // blocks, _TRIES_A_STOP * self._m))
         position = (rng.random(shape) * (self._sizes + 1)).astype(np.intp)
         if rng.random() < _RANDOM_SHARE:
             other = 1 + (rng.random(shape) * self._sizes).astype(np.intp)

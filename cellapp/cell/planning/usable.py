@@ -104,7 +104,7 @@ def body_margins(cell: CellBodies, field: TrackerField, name: str) -> Mapping[st
         FLOOR: lambda placed: floor_clearance(placed, cell.floor) - cell.clearance,
         CEILING: lambda placed: ceiling_clearance(placed, cell.ceiling) - cell.clearance,
         OWN_BEAM: lambda placed: beam_clearance(tracker, placed.smr, placed, own=True) - BEAM_RADIUS,
-        OWN_BODIES: lambda placed: self_clearance(placed) - cell.self_clearance,
+        OWN_BODIES: lambda placed: self_clearance(placed, cell.self_clearance) - cell.self_clearance,
     }
     if arm.mounted:
         margins[MOUNTED] = lambda placed: np.where(mounted_hides(tracker, placed, BEAM_RADIUS), -np.inf, np.inf)

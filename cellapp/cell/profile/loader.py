@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from cellapp.cell.profile.controller_file import controller_table
 from cellapp.cell.profile.messages import (
     Document,
     KeyPath,
@@ -149,6 +150,8 @@ def read_document(text: str, path: Path) -> Document:
 def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
     """Replace the paths of arm types by what those files hold: the first in ``folders``, else that of a plug-in.
 
+    So are the paths of the controllers' own calibrations.
+
     Raises
     ------
     InputError
@@ -161,6 +164,8 @@ def read_arm_types(document: Document, folders: Sequence[Path]) -> None:
             arm_type = _read_arm_type(folders, arm["type"], document.places[at])
             arm["type"] = arm_type.data
             document.places |= {at + inside: place for inside, place in arm_type.places.items()}
+        if isinstance(arm, dict) and isinstance(arm.get("factory"), str):
+            arm["factory"] = _read_controller(folders, arm["factory"], document.places["arms", name, "factory"])
 
 
 def arm_type_of_text(text: str, path: Path) -> ArmType:
@@ -231,6 +236,17 @@ def _read_arm_type(folders: Sequence[Path], name: str, place: Place) -> Document
         or f"file not found: {short(str(folders[0] / name), 200)}; give a path relative to the profile's file, or the"
         " keys here",
     )
+
+
+def _read_controller(folders: Sequence[Path], name: str, place: Place) -> dict[str, object]:
+    path = _first_file(folders, name)
+    if path is None:
+        raise PlacedError(
+            place,
+            f"file not found: {short(str(folders[0] / name), 200)}; give the calibration.conf of the controller,"
+            " relative to the profile's file: 'cellapp doctor PROFILE --controllers DIR' writes one",
+        )
+    return controller_table(_read_text(path), path)
 
 
 def _first_file(folders: Sequence[Path], name: str) -> Path | None:

@@ -1,7 +1,8 @@
 """What a plain controller must be told so that the real flange takes the pose that a program means.
 
-A plain controller computes with the published chain. A program's pose T is meant in the base frame of that chain, which
-stands in the cell where it was registered to the readings. With the calibrated model's true flange pose ``F(q)``:
+A plain controller computes with the published chain, or with that of its own calibration where the profile has it. A
+program's pose T is meant in the base frame of that chain, which stands in the cell where it was registered to the
+readings. With the calibrated model's true flange pose ``F(q)``:
 
     q_new:  F(q_new) = T_M_base T_base_tcp inverse(T_flange_tcp)
     T_new = K(q_new) T_flange_tcp                              K: forward kinematics of the controller
@@ -38,7 +39,7 @@ _TWIN = 1e-6
 
 
 def controller_chain(arm: ArmModel) -> Geometry:
-    """Return the chain by which a plain controller computes: published rows from its base to its flange."""
+    """Return the chain by which a plain controller computes: nominal rows from its base to its flange."""
     return replace(arm.nominal.with_T_M_B(np.eye(4)), tool=np.zeros(3))
 
 

@@ -20,18 +20,17 @@ import numpy as np
 from cellapp.cell.programs.script_targets import six
 from cellapp.cell.programs.targets import LeftMotion, Place, ProgramTarget, ReadProgram
 from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.plain_dh import same_chain
 from cellapp.robot.kinematics.transforms import Array
 
 _LARGEST = 32 * 1024 * 1024
 """Bytes of unpacked XML that are read: a program of a thousand waypoints has about one MB."""
-_SAME_TABLE = 1e-6
-"""Difference of two D-H tables [m, rad] that is rounding: files say 1.570796327."""
 _GZIP = 31
 _MOVES = re.compile(r"\b(?:move[jlpc]|servo[jcl])\s*\(")
 _NUMBER = re.compile(r"[^,\s]+")
 
 
-def read_urp(data: bytes, where: str, table: Array) -> ReadProgram:
+def read_urp(data: bytes, where: str, table: Array, published: Array) -> ReadProgram:
     """Read the waypoints of a ``.urp`` file.
 
     Parameters
@@ -40,7 +39,9 @@ def read_urp(data: bytes, where: str, table: Array) -> ReadProgram:
     where : str
         Name of the file for messages.
     table : array, shape (6, 4)
-        theta, d, a, alpha of the published arm; a waypoint that was taught on another chain is refused.
+        theta, d, a, alpha by which the controller computes; a waypoint that was taught on another chain is refused.
+    published : array, shape (6, 4)
+        The published rows; other ones than ``table`` where the controller has a calibration of its own.
 
     Raises
     ------
@@ -48,7 +49,7 @@ def read_urp(data: bytes, where: str, table: Array) -> ReadProgram:
         If it is no ``.urp``, too large, or holds a document type or an entity.
     """
     xml = _unpacked(data, where)
-    reader = _Reader(xml, table)
+    reader = _Reader(xml, table, published)
     parser = expat.ParserCreate("UTF-8")
     parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
 
@@ -108,8 +109,8 @@ class _Waypoint:
 class _Reader:
     """Collects waypoints and scripts while the XML is parsed."""
 
-    def __init__(self, xml: bytes, table: Array) -> None:
-        self._xml, self._table = xml, table
+    def __init__(self, xml: bytes, table: Array, published: Array) -> None:
+        self._xml, self._table, self._published = xml, table, published
         self.root, self.targets, self.left = "", list[ProgramTarget](), list[LeftMotion]()
         self._waypoint: _Waypoint | None = None
         self._move: list[str] = []
@@ -173,10 +174,13 @@ class _Reader:
             reason = "the waypoint has no six joint positions"
         elif waypoint.own_pose:
             reason = "an older form of file, with a pose of its own; save it by PolyScope 5"
-        elif not self._is_published(waypoint):
+        elif not self._is_the_controllers(waypoint):
+            expected = "another one than that in arms.*.factory of the profile,"
+            if np.array_equal(self._table, self._published):
+                expected = "not on the published table"
             reason = (
-                "it was taught on a controller with a calibration of its own, not on the published table that this"
-                " correction is for"
+                f"it was taught on a controller with a calibration of its own, {expected} that this correction is for;"
+                " 'cellapp doctor PROFILE --controllers DIR' writes that of the controller"
             )
         if reason:
             self.left.append(LeftMotion(waypoint.line, command, reason))
@@ -199,18 +203,14 @@ class _Reader:
             )
         )
 
-    def _is_published(self, waypoint: _Waypoint) -> bool:
-        """Whether the chain of a waypoint, if it says one, is the published table."""
+    def _is_the_controllers(self, waypoint: _Waypoint) -> bool:
+        """Whether the chain of a waypoint, if it says one, is that of the controller."""
         if not waypoint.chain or waypoint.status in ("NOT_INITIALIZED", "NOT_LINEARIZED"):
             return True
-        names = (("deltaTheta", 0), ("d", 1), ("a", 2), ("alpha", 3))
-        for name, column in names:
-            values = np.array(_numbers(waypoint.chain.get(name, "")))
-            if len(values) != len(self._table) or not np.allclose(
-                values, self._table[:, column], rtol=0.0, atol=_SAME_TABLE
-            ):
-                return False
-        return True
+        columns = [_numbers(waypoint.chain.get(name, "")) for name in ("deltaTheta", "d", "a", "alpha")]
+        if any(len(column) != len(self._table) for column in columns) or not np.isfinite(columns).all():
+            return False
+        return same_chain(np.array(columns).T, self._table, self._published)
 
 
 def _numbers(text: str) -> list[float]:

@@ -40,16 +40,16 @@ def assumptions(
     arm = place.arm
     apart = invert(arm.nominal.T_M_B()) @ arm.geometry.T_M_B()
     turn = float(np.linalg.norm(rotation_vectors(apart[None, :3, :3])[0]))
+    published = f"the published table of the {settings.type.model}, without a calibration of its own"
+    own = f"its own calibration, checksum {settings.factory.checksum or 'unknown'}" if settings.factory else published
+    yield f"controller: computes by {own}"
     yield (
-        f"controller: computes by the published table of the {settings.type.model}, without a calibration of its own"
-    )
-    yield (
-        "base: poses are in the base frame of the published chain, as it was registered to the readings; the calibrated"
-        f" arm's base is {np.linalg.norm(apart[:3, 3]) * 1e3:.3f} mm and {turn * 1e3:.3f} mrad from it"
+        "base: poses are in the base frame of the controller's chain, as it was registered to the readings; the"
+        f" calibrated arm's base is {np.linalg.norm(apart[:3, 3]) * 1e3:.3f} mm and {turn * 1e3:.3f} mrad from it"
     )
     tcps = dict.fromkeys(target.tcp for target in read.targets if target.tcp is not None)
     for tcp in tcps:
-        yield f"TCP: p[{', '.join(f'{value:g}' for value in tcp)}] in the published flange frame"
+        yield f"TCP: p[{', '.join(f'{value:g}' for value in tcp)}] in the controller's flange frame"
     payload = arm.bodies.payload_mass if place.payload_kg is None else place.payload_kg
     source = "the profile" if place.payload_kg is None else "set_payload in the program"
     yield f"payload: {payload:g} kg, from {source}"
@@ -118,5 +118,5 @@ def _orientation(arm: ArmModel) -> str:
     last = arm.geometry.joints - 1
     places = [6 + 5 * last + place for place in (0, 3)]
     if arm.posterior is not None and set(places) <= set(arm.posterior.columns):
-        return f"{text} are known as well as the published table is; the stated uncertainties hold that"
-    return f"{text} are those of the published table, and the stated uncertainties do not hold their errors"
+        return f"{text} are known as well as the controller's table is; the stated uncertainties hold that"
+    return f"{text} are those of the controller's table, and the stated uncertainties do not hold their errors"

@@ -30,7 +30,13 @@ from cellapp.cell.run.csv_text import (
     short,
     unquoted_text,
 )
-from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text, read_distances_csv, swapped_points
+from cellapp.cell.run.distances import (
+    DISTANCES_RESULT,
+    distances_text,
+    read_distances_csv,
+    swapped_between,
+    swapped_points,
+)
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.in_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.cell.run.nests import nest_faults
@@ -196,6 +202,11 @@ def _check_together(profile: Profile, table: CsvTable, readings: Mapping[str, Re
             problems.add(lines[row], "station", text)
         for row, column, text in nest_faults(profile, arm, its):
             problems.add(lines[row], column, text)
+    problems.check()  # first: a row at a wrong socket moves the socket
+    if len(readings) == 2 and all(map(in_sockets, readings.values())):
+        arm, swapped = swapped_between(profile, readings)
+        for row, text in swapped:
+            problems.add(_lines_of(table, arm)[row], POINT, text)
     problems.check()
 
 

@@ -13,7 +13,13 @@ from pathlib import Path
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
 from cellapp.estimation.readings import Distance, Readings
 from cellapp.estimation.sockets import in_sockets
-from cellapp.estimation.sockets.plausibility import misplaced_readings, with_ball, wrong_distances
+from cellapp.estimation.sockets.plausibility import (
+    misplaced_readings,
+    swapped_between_arms,
+    with_ball,
+    wrong_between_arms,
+    wrong_distances,
+)
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
@@ -51,6 +57,14 @@ def read_distances_csv(path: Path, profile: Profile, readings: Mapping[str, Read
         lines = {(one.point_a, one.point_b): line for line, one in rows.items()}
         for pair, text in wrong_distances(published_arm(profile, arm, its), its):
             problems.add(lines[pair], "distance_m", text)
+    lines = {(one.point_a, one.point_b): line for line, one in rows.items()}
+    between = [
+        one
+        for one in rows.values()
+        if not any({one.point_a, one.point_b} <= {*(its.point or ())} for its in found.values())
+    ]
+    for one, text in wrong_between_arms(*_both(profile, found), between) if between else ():
+        problems.add(lines[one.point_a, one.point_b], "distance_m", text)
     problems.check()
     return found
 
@@ -64,6 +78,17 @@ def published_arm(profile: Profile, name: str, readings: Readings) -> Geometry:
 def swapped_points(profile: Profile, name: str, readings: Readings) -> list[tuple[int, str]]:
     """Rows of one arm whose point is another one by the published arm, with what is wrong."""
     return list(misplaced_readings(published_arm(profile, name, readings), readings))
+
+
+def swapped_between(profile: Profile, readings: Mapping[str, Readings]) -> tuple[str, list[tuple[int, str]]]:
+    """The second of two arms in common sockets, and its rows whose point the first arm has elsewhere."""
+    geometries, both = _both(profile, readings)
+    return list(readings)[1], list(swapped_between_arms(geometries, both))
+
+
+def _both(profile: Profile, readings: Mapping[str, Readings]) -> tuple[list[Geometry], list[Readings]]:
+    """The published chains of two arms in sockets, and their readings."""
+    return [published_arm(profile, name, its) for name, its in readings.items()], list(readings.values())
 
 
 def _checked_rows(table: CsvTable, problems: Problems, readings: Mapping[str, Readings]) -> dict[int, Distance]:
@@ -84,8 +109,6 @@ def _checked_rows(table: CsvTable, problems: Problems, readings: Mapping[str, Re
             continue
         if a == b:
             problems.add(line, "point_b", f"'{short(b)}' is both points; a distance has two")
-        elif set(arms_of[a]).isdisjoint(arms_of[b]):
-            problems.add(line, "point_b", f"'{a}' and '{b}' are points of different arms; distances are within one arm")
         elif (first := seen.setdefault(frozenset((a, b)), line)) != line:
             problems.add(line, "point_a", f"the distance is in line {first} already; give the mean of both")
         values = [

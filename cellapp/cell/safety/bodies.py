@@ -13,6 +13,8 @@ from cellapp.robot.kinematics.transforms import Array
 
 _TOUCHING_FRAMES = 2
 """Capsules whose D-H frame numbers differ by at most this always overlap: they share a joint housing."""
+_WORTH_A_BOUND = 1000
+"""Distances from which on it saves time to look for the small ones first."""
 _ROUNDING_M = 1e-6
 """Distances of the SMR and of the beam that ends there from the same obstacle differ by rounding [m]."""
 
@@ -64,6 +66,11 @@ class ArmBodies:
         """Both ends of each capsule's axis in its frame, homogeneous, shape (m, 2, 4) [m]."""
         both = np.stack([self.start, self.end], axis=1)
         return np.concatenate([both, np.ones((len(both), 2, 1))], axis=2)
+
+    @cached_property
+    def extents(self) -> Array:
+        """Radius of the sphere about each capsule, shape (m,) [m]."""
+        return np.asarray(0.5 * np.linalg.norm(self.end - self.start, axis=1) + self.radius)
 
     @cached_property
     def tool(self) -> Array:
@@ -188,19 +195,36 @@ def segment_distance(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
     return np.asarray(np.sqrt(_dot(gap, gap)))
 
 
-def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray) -> Array:
-    """Distances (n, p) [m] between the surfaces of bodies ``i`` and ``k`` (p,) of one arm; negative where they meet."""
+def pair_gaps(placed: Placed, i: np.ndarray, k: np.ndarray, within: Array | float = np.inf) -> Array:
+    """Distances (n, p) [m] between the surfaces of bodies ``i`` and ``k`` (p,) of one arm; negative where they meet.
+
+    Those beyond ``within`` [m], of each pair (p,) or all, may be stated too small, but not below it: what is so far
+    apart is told by the spheres about the bodies, which takes a twentieth of the time.
+    """
     start, end = placed.start.T, placed.end.T  # rows of numbers in memory: these are copied fast
-    gap = segment_distance(start[:, i].T, end[:, i].T, start[:, k].T, end[:, k].T)
-    return np.asarray(gap - placed.radius[i] - placed.radius[k])
+    size, extent = placed.radius, placed.arm.extents
+    if start.shape[2] * len(i) < _WORTH_A_BOUND:
+        return np.asarray(segment_distance(start[:, i].T, end[:, i].T, start[:, k].T, end[:, k].T) - size[i] - size[k])
+    middle = 0.5 * (start + end)
+    between = middle[:, i] - middle[:, k]
+    gaps = np.sqrt(np.einsum("apn,apn->pn", between, between)) - (extent[i] + extent[k])[:, None]
+    near = ~(gaps > np.broadcast_to(within, len(i))[:, None])  # also for NaN
+    pair, row = np.nonzero(near)
+    a, b = i[pair], k[pair]
+    exact = segment_distance(start[:, a, row].T, end[:, a, row].T, start[:, b, row].T, end[:, b, row].T)
+    gaps[near] = exact - size[a] - size[b]
+    return np.asarray(gaps.T)
 
 
-def self_clearance(placed: Placed) -> Array:
-    """Smallest distance between capsules of one arm that do not overlap by design, (n,) [m]; infinite without any."""
+def self_clearance(placed: Placed, within: float = np.inf) -> Array:
+    """Smallest distance between capsules of one arm that do not overlap by design, (n,) [m]; infinite without any.
+
+    One beyond ``within`` may be stated too small, but not below it.
+    """
     i, k = placed.arm.own_pairs
     if len(i) == 0:
         return np.full(len(placed.smr), np.inf)
-    return np.asarray(pair_gaps(placed, i, k).min(axis=1))
+    return np.asarray(pair_gaps(placed, i, k, within).min(axis=1))
 
 
 def floor_clearance(placed: Placed, floor: float) -> Array:

@@ -155,7 +155,7 @@ def clear_alone(cell: CellBodies, placed: Placed) -> np.ndarray:
     """Whether an arm is clear of floor, ceiling, obstacles and itself, without regard to other arms, (n,) bool."""
     clear = np.minimum(floor_clearance(placed, cell.floor), ceiling_clearance(placed, cell.ceiling)) >= cell.clearance
     rows = np.flatnonzero(clear)
-    clear[rows] = self_clearance(placed.take(rows)) >= cell.self_clearance
+    clear[rows] = self_clearance(placed.take(rows), cell.self_clearance) >= cell.self_clearance
     for obstacle, asked in zip(cell.obstacles, cell.obstacle_clearances[placed.arm], strict=True):
         rows, bodies = np.flatnonzero(clear), asked > -np.inf
         if not (len(rows) and bodies.any()):
@@ -320,12 +320,12 @@ def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:
     needed = max(cell.self_clearance, path.deviation)
     # one body of a pair, as seen from the other, moves by the joints between them only
     spread = path.arm.pair_levers @ path.half_step * STRIDE
-    doubtful = ~(pair_gaps(path.coarse_bodies, i, k) >= needed + spread)
+    doubtful = ~(pair_gaps(path.coarse_bodies, i, k, needed + spread) >= needed + spread)
     pairs = np.any(doubtful, axis=0)
     if not pairs.any():
         return ""
     bodies = path.placed(path.around(np.any(doubtful, axis=1)))
-    gaps = pair_gaps(bodies, i[pairs], k[pairs]).min(axis=0)
+    gaps = pair_gaps(bodies, i[pairs], k[pairs], needed).min(axis=0)
     if gaps.min() >= needed:
         return ""
     worst = int(np.argmin(gaps))

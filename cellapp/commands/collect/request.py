@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Self
 
 from pydantic import model_validator
@@ -25,6 +26,20 @@ class CollectRequest(Request):
         ),
     ] = None
 
+    payload: Annotated[
+        str | None,
+        Asked(
+            "What each arm carries now [kg], as left=5,right=3: it hangs, and its controller is set to it. For a plan"
+            " with several loads, where nobody can be asked.",
+            "LIST",
+        ),
+    ] = None
+
+    @property
+    def payloads(self) -> dict[str, float] | None:
+        """What each arm is said to carry [kg]; None if nothing is said."""
+        return None if self.payload is None else _loads(self.payload)
+
     def job_name(self) -> str:
         return "collect again" if self.again is not None else ""
 
@@ -32,7 +47,23 @@ class CollectRequest(Request):
     def _belongs_together(self) -> Self:
         if self.again is not None and self.resume:
             raise ValueError("--again and --resume do not go together; give one of them")
+        if self.payload is not None:
+            _loads(self.payload)
         return self
+
+
+def _loads(text: str) -> dict[str, float]:
+    """Arm -> what it carries [kg]. Raises ``ValueError``."""
+    found: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, number = part.partition("=")
+        try:
+            found[name.strip()] = float(number)
+        except ValueError:
+            raise ValueError(f"--payload: expected arm=kg, as left=5,right=3, got '{text}'") from None
+        if not math.isfinite(found[name.strip()]):
+            raise ValueError(f"--payload: expected a number of kg for arm {name.strip()}, got '{number}'")
+    return found
 
 
 VERB = Verb("collect", CollectRequest, chapter="tutorial", moves_arms=True)

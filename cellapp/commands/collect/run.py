@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.driving.loads import Hung
 from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.run import RunFile
@@ -12,6 +13,7 @@ from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import refuse_second_station
 from cellapp.commands.record import Work
+from cellapp.commands.rehearse.record_file import missing_sentence
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import listed_numbers
 from cellapp.ground.progress import Listener, ignore, with_eta
@@ -30,6 +32,8 @@ def run(request: CollectRequest, work: Work) -> CollectResult:
             accept_drift=request.accept_drift,
             again=again,
             ask=work.ask(opened.profile.name),
+            payload=request.payloads,
+            hung=hanging(work),
         )
 
 
@@ -42,14 +46,27 @@ def collect_stops(
     accept_drift: bool = False,
     again: Collection[int] | None = None,
     ask: Ask | None = None,
+    payload: Mapping[str, float] | None = None,
+    hung: Hung | None = None,
 ) -> CollectResult:
-    """Measure the planned stops; ``ask`` is asked before the first motion of real arms.
+    """Measure the planned stops; ``ask`` is asked before the first motion of real arms, ``hung`` where the
+    plan needs another load, unless ``payload`` says that it hangs [kg].
 
     Raises as ``collect_run`` and ``confirmation`` do, and ``InputError`` if another job runs in the folder.
     """
     control = control or JobControl()
     with running_job(run, control, "collect", listener) as listener:
-        return collect_planned(run, listener, control, ask, resume=resume, accept_drift=accept_drift, again=again)
+        return collect_planned(
+            run,
+            listener,
+            control,
+            ask,
+            resume=resume,
+            accept_drift=accept_drift,
+            again=again,
+            payload=payload,
+            hung=hung,
+        )
 
 
 def collect_planned(
@@ -61,10 +78,29 @@ def collect_planned(
     resume: bool = False,
     accept_drift: bool = False,
     again: Collection[int] | None = None,
+    payload: Mapping[str, float] | None = None,
+    hung: Hung | None = None,
 ) -> CollectResult:
     """As ``collect_stops``, within a job that has the folder already."""
     refuse_second_station(run)
-    confirm = confirmation(run.profile, ask)
+    missing = missing_sentence(run)
+    confirm = confirmation(run.profile, ask if ask is None or not missing else lambda words: ask(f"{words}\n{missing}"))
     report = with_eta(listener)
     with one_blas_thread():
-        return collect_run(run, report, control, resume=resume, accept_drift=accept_drift, again=again, confirm=confirm)
+        result = collect_run(
+            run,
+            report,
+            control,
+            resume=resume,
+            accept_drift=accept_drift,
+            again=again,
+            confirm=confirm,
+            payload=payload,
+            hung=hung,
+        )
+    return result.model_copy(update={"notes": (*result.notes, *([missing] if missing else []))})
+
+
+def hanging(work: Work) -> Hung:
+    """What asks the person of an interface to hang another load."""
+    return lambda words: work.choose(f"{words} Does it hang?", ("no", "yes")) == "yes"

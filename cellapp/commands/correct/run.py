@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cellapp.cell.driving.controllers import recorded_controllers, same_calibration
 from cellapp.cell.profile.files import write_new_bytes
 from cellapp.cell.programs.gate_findings import gate_findings
 from cellapp.cell.programs.records import CorrectResult, LeftLine
@@ -24,7 +25,9 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile import Arm
 from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import controller_rows, nominal_arm, published_rows
 
 _JOINTS = 6
 _LARGEST = 32 * 1024 * 1024
@@ -87,10 +90,11 @@ def correct_run(
     model = model_of(run, stage_in_force(run, stages))
     name = _arm(run, list(model.arms), arm)
     model_arm = model.arms[name]
-    read = _read(program, out, model_arm, tcp)
+    settings = run.profile.arms[name]
+    _require_its_calibration(run, name, model_arm)
+    read = _read(program, out, settings, tcp)
     if not read.targets and not read.left:
         raise InputError(f"{program}: no motion with a target found; nothing was written")
-    settings = run.profile.arms[name]
     limits = np.array(settings.joint_limits)
     home = np.zeros(_JOINTS) if settings.home is None else np.array(settings.home)
     q = known_readings(run, name).q
@@ -149,7 +153,20 @@ def _arm(run: RunFile, arms: Sequence[str], asked: str | None) -> str:
     return name
 
 
-def _read(program: Path, out: Path, arm: ArmModel, tcp: Six | None) -> ReadProgram:
+def _require_its_calibration(run: RunFile, name: str, model: ArmModel) -> None:
+    """Raise ``InputError`` unless the run's controller computes by the rows that are nominal in the profile."""
+    settings, controller = run.profile.arms[name], recorded_controllers(run).get(name)
+    if not np.allclose(model.nominal.rows, nominal_arm(settings).rows, rtol=0.0, atol=1e-9):
+        raise InputError(f"correct: arm '{name}': arms.{name}.factory is not that of the calibration; calibrate again")
+    if controller is not None and not same_calibration(settings, controller):
+        raise InputError(
+            f"correct: arm '{name}': the controller of this run computes with another calibration"
+            f" ({controller.dh_checksum or 'none'}) than the profile; nothing was written. Write it with 'cellapp"
+            f" doctor PROFILE --controllers DIR', give it as arms.{name}.factory, and calibrate the readings anew"
+        )
+
+
+def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgram:
     kind = program.suffix.lower()
     if kind not in ENDINGS:
         raise InputError(f"{program}: expected a program of a UR controller, .script or .urp")
@@ -164,4 +181,4 @@ def _read(program: Path, out: Path, arm: ArmModel, tcp: Six | None) -> ReadProgr
         raise InputError(f"{program}: larger than {_LARGEST // 2**20} MB; no program is")
     if kind == ".script":
         return read_script(data, str(program), tcp)
-    return read_urp(data, str(program), arm.nominal.rows[:, :4])
+    return read_urp(data, str(program), controller_rows(settings), published_rows(settings))

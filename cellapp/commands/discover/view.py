@@ -36,7 +36,7 @@ from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Section, printed, section_of, sentence
 from cellapp.commands.view.table import with_rows
 from cellapp.commands.view.words import place_words, ranges, short_reason
-from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
+from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult, MotionEffectResult
 from cellapp.ground.profile.schema import Discovery
 
 _MOST_PICTURES = 6
@@ -112,8 +112,27 @@ def _motion_sentences(arm: ArmDiscoveryResult) -> list[str]:
         place = f"joint{'s' if len(one.joints) > 1 else ''} {ranges(one.joints)}"
         only = f"; only motion can: {one.only_motion}" if one.only_motion else ""
         aside = "" if one.at_rest else "; it stays out of commands for poses at rest"
-        said.append(f"Recordings of motion show {one.effect} ({one.title}) of {place}{only}{aside}.")
+        said.append(f"Recordings of motion show {one.effect} ({one.title}) of {place}{_in_figures(one)}{only}{aside}.")
     return said or ["Recordings of motion show no effect of the joints."]
+
+
+_IN_UNITS = {
+    "time_constant": ("ms", 1e3, 1),
+    "frequency": ("Hz", 1.0, 2),
+    "damping": ("of the critical damping", 1.0, 3),
+}
+"""Parameters of motion that the sentence states, by the beginning of their name: unit, factor, digits."""
+
+
+def _in_figures(one: MotionEffectResult) -> str:
+    """Time constants, natural frequencies and dampings with standard errors, in the order of the joints."""
+    parts = []
+    for begins, (unit, factor, digits) in _IN_UNITS.items():
+        its = [value for name, value in one.parameters.items() if name.rstrip("0123456789") == begins]
+        figures = [f"{factor * v.value:.{digits}f} ± {factor * (v.standard_error or 0.0):.{digits}f}" for v in its]
+        if figures:
+            parts.append(f"{', '.join(figures)} {unit}")
+    return f": {'; '.join(parts)}" if parts else ""
 
 
 def _remarks(arm: ArmDiscoveryResult) -> list[str]:

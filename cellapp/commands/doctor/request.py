@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 from cellapp.commands.fields import ProfilePath
 from cellapp.commands.record import Asked, Request, Verb
+from cellapp.ground.outputs import Writes
 
 
 class DoctorRequest(Request):
@@ -13,6 +15,23 @@ class DoctorRequest(Request):
 
     profile: ProfilePath
     cell: Annotated[bool, Asked("First print what the profile says of the cell.")] = False
+    controllers: Annotated[
+        Path | None,
+        Asked("Write the controllers' own calibrations here, for arms.*.factory.", "DIR", writes=Writes.FOLDER),
+    ] = None
+
+    bundle: Annotated[
+        Path | None,
+        Asked(
+            "Pack versions, profile, findings, a run's log and states of the controllers for a report to the authors.",
+            "FILE",
+            writes=Writes.FILE,
+        ),
+    ] = None
+    run_folder: Annotated[
+        Path | None,
+        Asked("Run whose log is packed; left out, the newest of this cell below logs.", "DIR", option="--run"),
+    ] = None
 
 
 VERB = Verb("doctor", DoctorRequest, chapter="cell")

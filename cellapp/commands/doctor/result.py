@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 from cellapp.ground.results import Record, Result
 from drivers.findings import Status
 
@@ -17,9 +20,36 @@ class DeviceReport(Record):
     air_c: float | None = None
     pressure_hpa: float | None = None
     humidity_percent: float | None = None
+    dh_rows: tuple[tuple[float, ...], ...] | None = None
+    dh_checksum: str | None = None
     omitted_when_none = frozenset(
-        {"model", "serial", "software", "state", "joints_c", "air_c", "pressure_hpa", "humidity_percent"}
+        {
+            "model",
+            "serial",
+            "software",
+            "state",
+            "joints_c",
+            "air_c",
+            "pressure_hpa",
+            "humidity_percent",
+            "dh_rows",
+            "dh_checksum",
+        }
     )
+
+
+class ControllerCalibration(Record):
+    """The factory's calibration in a controller.
+
+    ``deltas`` are added to the published rows theta, d, a, alpha of each joint [rad, m, m, rad]; ``near`` says the same
+    as rows theta, d, a, alpha, beta next to them. ``mean_mm`` and ``max_mm`` are how far the SMR is off by both chains.
+    """
+
+    checksum: str
+    deltas: tuple[tuple[float, ...], ...]
+    near: tuple[tuple[float, ...], ...]
+    mean_mm: float
+    max_mm: float
 
 
 class Finding(Record):
@@ -36,6 +66,10 @@ class DoctorResult(Result, schema="cellapp-doctor"):
     """``doctor``: what was checked."""
 
     findings: tuple[Finding, ...]
+    controllers: Mapping[str, ControllerCalibration] | None = None
+    """Arm -> calibration that its controller reports; None if none does."""
+    written: tuple[Path, ...] | None = None
+    omitted_when_none = frozenset({"controllers", "written"})
 
     @property
     def failed(self) -> tuple[Finding, ...]:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection
 
+from cellapp.cell.driving.controller_tables import controller_files, factory_findings, factory_tables
 from cellapp.cell.driving.examination import examine, probe
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
+from cellapp.cell.profile.files import write_new
+from cellapp.commands.doctor.bundle import bundle, newest_run
 from cellapp.commands.doctor.request import DoctorRequest
-from cellapp.commands.doctor.result import DeviceReport, DoctorResult
+from cellapp.commands.doctor.result import ControllerCalibration, DeviceReport, DoctorResult
 from cellapp.commands.doctor.result import Finding as ResultFinding
 from cellapp.commands.record import Work
 from cellapp.commands.trials.benchmark.methods.registry import METHODS
+from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
 from cellapp.robot.effects import EFFECTS
@@ -24,13 +29,58 @@ from drivers.trackers.settings import TrackerSettings
 
 
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
-    """Check all that the profile names."""
-    return examine_run(load_profile(request.profile))
+    """Check all that the profile names, and write what the controllers report of themselves where that is asked for."""
+    profile = load_profile(request.profile)
+    began_s = time.monotonic()
+    result = examine_run(profile)
+    seconds = time.monotonic() - began_s
+    if request.bundle is not None:
+        folder = request.run_folder or newest_run(profile)
+        work.outputs.write(request.bundle, bundle(request.profile, profile, result, folder, seconds))
+        result = result.model_copy(update={"written": (request.bundle,)})
+    elif request.run_folder is not None:
+        raise InputError("--run: only with --bundle")
+    if request.controllers is None:
+        return result
+    tables = factory_tables(profile, _reports(result))
+    if not tables:
+        raise InputError("--controllers: no controller reports a calibration of its own; nothing was written")
+    files = {request.controllers / name: text for name, text in controller_files(tables, profile).items()}
+    written = (*(result.written or ()), *write_new(files, work.outputs))
+    return result.model_copy(update={"written": written})
 
 
 def examine_run(profile: Profile) -> DoctorResult:
     """All that ``examine`` finds, after what plug-ins add, as the result of the verb."""
-    return DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile)))))
+    found = DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile)))))
+    tables = factory_tables(profile, _reports(found))
+    if not tables:
+        return found
+    findings = (*found.findings, *map(_result, factory_findings(profile, tables)))
+    return found.model_copy(
+        update={
+            "findings": findings,
+            "controllers": {
+                name: ControllerCalibration(
+                    checksum=table.checksum,
+                    deltas=tuple(map(tuple, table.deltas.tolist())),
+                    near=tuple(map(tuple, table.near.tolist())),
+                    mean_mm=table.off_mm[0],
+                    max_mm=table.off_mm[1],
+                )
+                for name, table in tables.items()
+            },
+        }
+    )
+
+
+def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], ...], str]]:
+    """D-H rows and checksum that the controller of each arm reported, by arm."""
+    return {
+        finding.subject.removeprefix("arm ").removesuffix(": link"): (device.dh_rows, device.dh_checksum)
+        for finding in result.findings
+        if (device := finding.device) is not None and device.dh_rows is not None and device.dh_checksum
+    }
 
 
 def repeatable_devices(profile: Profile) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ class EmulateRequest(Request):
     lost_beams: Annotated[
         float, Field(ge=0.0, le=60.0), Asked("How often in a minute the beam to a moving SMR breaks.", "N")
     ] = 0.0
+    simulation: Annotated[bool, Asked("Controllers in simulation mode, for 'rehearse': no arm moves.")] = False
 
 
 VERB = Verb("emulate", EmulateRequest, chapter="emulator")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
@@ -24,6 +25,7 @@ from drivers.emulators.ur_controller import (
     UrControllerServer,
 )
 from drivers.plant import Plant
+from drivers.plant.factory import factory_calibration
 from drivers.plant.sweep import recorder_of
 from drivers.priority import in_real_time
 from drivers.settings import SettingError
@@ -36,6 +38,8 @@ _LATE_S = 0.04
 """Packets of the tracker's stream come late by up to this much [s]."""
 _JOINTS = 6
 """Of every UR arm."""
+_CALIBRATED = 2
+"""Calibration status of a controller that has been calibrated in the factory."""
 
 
 def run(request: EmulateRequest, work: Work) -> EmulateResult:
@@ -55,6 +59,7 @@ def run(request: EmulateRequest, work: Work) -> EmulateResult:
         pace=request.pace,
         announce_tracker=trackers.append,
         lost_beams=request.lost_beams,
+        simulation=request.simulation,
     )
     return served[0]
 
@@ -156,6 +161,7 @@ def emulate(
     announce_tracker: Callable[[EmulatedTracker], None] = lambda _: None,
     watch_clearance: bool = False,
     lost_beams: float = 0.0,
+    simulation: bool = False,
 ) -> None:
     """Emulate the controllers of a profile until ``cancel``; all ports are free again when this returns.
 
@@ -178,6 +184,8 @@ def emulate(
         Whether the command ``clearance`` of the control channel gives the smallest distances.
     lost_beams : float
         How often the beam to a moving SMR breaks [1/min].
+    simulation : bool
+        Whether the controllers are in simulation mode: joints move, the arms of the simulated cell rest at home.
 
     Raises
     ------
@@ -189,21 +197,24 @@ def emulate(
     chosen = emulated_arms(profile) if arms is None else arms
     served = emulated_tracker(profile) if tracker is None else tracker
     plant = None if profile.plant is None else build_plant(profile, watch_clearance=watch_clearance)
-    server = _server(profile, chosen, plant, pace)
+    server = _server(profile, chosen, plant, pace, simulation=simulation)
     with ExitStack() as stack:
         if pace <= REAL_TIME:
             stack.enter_context(in_real_time(inherited=True))
         _listen(stack, server)
-        if served is not None and plant is not None:
+        if served is not None and plant is not None and not simulation:
             announce_tracker(_serve_tracker(stack, profile, plant, server, served, lost_beams))
         announce([_listening(arm, server.addresses) for arm in chosen])
         while not cancel.wait(_STEP_S):
             _check(server)
 
 
-def _server(profile: Profile, arms: Sequence[EmulatedArm], plant: Plant | None, pace: float) -> UrControllerServer:
+def _server(
+    profile: Profile, arms: Sequence[EmulatedArm], plant: Plant | None, pace: float, *, simulation: bool
+) -> UrControllerServer:
+    configs = [replace(_config(arm, profile.arms[arm.arm], plant), simulation=simulation) for arm in arms]
     try:
-        return UrControllerServer([_config(arm, profile.arms[arm.arm]) for arm in arms], plant, pace)
+        return UrControllerServer(configs, None if simulation else plant, pace)
     except ValueError as error:
         raise InputError(f"profile {profile.name}: {error}") from error
 
@@ -230,14 +241,14 @@ def _listening(arm: EmulatedArm, addresses: Addresses) -> EmulatedArm:
     return arm.model_copy(update={**ports, "control_port": addresses.control[1]})
 
 
-def _config(emulated: EmulatedArm, arm: Arm) -> ControllerConfig:
+def _config(emulated: EmulatedArm, arm: Arm, plant: Plant | None) -> ControllerConfig:
     joints = arm.type.joints
     limits = tuple((joint.limit[0], joint.limit[1]) for joint in joints)
     home = arm.home or tuple(min(max(0.0, low), high) for low, high in limits)
     return ControllerConfig(
         name=emulated.arm,
         host=emulated.host,
-        personality=emulated.controller,
+        personality=_as_calibrated(emulated, plant),
         ports={
             "dashboard": emulated.dashboard_port,
             "primary": emulated.primary_port,
@@ -251,6 +262,15 @@ def _config(emulated: EmulatedArm, arm: Arm) -> ControllerConfig:
         payload_mass=arm.payload.mass,
         payload_center=arm.payload.center_of_mass,
     )
+
+
+def _as_calibrated(emulated: EmulatedArm, plant: Plant | None) -> Personality:
+    """The controller with the factory's calibration of its arm, if the simulated cell has one."""
+    own = None if plant is None else factory_calibration(plant, emulated.arm)
+    if own is None:
+        return emulated.controller
+    rows = tuple((theta, d, a, alpha) for theta, d, a, alpha in own.rows.tolist())
+    return replace(emulated.controller, rows=rows, checksums=own.checksums, calibration_status=_CALIBRATED)
 
 
 def _personality(name: str, arm: Arm, serial: str | None, number: int) -> Personality:

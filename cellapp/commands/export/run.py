@@ -31,6 +31,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
+from cellapp.robot.model.nominal import published_rows
 
 _GEOMETRY_NOTE = (
     "--geometry is kept for programs that read its JSON; --as writes a file for each program, and loses no geometry"
@@ -254,7 +255,8 @@ def export_run(
         write_recordings_csv(run, kind, path, outputs)
     lost = None
     if geometry is not None:
-        content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))))
+        published = {name: published_rows(arm) for name, arm in run.profile.arms.items()}
+        content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))), published)
         outputs.write_text(geometry, content.to_json(indent=1) + "\n")
         lost = {name: arm.ur_deltas.lost.position_mm.rms for name, arm in content.arms.items()}
     return ExportResult(

@@ -106,7 +106,7 @@ def follow_run(
                 rehearse=rehearse,
                 judge=judge_of(run, profile),
                 confirm=confirmation(run.profile, ask),
-                opened=noting_controllers(run, notes),
+                opened=noting_controllers(run, notes, insist=out_of_date),
             )
         result = path_result(model, followed, notes)
         basis = basis_on_model(run, used, paths)

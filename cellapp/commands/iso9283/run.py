@@ -97,7 +97,8 @@ def iso9283_run(
     notes = _notes(task, stages, used)
     with running_job(run, control, "iso9283", listener) as listener:
         confirm = confirmation(run.profile, ask)
-        return _driven(run, used, task, other, notes, with_eta(listener), control, confirm, open_with)
+        insist = request.out_of_date
+        return _driven(run, used, task, other, notes, with_eta(listener), control, confirm, open_with, insist=insist)
 
 
 def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
@@ -157,10 +158,12 @@ def _driven(
     control: JobControl,
     confirm: Confirm | None,
     open_with: Opened | None,
+    *,
+    insist: bool,
 ) -> Iso9283Result:
     """Drive the tests and store their result; where they are stopped, what was measured until then."""
     findings, began = IsoFindings(notes=list(notes)), datetime.now(UTC).isoformat(timespec="seconds")
-    opened = noting_controllers(run, findings.notes)
+    opened = noting_controllers(run, findings.notes, insist=insist)
     try:
         drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
     except (CellappError, Cancelled) as error:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from cellapp.cell.driving.records import PlanResult
+from cellapp.cell.driving.records import PlannedLoad, PlanResult
 from cellapp.cell.planning.design_records import ArmDesign, FactorCorrelation, ObservabilityIndices, PlanDesignResult
 from cellapp.commands.plan.check_view import TIME_RESTS_ON, duration_words, time_sentence
 from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
@@ -25,7 +26,18 @@ def plan_lines(result: PlanResult) -> list[str]:
     lines = [f"arm {name}: {counted(count, 'stop')} planned{more}" for name, count in result.stops.items()]
     lines += [] if result.design is None else design_sentences(result.design)
     lines += [] if result.time is None else [f"{time_sentence(result.time)} It rests on {TIME_RESTS_ON}."]
-    return [*lines, *result.notes]
+    return [*lines, *load_sentences(result.loads), *result.notes]
+
+
+def load_sentences(loads: Sequence[PlannedLoad] | None) -> list[str]:
+    """With which load each part of a plan is measured, and what a person does between; none of a plan with one."""
+    if not loads:
+        return []
+    parts = [
+        f"stops {one.first} to {one.last} with {', '.join(f'{name} {kg:g} kg' for name, kg in one.payload_kg.items())}"
+        for one in loads
+    ]
+    return [f"Loads: {'; '.join(parts)}. Before each further load the arms go home, and a person hangs it."]
 
 
 def design_tables(design: PlanDesignResult) -> list[Table]:

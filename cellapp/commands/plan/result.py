@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from cellapp.cell.driving.records import SweepCount
+from cellapp.cell.driving.records import PlannedLoad, SweepCount
 from cellapp.cell.planning.design_records import PlanDesignResult
 from cellapp.ground.results import Record, Result
 
@@ -18,10 +18,11 @@ class PlannedStop(Record):
 
 
 class StopsResult(Result, schema="cellapp-stops"):
-    """``show DIR plan``: every planned stop, what is known of their design if they were designed, and the sweeps."""
+    """``show DIR plan``: every planned stop, what is known of their design, the sweeps, and several loads."""
 
     run: str
     stops: tuple[PlannedStop, ...]
     design: PlanDesignResult | None = None
     sweeps: Mapping[str, SweepCount] | None = None
-    omitted_when_none = frozenset({"design", "sweeps"})
+    loads: tuple[PlannedLoad, ...] | None = None
+    omitted_when_none = frozenset({"design", "sweeps", "loads"})

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.nests import Nests
-from cellapp.cell.driving.records import PlanResult, SweepCount
+from cellapp.cell.driving.records import PlannedLoad, PlanResult, SweepCount
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.planning.check import check_each_stop, check_stops, required_plan
 from cellapp.cell.planning.design_records import ViewResult
@@ -31,6 +31,7 @@ from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_planne
 from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import note_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.plan.check_view import file_refusal_sentence
 from cellapp.commands.plan.request import PlanRequest
@@ -62,10 +63,14 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | View
         return view_workspace(profile, *watched)
     assert request.folder is not None, "the request says so"
     if request.source is not None:
-        return plan_from_file(profile, request.source, request.folder, *watched)
-    if request.keep is not None:
-        return plan_around_file(profile, request.keep, request.folder, *watched)
-    return plan_new_run(profile, request.folder, *watched, sweeps=request.sweeps)
+        result = plan_from_file(profile, request.source, request.folder, *watched)
+    elif request.keep is not None:
+        result = plan_around_file(profile, request.keep, request.folder, *watched)
+    else:
+        result = plan_new_run(profile, request.folder, *watched, sweeps=request.sweeps)
+    with RunFile.open(request.folder, write=True) as planned:
+        note_profile(planned, request.profile)
+    return result
 
 
 def _changed(request: PlanRequest, folder: Path, work: Work) -> PlanResult:
@@ -101,6 +106,8 @@ def new_planned_run(
     Cancelled
     """
 
+    if sweeps is not None and profile.loads > 1:
+        raise InputError("plan: --sweeps records with one load; leave out arms.NAME.payloads, or plan stops alone")
     if sweeps is not None:
         plan = profile.plan.model_copy(update={"stops": sweeps, "reserve": 0})
         profile = profile.model_copy(update={"plan": plan})
@@ -145,6 +152,7 @@ def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:
         design=read_plan_design(run),
         time=planned_time(run.profile, visited),
         sweeps=planned_sweeps(run),
+        loads=planned_loads(run.profile, visited),
         notes=(*notes, *_nest_notes(run.profile, visited.q)),
     )
 
@@ -154,6 +162,18 @@ def _nest_notes(profile: Profile, stops: Mapping[str, NDArray[np.float64]]) -> l
     if not any(arm.smr.nests for arm in profile.arms.values()):
         return []
     return Nests.of(profile, cell_bodies(profile)).notes(stops)
+
+
+def planned_loads(profile: Profile, stops: PlannedStops) -> tuple[PlannedLoad, ...] | None:
+    """The loads of a plan one after the other; None where there is only one."""
+    if profile.loads == 1:
+        return None
+    found = []
+    for load in np.unique(stops.load).tolist():
+        own = np.flatnonzero(stops.load == load) + 1
+        payload_kg = {name: arm.payload_at(load).mass for name, arm in profile.arms.items()}
+        found.append(PlannedLoad(first=int(own[0]), last=int(own[-1]), payload_kg=payload_kg))
+    return tuple(found)
 
 
 def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
@@ -184,6 +204,7 @@ def planned_stops(run: RunFile) -> StopsResult:
             for stop in range(count)
         ),
         sweeps=planned_sweeps(run),
+        loads=planned_loads(run.profile, read_planned_stops(run)),
     )
 
 

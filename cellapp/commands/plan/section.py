@@ -12,7 +12,13 @@ from cellapp.cell.planning.stored_stops import read_plan_design, read_planned_st
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.charts import coverage_charts, design_charts
 from cellapp.commands.plan.charts_map import cell_map_chart
-from cellapp.commands.plan.design_view import design_sentences, gaps_table, indices_table, quality_table
+from cellapp.commands.plan.design_view import (
+    design_sentences,
+    gaps_table,
+    indices_table,
+    load_sentences,
+    quality_table,
+)
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.plan.run import planned_stops
 from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
@@ -42,7 +48,14 @@ def plan_section(run: RunFile) -> Section | None:
         )
     return section_of(
         "",
-        [*sentences[1:], *sweep_sentences(sweeps), *charts, *design_tables_of(design), *sweep_tables(sweeps)],
+        [
+            *sentences[1:],
+            *load_sentences(planned.loads),
+            *sweep_sentences(sweeps),
+            *charts,
+            *design_tables_of(design),
+            *sweep_tables(sweeps),
+        ],
         message=sentences[0] if sentences else "Where the planned stops are, and what limits them.",
         about=about,
     )

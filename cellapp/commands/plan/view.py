@@ -8,7 +8,13 @@ from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.planning.design_records import ViewResult
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.commands.plan.check_view import check_sentences, forecast_sentences, forecast_tables
-from cellapp.commands.plan.design_view import design_sentences, design_tables, plan_lines, plan_result_tables
+from cellapp.commands.plan.design_view import (
+    design_sentences,
+    design_tables,
+    load_sentences,
+    plan_lines,
+    plan_result_tables,
+)
 from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
 from cellapp.commands.plan.tracker_view import view_sentences, view_tables
@@ -39,6 +45,7 @@ def view(
     design = result.design
     told: tuple[Table | str, ...] = () if design is None else (*design_tables(design), *design_sentences(design))
     swept: tuple[Table | str, ...] = (*sweep_tables(result.sweeps), *sweep_sentences(result.sweeps))
+    swept = (*load_sentences(result.loads), *swept)
     return View((*plan_tables(result), *planned, *told, *swept))
 
 

@@ -46,6 +46,7 @@ from cellapp.commands.locate.view import view as locate_view
 from cellapp.commands.plan.section import plan_section
 from cellapp.commands.power.run import stored_power
 from cellapp.commands.report.before_after import best_method
+from cellapp.commands.report.controller_tables import controllers_section
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
 from cellapp.commands.report.provenance import provenance_facts
@@ -81,6 +82,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "collection": ("Collecting", ()),
     "cell": ("The cell", ()),
     "parameters": ("Identified parameters", (CALIBRATE,)),
+    "controllers": ("The controllers' own calibration", (CALIBRATE,)),
     "notes": ("Warnings, notes, what is not in this report", ()),
     "provenance": ("Provenance", ()),
 }
@@ -97,6 +99,7 @@ def report_sections(run: RunFile, data: ReportData) -> list[Section]:
     made["power"] = power_section(run)
     made["collection"] = None if (state := collection_state(run, data.results)) is None else collection_section(state)
     made["parameters"] = _parameters(data, lost_by_arm(run))
+    made["controllers"] = controllers_section(run, data)
     return placed(made, data.out_of_date)
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cellapp.cell.driving.loads import Hung
 from cellapp.cell.driving.requests.running import running_job
 from cellapp.cell.profile import load_profile
+from cellapp.cell.run.profile_file import note_profile
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.collect.run import collect_planned
+from cellapp.commands.collect.run import collect_planned, hanging
 from cellapp.commands.confirm import Ask, asked_once, require_permission
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import default_folder, new_planned_run
@@ -26,7 +28,14 @@ def run(request: RunRequest, work: Work) -> WholeRunResult:
     """Do everything."""
     ask = work.ask(load_profile(request.profile).name)
     return run_whole(
-        request.profile, request.folder, work.write_page, work.listener, work.control, ask=ask, sweeps=request.sweeps
+        request.profile,
+        request.folder,
+        work.write_page,
+        work.listener,
+        work.control,
+        ask=ask,
+        sweeps=request.sweeps,
+        hung=hanging(work),
     )
 
 
@@ -39,10 +48,12 @@ def run_whole(
     *,
     ask: Ask | None = None,
     sweeps: int | None = None,
+    hung: Hung | None = None,
 ) -> WholeRunResult:
     """Everything, unattended: plan, collect, calibrate, discover, compensate, verify, report by ``write_page``.
 
-    ``ask`` is asked before the first motion of real arms, once. ``sweeps`` is as of ``new_planned_run``.
+    ``ask`` is asked before the first motion of real arms, once, and after another load was hung; ``hung`` is asked
+    whether it was. ``sweeps`` is as of ``new_planned_run``.
 
     Raises
     ------
@@ -54,7 +65,7 @@ def run_whole(
     control = control or JobControl()
     profile = load_profile(profile_path)
     require_permission(profile, ask)
-    ask = None if ask is None else asked_once(ask)
+    with_loads, ask = ask, None if ask is None else asked_once(ask)
     targets: tuple[Target, ...] = ()
     if profile.targets is not None:  # read now: a misspelt list should not show after hours of measuring
         targets = load_targets(profile_path.parent / profile.targets, profile)
@@ -63,7 +74,8 @@ def run_whole(
         new_planned_run(profile, folder or default_folder(profile.name), listener, control, sweeps=sweeps) as run,
         running_job(run, control, "run", listener) as listener,
     ):
-        collected = collect_planned(run, listener, control, ask)
+        note_profile(run, profile_path)
+        collected = collect_planned(run, listener, control, ask if profile.loads == 1 else with_loads, hung=hung)
         notes += collected.notes
         notes += calibrate_run(run, listener, control).notes
         discover_run(run, listener, control)

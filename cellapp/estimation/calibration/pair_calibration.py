@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.evaluation import position_errors, summarise
 from cellapp.estimation.calibration.inter_base_transform import PairIdentification, distances, identify_pair
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
+from cellapp.estimation.calibration.pair_by_touching import TouchedPoints, common_points, tie_by_touching
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.sockets import in_sockets
 from cellapp.ground.counting import counted
@@ -53,12 +54,13 @@ class PairMethod:
 
     ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed; ``position_errors``
     maps each arm to the absolute errors (n,) [m] at the same stops, with the bases as the arms' calibration found them.
+    Without a tracker, errors are those at sockets that both arms touched.
     """
 
     by_distances: ErrorSummary
-    by_tracker: ErrorSummary
+    by_tracker: ErrorSummary | None
     identification: PairIdentification
-    T_R_L_tracker: Array
+    T_R_L_tracker: Array | None
     errors: Mapping[str, Array]
     position_errors: Mapping[str, Array]
 
@@ -67,8 +69,8 @@ class PairMethod:
 class PairCalibration:
     """The pair by method.
 
-    ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; ``stops`` (n,) are the numbers
-    of the held-out configurations in the order of each method's errors.
+    ``chosen`` is the transform that the profile selects, ``distances`` or ``tracker``; ``touches`` without a tracker.
+    ``stops`` (n,) are the numbers of the held-out configurations in the order of each method's errors.
     """
 
     methods: Mapping[Method, PairMethod]
@@ -81,7 +83,8 @@ class PairCalibration:
         """The selected transform of the best available method, shape (4, 4)."""
         best = next(name for name in _BEST_FIRST if name in self.methods)
         method = self.methods[best]
-        return method.identification.T_R_L if self.chosen == "distances" else method.T_R_L_tracker
+        by_tracker = method.T_R_L_tracker if self.chosen == "tracker" else None
+        return method.identification.T_R_L if by_tracker is None else by_tracker
 
 
 def common_stops(first: Readings, second: Readings) -> tuple[Readings, Readings]:
@@ -109,7 +112,7 @@ def calibrate_pair(
     if len(readings) != 2:
         return None, [f"pair: skipped, the profile has {len(readings)} arm(s)"]
     if any(in_sockets(its) for its in readings.values()):
-        return None, ["pair: skipped, sockets say nothing about where the bases stand to each other"]
+        return _by_touching(readings, list(arms.values()))
     left, right = common_stops(*readings.values())
     learn, held_out = pair_stops(profile, left)
     if len(learn) < 7 or len(held_out) < 1:
@@ -153,6 +156,51 @@ def calibrate_pair(
             notes.append(f"pair: {name}: the inter-base transform did not converge; do not use it")
     counts = {"identify": len(learn), "validate": len(held_out)}
     return PairCalibration(methods, profile.pair.transform, counts, left.configuration[held_out]), notes
+
+
+def _by_touching(
+    readings: Mapping[str, Readings], arms: list[CalibratedArm]
+) -> tuple[PairCalibration | None, list[str]]:
+    """The pair by sockets that both arms touched, or that are known distances apart."""
+    left, right = readings.values()
+    if not (in_sockets(left) and in_sockets(right)):
+        return None, ["pair: skipped, only one arm was in sockets"]
+    start = np.asarray(invert(arms[1].model.geometry.T_M_B()) @ arms[0].model.geometry.T_M_B())
+    methods: dict[Method, PairMethod] = {}
+    tied = None
+    for name, positions in _positions((left, right), arms).items():
+        points = [
+            TouchedPoints.of(its, p_B, None if name == "nominal" else arm.model)
+            for its, p_B, arm in zip((left, right), positions, arms, strict=True)
+        ]
+        common = common_points(*points)
+        tied = tie_by_touching(points[0], points[1], (*left.distances, *right.distances), start)
+        if tied is None:
+            return None, [
+                f"pair: skipped, {counted(len(common), 'socket was', 'sockets were')} touched by both arms: this leaves"
+                " a direction open of how their bases stand to each other; touch three that are not on one line, far"
+                " apart, with both arms"
+            ]
+        if not common:
+            return None, ["pair: skipped, no socket was touched by both arms; distances alone are no test of the tie"]
+        rows = [[one.place[point] for point in common] for one in points]
+        methods[name] = PairMethod(
+            by_distances=summarise(tied.errors_m),
+            by_tracker=None,
+            identification=tied.identification,
+            T_R_L_tracker=None,
+            errors={"touches": tied.errors_m},
+            position_errors={arm: one.rms_m[at] for arm, one, at in zip(readings, points, rows, strict=True)},
+        )
+    assert tied is not None
+    least = (
+        "each error is at a socket that the tie never had"
+        if tied.held_out
+        else ("with fewer than four, none can be left out: errors are what the tie itself leaves")
+    )
+    notes = [f"pair: tied by {counted(len(common), 'socket')} that both arms touched, without a tracker; {least}"]
+    counts = {"identify": len(common), "validate": len(common) if tied.held_out else 0}
+    return PairCalibration(methods, "touches", counts, points[0].first[rows[0]]), notes
 
 
 def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:

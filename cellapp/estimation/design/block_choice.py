@@ -2,11 +2,15 @@
 
 Sources: Fedorov, Theory of Optimal Experiments (1972), chapter 3 (exchange); Mirzasoleiman et al., Lazier than lazy
 greedy, AAAI 2015 (random subsets lose little).
+
+All candidates are looked at in single precision and to first order only, a few hundred of them exactly, and the best of
+these are followed in double precision from change to change: gains change slowly.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +25,8 @@ _SMALLEST_BATCH = 20
 _FIRST_BATCH = 5
 """The same at the very beginning: the first stops reduce the variance of base and SMR a thousandfold each, and
 updates lose as many digits."""
+_LEAST_FOLLOWED = 80
+"""Candidates that are followed at least: with fewer the best for a later stop of the batch may not be among them."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +36,11 @@ class Effort:
     Attributes
     ----------
     subset : int
-        Candidates that are looked at together, drawn anew for every batch.
+        Candidates that are looked at together: in the first choice drawn anew for every batch.
+    promising : int
+        In an exchange the candidates that promise most in the whole pass, beside as many as are chosen.
+    shortlist : int
+        Of these the best for each stop of a batch are followed from change to change, 80 at least in all.
     batches : int
         Batches in which the first choice is made, of at least 20 stops.
     batch : int
@@ -45,9 +55,11 @@ class Effort:
     """
 
     subset: int = 1500
+    promising: int = 400
+    shortlist: int = 2
     batches: int = 20
     batch: int = 40
-    exchanges: int = 1200
+    exchanges: int = 840
     passes: int = 6
     ordered: int = 400
 
@@ -61,6 +73,11 @@ class Candidates:
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    @cached_property
+    def mean_information(self) -> Array:
+        """Mean information (p, p) of a candidate."""
+        return information_of(self.rows) / max(len(self.rows), 1)
 
     def information(self, chosen: Rows) -> Array:
         """Information (p, p) of a design."""
@@ -83,7 +100,7 @@ def choose_blocks(
     cancel = cancel or CancelToken()
     if count >= len(candidates):
         return np.arange(len(candidates))
-    random = candidates.prior + information_of(candidates.rows) * (count / len(candidates))
+    random = candidates.prior + candidates.mean_information * count
     chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, effort, cancel)
     best = criterion.value(candidates.covariance(chosen))
     for _ in range(min(effort.passes, -(-effort.exchanges // max(count, 1)))):
@@ -132,8 +149,9 @@ def _greedy(
         cancel.check()
         subset = _drawn(free, max(effort.subset, 2 * size), rng)
         design = BlockDesign(information, W)
-        design.track(candidates.rows[subset])
         before = len(chosen)
+        subset = subset[design.largest(candidates.rows[subset], _followed(effort, _batch(size, before)))]
+        design.track(candidates.rows[subset])
         for _ in range(min(_batch(size, before), count - before)):
             best = int(np.argmax(np.where(free[subset], design.gains(), -np.inf)))
             free[subset[best]] = False
@@ -151,7 +169,7 @@ def _exchanged(
     effort: Effort,
     cancel: CancelToken,
 ) -> Rows:
-    """Each chosen stop, the one of the least information first, against the best of a subset, or itself."""
+    """Each chosen stop, the one of the least information first, against the best of the others, or itself."""
     information = candidates.information(chosen)
     W = criterion.weights(inverse_psd(information))
     design = BlockDesign(information, W)
@@ -159,11 +177,14 @@ def _exchanged(
     queue = chosen[np.argsort(design.losses(), kind="stable")][: effort.exchanges]
     free = np.ones(len(candidates), dtype=bool)
     free[chosen] = False
+    promising = np.sort(design.promising(candidates.rows, effort.promising + len(chosen)))
     for first in range(0, len(queue), effort.batch):
         cancel.check()
         leaving = queue[first : first + effort.batch]
-        looked_at = np.concatenate([leaving, _drawn(free, effort.subset, rng)])
+        coming = promising[free[promising]]
         design = BlockDesign(information, W)
+        coming = coming[design.largest(candidates.rows[coming], _followed(effort, effort.batch))]
+        looked_at = np.concatenate([leaving, coming])
         design.track(candidates.rows[looked_at])
         before = free.copy()
         for stop in leaving:
@@ -177,6 +198,11 @@ def _exchanged(
         come, gone = (candidates.rows[before & ~free], candidates.rows[free & ~before])
         information = information + information_of(come) - information_of(gone)
     return np.flatnonzero(~free)
+
+
+def _followed(effort: Effort, batch: int) -> int:
+    """Candidates that are followed while a batch of stops is chosen."""
+    return max(effort.shortlist * batch, _LEAST_FOLLOWED)
 
 
 def _drawn(free: NDArray[np.bool_], size: int, rng: np.random.Generator) -> Rows:

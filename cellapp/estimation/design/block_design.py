@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,16 @@ from cellapp.robot.kinematics.transforms import Array
 
 WORST_POWER = 12.0
 """h: with it the largest of some hundred uncertainties decides, and those within a few per cent of it count too."""
+_ROWS_AT_ONCE = 6000
+"""Rows of an information matrix that are brought to double precision at once."""
+_LEFT_OUT = 0.02
+"""Share of the trace of C W C that is left out in the first look at all candidates."""
+_APART = 40
+"""Changes after which C and C W C are changed: until then products with narrow matrices stand for them."""
 Rows = NDArray[np.intp]
 """Numbers of candidates."""
+Floats = NDArray[np.floating[Any]]
+"""In single or double precision."""
 
 
 class Shares(NamedTuple):
@@ -106,14 +114,18 @@ class Criterion:
 
 
 def information_of(rows: Array) -> Array:
-    """Information matrix (p, p) of blocks of rows (n, 3, p)."""
+    """Information matrix (p, p) of blocks of rows (n, 3, p), in double precision."""
     flat = rows.reshape(-1, rows.shape[2])
-    return np.asarray(flat.T @ flat)
+    total = np.zeros((rows.shape[2], rows.shape[2]))
+    for first in range(0, len(flat), _ROWS_AT_ONCE):
+        part = flat[first : first + _ROWS_AT_ONCE].astype(np.float64, copy=False)
+        total += part.T @ part
+    return total
 
 
-def reference_errors(rows: Array, count: int, prior: Array, wanted: int) -> Array:
-    """Standard errors (wanted,) of a design with the mean information of ``count`` random candidates ``rows``."""
-    covariance = inverse_psd(prior + information_of(rows) * (count / max(len(rows), 1)))
+def reference_errors(mean_information: Array, count: int, prior: Array, wanted: int) -> Array:
+    """Standard errors (wanted,) of a design of ``count`` random candidates with a mean information (p, p)."""
+    covariance = inverse_psd(prior + mean_information * count)
     return np.asarray(np.sqrt(np.diag(covariance)[:wanted]))
 
 
@@ -129,19 +141,19 @@ class _Change(NamedTuple):
 class _Tracked:
     """Candidates (s, 3, p) with V and U (3, 3, s) while the design changes.
 
-    In double precision throughout: in single precision, 1.6 times as fast, the last digits of the processor's BLAS
-    decide between nearly equal candidates, and the same seed gives other plans on other processors.
+    In double precision where they are compared: in single precision the last digits of the processor's BLAS decide
+    between nearly equal candidates, and the same seed gives other plans on other processors.
     """
 
-    rows: Array
+    rows: Floats
     V: Array
     U: Array
 
     @classmethod
-    def of(cls, rows: Array, C: Array, CWC: Array) -> _Tracked:
+    def of(cls, rows: Floats, C: Floats, CWC: Floats) -> _Tracked:
         flat = rows.reshape(-1, rows.shape[2])
 
-        def products(matrix: Array) -> Array:
+        def products(matrix: Floats) -> Array:
             ahead = (flat @ matrix).reshape(rows.shape)
             return np.asarray(np.einsum("sap,sbp->abs", ahead, rows))
 
@@ -182,17 +194,49 @@ class BlockDesign:
     """
 
     def __init__(self, information: Array, weights: Array) -> None:
-        self.covariance = inverse_psd(information)
-        self._CWC = self.covariance @ weights @ self.covariance
+        self._C = inverse_psd(information)
+        self._CWC = self._C @ weights @ self._C
         none = np.empty((0, 3, len(information)))
         self._tracked = _Tracked(none, np.empty((3, 3, 0)), np.empty((3, 3, 0)))
-        self._product = np.empty_like(self.covariance)
+        self._apart = np.empty((3, 3 * _APART, len(information)))
+        self._columns = 0
+        """G, G K and B of changes that are not in the two matrices yet, as rows, and their number."""
         self._unfollowed: list[_Change] = []
         """Changes since gains or losses were asked for."""
 
+    @property
+    def covariance(self) -> Array:
+        """C (p, p) of the design as it is now."""
+        return self._matrices()[0]
+
+    def largest(self, rows: Array, count: int) -> Rows:
+        """Numbers of the ``count`` candidates of the largest gains among ``rows`` (s, 3, p), in no order.
+
+        In single precision: to tell the best from each other, track them.
+        """
+        if count >= len(rows):
+            return np.arange(len(rows))
+        C, CWC = (matrix.astype(np.float32) for matrix in self._matrices())
+        all_of = _Tracked.of(rows.astype(np.float32, copy=False), C, CWC)
+        return np.argpartition(-_trace_of_solution(all_of.V, all_of.U, 1.0), count)[:count]
+
+    def promising(self, rows: Array, count: int) -> Rows:
+        """Numbers of the ``count`` candidates of the largest tr(U) among ``rows`` (s, 3, p): their gain to first order.
+
+        Of C W C the largest eigenvalues count, which have all of its trace but a few per cent.
+        """
+        if count >= len(rows):
+            return np.arange(len(rows))
+        values, vectors = np.linalg.eigh(self._matrices()[1])
+        needed = len(values) - int(np.searchsorted(np.cumsum(values), _LEFT_OUT * values.sum()))
+        root = (vectors[:, -needed:] * np.sqrt(values[-needed:])).astype(np.float32)
+        seen = rows.reshape(-1, rows.shape[2]).astype(np.float32, copy=False) @ root
+        score = np.einsum("rk,rk->r", seen, seen).reshape(-1, 3).sum(axis=1)
+        return np.argpartition(-score, count)[:count]
+
     def track(self, rows: Array) -> None:
         """Follow the gains and losses of candidates ``rows`` (s, 3, p) from now on, in place of those before."""
-        self._tracked, self._unfollowed = _Tracked.of(rows, self.covariance, self._CWC), []
+        self._tracked, self._unfollowed = _Tracked.of(rows.astype(np.float64, copy=False), *self._matrices()), []
 
     def gains(self) -> Array:
         """What the criterion tr(C W) would lose by each tracked candidate that is added (s,)."""
@@ -201,7 +245,7 @@ class BlockDesign:
 
     def gains_of(self, rows: Array) -> Array:
         """The same of other candidates ``rows`` (s, 3, p)."""
-        other = _Tracked.of(rows, self.covariance, self._CWC)
+        other = _Tracked.of(rows.astype(np.float64, copy=False), *self._matrices())
         return _trace_of_solution(other.V, other.U, 1.0)
 
     def losses(self) -> Array:
@@ -223,14 +267,26 @@ class BlockDesign:
         self._unfollowed = []
         return self._tracked
 
+    def _matrices(self) -> tuple[Array, Array]:
+        """C and C W C of the design as it is now."""
+        G, GK, B = self._apart[:, : self._columns]
+        self._C -= GK.T @ G
+        half = G.T @ B
+        self._CWC -= half + half.T
+        self._columns = 0
+        return self._C, self._CWC
+
     def _change(self, row: Array, sign: float) -> None:
-        G, H = self.covariance @ row.T, self._CWC @ row.T
-        K = sign * np.asarray(np.linalg.inv(np.eye(3) + sign * (row @ G)), dtype=np.float64)
+        if self._columns == self._apart.shape[1]:
+            self._matrices()
+        x = row.T.astype(np.float64, copy=False)
+        G_before, GK_before, B_before = self._apart[:, : self._columns]
+        x_G = G_before @ x
+        G = self._C @ x - GK_before.T @ x_G
+        H = self._CWC @ x - G_before.T @ (B_before @ x) - B_before.T @ x_G
+        K = sign * np.asarray(np.linalg.inv(np.eye(3) + sign * (x.T @ G)), dtype=np.float64)
         GK = G @ K
-        B = H @ K - 0.5 * GK @ (row @ H) @ K
+        B = H @ K - 0.5 * GK @ (x.T @ H) @ K
         self._unfollowed.append(_Change(G, B, K))
-        # one array for all products: new ones of this size would be fetched from the system each time
-        self.covariance -= np.matmul(GK, G.T, out=self._product)
-        half = np.matmul(G, B.T, out=self._product)
-        self._CWC -= half
-        self._CWC -= half.T
+        self._apart[:, self._columns : self._columns + 3] = G.T, GK.T, B.T
+        self._columns += 3

@@ -11,7 +11,7 @@ import numpy as np
 
 from cellapp.estimation.discovery.describe import describe
 from cellapp.estimation.discovery.held_out import HeldOut
-from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
+from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, identification_without
 from cellapp.estimation.discovery.movement import term_movements
 from cellapp.estimation.discovery.pictures.cycles import dominant_cycles
 from cellapp.estimation.discovery.records import (
@@ -47,7 +47,8 @@ def accepted_effects(
         described = describe(found.data, fit, number) if term.slug == UNKNOWN else None
         if described is not None:
             term = replace(term, note=described.sentence)
-        without = fit_terms(found.data, without_term(fit.terms, number)).model
+        near = identification_without(fit, number)
+        without = fit_terms(found.data, without_term(fit.terms, number), near).model
         evidence = Evidence(
             statistic=review.score,
             corrected_p=review.p_value,

@@ -357,8 +357,10 @@ def _without_harm(result: _Searched, held_out: HeldOut) -> _Searched:
 
 def _with_what_was_left_out(sentence: str, result: _Searched) -> str:
     """The sentence of the verdict, with effects that were left out, and with the readings that were left out."""
-    if result.found.improbable:
-        odds = ", ".join(f"{EFFECTS[slug].title} ({p:.0%})" for slug, p in result.found.improbable.items())
+    said = {rival.effect for one in result.found.reviews for rival in one.rivals if not rival.distinguishable}
+    improbable = {slug: p for slug, p in result.found.improbable.items() if slug not in said}
+    if improbable:
+        odds = ", ".join(f"{EFFECTS[slug].title} ({p:.0%})" for slug, p in improbable.items())
         sentence = f"{sentence}; more probably not there than there, and left out: {odds}"
     if result.harmful:
         sentence = (

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.arm_identification import excess_of
 from cellapp.estimation.calibration.identification import Identification, identify
+from cellapp.estimation.calibration.linear import solve_psd
 from cellapp.estimation.calibration.normal_equations import EffectColumns
 from cellapp.estimation.calibration.socket_identification import OF_THE_TRACKER
 from cellapp.estimation.calibration.weights import with_excess
@@ -233,9 +234,9 @@ def _log_occam(rows: Array, precision: Array, flat: NuisanceProjector) -> float:
     return 2.0 * float(np.sum(np.log(np.diag(np.linalg.cholesky(gram)))))
 
 
-def fit_terms(data: ArmData, terms: ModelTerms) -> JointFit:
-    """Fit geometry and terms to all readings and linearise there."""
-    found, columns = _identify(data, terms)
+def fit_terms(data: ArmData, terms: ModelTerms, near: Identification | None = None) -> JointFit:
+    """Fit geometry and terms to all readings and linearise there; from ``near``, if a fit of these terms is known."""
+    found, columns = _identify(data, terms, near)
     points = 0 if data.points is None else len(data.points)
     layout = TermLayout.of(len(found.parameter_set.columns) + points, [term.size for term in terms])
     white = whitening(data.sigma)
@@ -305,12 +306,12 @@ def mean_variance(sigma: Array) -> float:
 
 def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
     """Fit terms with weights of their own; effects are evaluated at the geometry that this finds, or very near it."""
-    here = reweighted(data, terms)
-    fit = fit_terms(here, terms)
+    here, near = _reweighted(data, terms)
+    fit = fit_terms(here, terms, near)
     if sum(fit.identification.steps) <= _SAME_COLUMNS:
         return here.beginning_at(fit.model), fit
     here = here.at(fit.model)
-    return here, fit_terms(here, terms)
+    return here, fit_terms(here, terms, fit.identification)
 
 
 def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
@@ -319,24 +320,29 @@ def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
     The estimate begins from the weights of the data. Where no uncertainty is stated, all of the scatter is estimated.
     With smooth terms the scatter is the one that maximised their evidence.
     """
-    smooth = smoothness_of(terms)
+    return _reweighted(data, terms)[0]
+
+
+def _reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identification | None]:
+    """``reweighted``, and the last fit that it made."""
+    smooth, found = smoothness_of(terms), None
     if smooth is not None:
-        return replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter))
+        return replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter)), None
     if data.stated is None:
         for _ in range(_WEIGHING_ROUNDS):
-            found, _ = _identify(data, terms)
+            found, _ = _identify(data, terms, found)
             data = replace(data, sigma=data.sigma * found.scale)
             if abs(found.scale - 1.0) <= _EXCESS_CHANGE:
                 break
-        return data
-    sigma, excess = data.stated if data.turned is None else data.sigma, (-1.0, -1.0)
+        return data, found
+    sigma, excess = data.sigma, (-1.0, -1.0)
     for _ in range(_WEIGHING_ROUNDS):
-        found, _ = _identify(replace(data, sigma=sigma), terms)
+        found, _ = _identify(replace(data, sigma=sigma), terms, found)
         before, excess = excess, excess_of(found, data.stated)
         sigma = with_excess(data.stated, excess[0], data.turned, excess[1])
         if all(abs(now - then) <= _EXCESS_CHANGE * now for now, then in zip(excess, before, strict=True)):
             break
-    return replace(data, sigma=sigma)
+    return replace(data, sigma=sigma), found
 
 
 def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
@@ -346,14 +352,20 @@ def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
     return with_excess(data.stated, scatter.m**2, data.turned, scatter.rad**2)
 
 
-def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[EffectColumn, ...]]:
-    """Joint identification of geometry and terms, with effect parameters in the order of the terms' columns."""
+def _identify(
+    data: ArmData, terms: ModelTerms, near: Identification | None = None
+) -> tuple[Identification, tuple[EffectColumn, ...]]:
+    """Joint identification of geometry and terms, with effect parameters in the order of the terms' columns.
+
+    ``near`` is one of the same terms, from whose values it begins.
+    """
     columns = data.term_columns(terms)
     order = np.argsort([column.joint is None for column in columns], kind="stable").astype(np.intp)
     settings = data.profile.calibration
-    effects = _effect_columns(data, terms, columns, order) if columns else None
+    start = _start_values(data, terms, columns) if near is None else near.effect_values[: len(columns)]
+    effects = _effect_columns(columns, order, start, len(data)) if columns else None
     found = identify(
-        data.model.geometry,
+        data.model.geometry if near is None else near.geometry,
         data.readings.q,
         data.readings.p_M,
         R_M_S=data.conditions.R_M_S,
@@ -369,13 +381,11 @@ def _identify(data: ArmData, terms: ModelTerms) -> tuple[Identification, tuple[E
     return _reordered(found, np.argsort(order)), columns
 
 
-def _effect_columns(
-    data: ArmData, terms: ModelTerms, columns: Sequence[EffectColumn], order: NDArray[np.intp]
-) -> EffectColumns:
-    """Columns as the identification takes them: joint offsets first."""
+def _effect_columns(columns: Sequence[EffectColumn], order: NDArray[np.intp], start: Array, n: int) -> EffectColumns:
+    """Columns at n readings as the identification takes them, joint offsets first, from values ``start`` (m,)."""
     of_joints = [columns[place] for place in order if columns[place].joint is not None]
     of_smr = [columns[place] for place in order if columns[place].joint is None]
-    sd, n = prior_sd(columns), len(data)
+    sd = prior_sd(columns)
     return EffectColumns(
         names=tuple(columns[place].name for place in order),
         units=tuple(columns[place].unit for place in order),
@@ -383,7 +393,22 @@ def _effect_columns(
         offsets=np.array([column.offset for column in of_joints]).reshape(-1, n),
         shifts_M=np.array([column.shift_M for column in of_smr]).reshape(-1, n, 3).swapaxes(1, 2),
         prior_sd=None if sd is None else sd[order],
-        start=_start_values(data, terms, columns)[order],
+        start=start[order],
+    )
+
+
+def identification_without(fit: JointFit, term: int) -> Identification:
+    """Where a fit without one term begins: the other values given that its are zero, by their covariance."""
+    found, own = fit.identification, fit.layout.parameters(term)
+    values = np.concatenate([found.values[: fit.layout.geometric], found.effect_values])
+    of_term = solve_psd(found.covariance[own, own], values[own])
+    values = values - found.covariance[:, own] @ of_term
+    columns = list(found.estimated.columns)
+    vector = found.geometry.vector()
+    vector[columns] = values[: len(columns)]
+    kept = np.delete(np.arange(len(values)), own)
+    return replace(
+        found, geometry=found.geometry.with_vector(vector), effect_values=values[kept][fit.layout.geometric :]
     )
 
 

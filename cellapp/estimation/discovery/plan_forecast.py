@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.linear import covariance_with_priors
@@ -64,11 +65,14 @@ class PlannedReadings:
         Times from the first motion, and at rest before each measurement [s].
     step : mapping, optional
         Arm -> last motion of each joint with its sign (n, N) [rad]; None: straight from stop to stop, from home.
+    load : array, shape (n,), int, optional
+        Load of the plan that the arms carry; None: the first.
     """
 
     time_s: Array
     dwell_s: Array
     step: Mapping[str, Array] | None = None
+    load: NDArray[np.intp] | None = None
 
 
 def expected_readings(
@@ -91,6 +95,10 @@ def expected_readings(
         covariance = tracker_covariance(profile.tracker, p_M)
         noise = np.einsum("nab,nb->na", np.linalg.cholesky(covariance), rng.standard_normal(p_M.shape))
         straight = np.diff(q, axis=0, prepend=np.array(arm.home)[None])
+        carried = [
+            arm.payload_at(load)
+            for load in (np.zeros(len(q), dtype=np.intp) if expected.load is None else expected.load).tolist()
+        ]
         step = straight if expected.step is None else expected.step[name]
         readings[name] = Readings(
             configuration=np.arange(len(q)),
@@ -98,7 +106,8 @@ def expected_readings(
             q=q,
             approach=np.sign(step).astype(np.int8),
             p_M=p_M + noise,
-            payload_kg=np.full(len(q), arm.payload.mass),
+            payload_kg=np.array([one.mass for one in carried]),
+            payload_center_F=np.array([one.center_of_mass for one in carried]),
             step=step,
             dwell_s=expected.dwell_s,
             covariance_M=covariance,

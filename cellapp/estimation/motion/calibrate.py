@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from cellapp.estimation.calibration.records import (
     TriggerResult,
 )
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion
+from cellapp.estimation.motion.joint_path import JointPath
 from cellapp.estimation.motion.learning import train_arm_in_motion
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.records import ClockFit, MotionFit, RecordingFit
@@ -153,9 +154,10 @@ def calibrate_arm_with_motion(
     )
 
 
-def samples_of(fit: MotionFit, joints: int, lag_s: Array | None = None) -> Readings:
+def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array], Array] | None = None) -> Readings:
     """Some points of all recordings with the joint positions at their times, as readings: of what was learnt from, and
-    of the held-out blocks. Joint positions are those without their lags ``lag_s`` (N,) [s]."""
+    of the held-out blocks. ``at_rest`` gives the joint positions (n, N) at which an arm at rest has the points of times
+    (n,) of a path; without it, those of the path."""
     parts = []
     for one in fit.recordings.values():
         share = _SAMPLES // len(fit.recordings) + 1
@@ -165,12 +167,12 @@ def samples_of(fit: MotionFit, joints: int, lag_s: Array | None = None) -> Readi
             parts.append((word, one, rows))
     n = sum(len(rows) for *_, rows in parts)
     times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
-    moved = [path.at(time_s) for path, time_s in times]
+    q = [path.at(time_s)[0] if at_rest is None else at_rest(path, time_s) for path, time_s in times]
     sides = [path.direction_at(time_s) for path, time_s in times]
     return Readings(
         configuration=np.arange(n),
         time_s=np.concatenate([one.track.time_s[rows] for _, one, rows in parts]),
-        q=np.concatenate([q if lag_s is None else q - lag_s * qd for q, qd in moved]).reshape(n, joints),
+        q=np.concatenate(q).reshape(n, joints),
         approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8).reshape(n, joints),
         p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
         sigma_m=_stated_of(parts),

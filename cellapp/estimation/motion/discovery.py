@@ -27,8 +27,9 @@ from cellapp.estimation.discovery.records import (
     Place,
 )
 from cellapp.estimation.motion.calibrate import each_recorded, recorded_arm, samples_of
-from cellapp.estimation.motion.effects import MotionDiscovery, MotionEffect, effects_in_motion
+from cellapp.estimation.motion.effects import MotionDiscovery, effects_in_motion
 from cellapp.estimation.motion.loops import Loop
+from cellapp.estimation.motion.steps import MotionEffect
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law
 from cellapp.estimation.readings import Readings
@@ -38,7 +39,13 @@ from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import ArmModel
 
-LAG_TITLE = "delay of a joint behind the others"
+TITLES = {
+    Law.LAG.value: "delay of a joint behind the others",
+    Law.TIME_CONSTANT.value: "first-order lag of a joint behind its encoder",
+    Law.INERTIA.value: "twist of a joint under its own acceleration",
+    Law.VIBRATION.value: "vibration of a joint after changes of acceleration",
+}
+"""Of effects that are none at rest."""
 
 
 def with_motion(
@@ -70,7 +77,7 @@ def with_motion(
         held_out = HeldOut.of(readings[name], conditions[name])
         if not len(stops[name].in_split("validate")):  # samples stand for poses at rest: without what only motion has
             joints = readings[name].joints
-            samples = samples_of(motion.fit, joints, motion.lags_s(joints))
+            samples = samples_of(motion.fit, joints, motion.joints_at_rest)
             held_out = HeldOut.of(samples, measurement_conditions(samples))
         seconds = time.perf_counter() - started
         arms[name] = _with_effects(name, found.arms[name], calibrated[name], motion, held_out, seconds)
@@ -154,7 +161,7 @@ def _before_after(effect: MotionEffect) -> BeforeAfter:
 def _result(effect: MotionEffect) -> MotionEffectResult:
     return MotionEffectResult(
         effect=effect.slug,
-        title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else LAG_TITLE,
+        title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else TITLES[effect.slug],
         joints=effect.joints,
         parameters={
             name: Estimate(value=value, standard_error=error, unit=unit)

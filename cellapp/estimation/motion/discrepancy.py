@@ -10,7 +10,9 @@ with the fit's columns X and parameters b; laws Z of joints that the fit does no
 compliance where masses are known), u_g ~ N(0, s_g) for each law; functions B of posture, orthonormal along the path,
 a_k ~ N(0, s S_k^2 + s_0) with the singular values S_k of a table of functions, smooth ones first; and noise n in bands
 of frequency, orthogonal to B. The variances are those of restricted maximum likelihood (Patterson, Thompson, Biometrika
-58 (1971) 545) under wide priors of their logarithms, as one run tells little of what its geometry has absorbed.
+58 (1971) 545) under wide priors of their logarithms, as one run tells little of what its geometry has absorbed. It
+may be that nothing lacks: s_g and s are zero then, and the evidence of both (Laplace) tells how probable each is; the
+variances are the means over both.
 
 The clocks are the generalised least squares estimate under this covariance. The arm stays the least squares estimate,
 which predicts best; its covariance is that under the same residuals ("sandwich").
@@ -26,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize
+from scipy.special import expit
 
 from cellapp.estimation.calibration.linear import solve_psd
 from cellapp.estimation.motion.fit import Problem, Solution
@@ -44,6 +47,12 @@ _MOST_ROWS = 8000
 _SAME = 1e-4
 """Singular value, over the largest, below which functions of posture are the same along a path."""
 _MOST_TRIED = 400
+_LOG_STEP = 0.2
+"""Step of the logarithm of a variance by which the curvature of the likelihood is found."""
+_USUALLY = 0.9
+"""Probability that a model lacks something, before its residuals are seen: most arms have an effect or two."""
+_NOTHING = 1e8
+"""Precision of a law that the arm does not have, in the inverse square of the standard deviation of its term."""
 _FEWEST_FREE = 4.0
 """Least degrees of freedom of the variances of what lacks."""
 
@@ -183,34 +192,70 @@ def _rest(X: Array, r: Array, basis: Array, *, in_time: bool) -> Bands:
     return replace(bands, count=np.maximum(bands.count - 3.0 * taken.gram.trace(axis1=1, axis2=2), 1.0))
 
 
-def _missing(seen: _Seen, level: tuple[float, ...], precision: Array, towards_prior: Array) -> _Missing:
-    """Sizes of what lacks by restricted maximum likelihood."""
-    both = np.column_stack([seen.X, seen.r])
-    rest = seen.normal(level)
-    laws, pull = np.flatnonzero(seen.laws), np.zeros(seen.X.shape[1])
-    pull[~seen.laws] = towards_prior
-    noise = math.log(float(np.mean(level)))
-    centre = np.concatenate([[noise, noise], np.full(seen.law.max(initial=-1) + 1, 2.0 * math.log(_USUAL))])
+@dataclass(frozen=True, eq=False)
+class _Likelihood:
+    """Restricted likelihood of what lacks: products of columns and residuals in the functions of posture and of the
+    rest, the priors of the fit, and the centre of the prior of the logarithms of all variances."""
 
-    def sizes(logs: Array) -> _Missing:
-        variance = np.exp(logs[0]) * seen.size**2 + np.exp(logs[1])
-        return _Missing(variance, np.exp(-logs[2:][seen.law]) / seen.sd**2)
+    seen: _Seen
+    both: Array
+    rest: Array
+    own: Array
+    pull: Array
+    centre: Array
 
-    def cost(logs: Array) -> float:
-        found = sizes(logs)
-        normal = rest + (both / found.variance[:, None]).T @ both
-        own = np.zeros(len(pull))
-        own[~seen.laws], own[laws] = precision, found.precision
+    @classmethod
+    def of(cls, seen: _Seen, level: tuple[float, ...], precision: Array, towards_prior: Array) -> _Likelihood:
+        own, pull = np.zeros(len(seen.laws)), np.zeros(len(seen.laws))
+        own[~seen.laws], pull[~seen.laws] = precision, towards_prior
+        noise = math.log(float(np.mean(level)))
+        usual = np.full(seen.law.max(initial=-1) + 1, 2.0 * math.log(_USUAL))
+        return cls(
+            seen, np.column_stack([seen.X, seen.r]), seen.normal(level), own, pull, np.array([noise, noise, *usual])
+        )
+
+    def sizes(self, logs: Array) -> _Missing:
+        """Sizes by the logarithms of the variances: of smooth functions, of all functions, of each law; without the
+        last ones nothing lacks."""
+        smooth = math.exp(logs[1]) * self.seen.size**2 if len(logs) > 1 else 0.0
+        laws = np.exp(-logs[2:][self.seen.law]) if len(logs) > 1 else np.full(len(self.seen.sd), _NOTHING)
+        return _Missing(smooth + np.full(len(self.seen.r), math.exp(logs[0])), laws / self.seen.sd**2)
+
+    def cost(self, logs: Array) -> float:
+        """Minus the logarithm of likelihood and prior."""
+        found, own = self.sizes(logs), self.own.copy()
+        normal = self.rest + (self.both / found.variance[:, None]).T @ self.both
+        own[self.seen.laws] = found.precision
         unit = 1.0 / np.sqrt(np.diag(normal)[:-1] + own + 1e-300)
         H = normal[:-1, :-1] * unit * unit[:, None] + np.diag(own * unit**2 + 1e-11)
         L = np.linalg.cholesky(H)
-        y = solve_triangular(L, unit * (normal[:-1, -1] + pull), lower=True)
+        y = solve_triangular(L, unit * (normal[:-1, -1] + self.pull), lower=True)
         logarithms = np.log(found.variance).sum() - np.log(found.precision).sum()
         logarithms += 2.0 * (np.log(np.diag(L)).sum() - np.log(unit).sum())
-        return float(logarithms + normal[-1, -1] - y @ y + np.sum((logs - centre) ** 2) / _LOG_SD**2) / 2.0
+        by_prior = np.sum((logs - self.centre[: len(logs)]) ** 2) / _LOG_SD**2
+        return float(logarithms + normal[-1, -1] - y @ y + by_prior) / 2.0
 
-    best = minimize(cost, centre, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.05, "maxfev": _MOST_TRIED})
-    return sizes(best.x)
+    def best(self, count: int) -> tuple[Array, float]:
+        """The most probable logarithms of the first ``count`` variances, and the logarithm of the evidence (Laplace),
+        less what all counts have in common."""
+        options = {"xatol": 0.05, "fatol": 0.05, "maxfev": _MOST_TRIED}
+        found = minimize(self.cost, self.centre[:count], method="Nelder-Mead", options=options)
+        bent = [
+            (self.cost(found.x + step) + self.cost(found.x - step) - 2.0 * found.fun) / _LOG_STEP**2
+            for step in _LOG_STEP * np.eye(count)
+        ]
+        narrower = np.log(np.maximum(bent, 1.0 / _LOG_SD**2) * _LOG_SD**2)
+        return found.x, -float(found.fun) - 0.5 * float(narrower.sum())
+
+
+def _missing(seen: _Seen, level: tuple[float, ...], precision: Array, towards_prior: Array) -> _Missing:
+    """Sizes of what lacks by restricted maximum likelihood, times the probability that anything does."""
+    likelihood = _Likelihood.of(seen, level, precision, towards_prior)
+    (nothing, alone), (some, beside) = (likelihood.best(count) for count in (1, len(likelihood.centre)))
+    share = float(expit(beside - alone + math.log(_USUALLY / (1.0 - _USUALLY))))
+    without, lacking = likelihood.sizes(nothing), likelihood.sizes(some)
+    variance = share * lacking.variance + (1.0 - share) * without.variance
+    return _Missing(variance, 1.0 / (share / lacking.precision + (1.0 - share) / without.precision))
 
 
 def _as_fitted(seen: _Seen, missing: _Missing) -> Modelled:

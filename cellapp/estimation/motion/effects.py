@@ -10,7 +10,8 @@ residuals without a large effect hold that effect, and a filter of them takes it
 the number of alternatives. Held-out errors are those of fits without a filter.
 
 The mean lag of the joints is the same as an offset between the clocks: lags are stated against their mean, which the
-offset takes up.
+offset takes up. Joints that accelerations turn the way that no spring does lag by a time constant. Vibration is looked
+for when no other law is left (``shaped``).
 """
 
 from __future__ import annotations
@@ -24,14 +25,33 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri
 
 from cellapp.estimation.motion.discrepancy import allow_for_missing
-from cellapp.estimation.motion.fit import Problem, Solution, solve
+from cellapp.estimation.motion.fit import Problem, solve
 from cellapp.estimation.motion.identify import RecordedArm, held_out_rms_mm, motion_fit, motion_problem
+from cellapp.estimation.motion.joint_path import JointPath
 from cellapp.estimation.motion.lines import line_powers
 from cellapp.estimation.motion.loops import Loop, loops
 from cellapp.estimation.motion.noise import whitening_filter
 from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.records import MotionFit
-from cellapp.estimation.motion.terms import JointTerm, Law, terms_of
+from cellapp.estimation.motion.shaped import FREQUENCIES, lagging_joints, reshaped, settled, strongest_vibration
+from cellapp.estimation.motion.steps import (
+    AT_REST,
+    SHOWN,
+    MotionEffect,
+    State,
+    Step,
+    effect_of,
+    has,
+    places_of,
+    shown,
+    started,
+    statistic_of,
+    terms_of,
+    tested,
+    values_of,
+    with_values,
+)
+from cellapp.estimation.motion.terms import JointTerm, Law, of_all_joints, state_in_motion
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw, motion_laws
 from cellapp.robot.kinematics.transforms import Array
@@ -43,66 +63,10 @@ _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE)
 """Laws that a filter for slow noise takes away while the residuals hold them: they are tested without it, too."""
+_SHAPED_ROUNDS = 8
+_AS_WELL = 1.01
+"""Ratio of held-out errors up to which the simpler of two models says as much."""
 _COUNT_ROUNDS = 3
-SHOWN = 3.5
-"""Standard errors from which a joint is named as having an effect that was found."""
-_AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.COMPLIANCE: "linear"}
-"""Forms of the effects' laws that say the same of stops; a lag has none."""
-DENSE = 20
-"""Cycles a turn from which lines are too dense for the few hundred stops of a plan."""
-
-
-@dataclass(frozen=True)
-class MotionEffect:
-    """An effect that recordings show.
-
-    Attributes
-    ----------
-    slug : str
-        Of the effect; ``tracking_lag`` for the delay of a joint behind the others.
-    names, units : tuple of str
-    values, standard_errors : array
-        Parameters of the joints that show it.
-    joints : tuple of int
-        Joints that show it, from 1.
-    statistic : float
-        Chi-square of the parameters.
-    p_value : float
-        Corrected for the alternatives.
-    heldout_before_mm, heldout_after_mm : float
-        Rms distance of held-out points before and after it entered.
-    only_motion : str
-        Why stops cannot show it; empty where they can.
-    at_rest : bool
-        Whether it belongs into commands of poses at rest.
-    """
-
-    slug: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array = field(repr=False)
-    standard_errors: Array = field(repr=False)
-    joints: tuple[int, ...]
-    statistic: float
-    p_value: float
-    heldout_before_mm: float
-    heldout_after_mm: float
-    only_motion: str
-    at_rest: bool
-
-    def term(self) -> EffectTerm:
-        """The same as a term of an arm model.
-
-        Raises
-        ------
-        ValueError
-            If it does not act at rest.
-        """
-        if not self.at_rest:
-            raise ValueError(f"{self.slug} acts in motion only")
-        form = _AT_REST[Law(self.slug)]
-        law = EFFECTS[self.slug].law(form)
-        return EffectTerm(self.slug, self.names, self.values, self.standard_errors, self.units, law)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +74,7 @@ class MotionDiscovery:
     """The fit with all effects that were found, in the order in which they entered, and the errors without any.
 
     ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``; ``loops`` are those of
-    the joints that show lost motion.
+    the joints that show lost motion; ``moving`` are terms that serve no command at rest, with their values.
     """
 
     fit: MotionFit
@@ -119,14 +83,13 @@ class MotionDiscovery:
     heldout_after_mm: float
     covariance: Array = field(repr=False)
     loops: tuple[Loop, ...] = ()
+    moving: tuple[tuple[JointTerm, float], ...] = ()
 
-    def lags_s(self, joints: int) -> Array:
-        """Lag of each joint (N,) behind the mean of all [s]; zero where none shows."""
-        found = np.zeros(joints)
-        for effect in self.effects:
-            if effect.slug == Law.LAG.value:
-                found[[joint - 1 for joint in effect.joints]] = effect.values
-        return found
+    def joints_at_rest(self, path: JointPath, time_s: Array) -> Array:
+        """Joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]."""
+        terms, values = tuple(term for term, _ in self.moving), np.array([value for _, value in self.moving])
+        state = state_in_motion(path, time_s, None, torques=False)
+        return state.q + state.offsets(terms, values)
 
     @property
     def terms(self) -> tuple[EffectTerm, ...]:
@@ -136,29 +99,7 @@ class MotionDiscovery:
 
 def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
     """Search recordings of one arm for effects of its joints; as ``identify_from_motion``, which raises the same."""
-    own = tuple(motion_laws(EFFECTS.values()))
-    return _Search(*motion_problem(arm, told), told, own).run()
-
-
-@dataclass(frozen=True)
-class _Step:
-    """What entered: its terms, its statistic, and held-out errors before and after."""
-
-    law: Law | MotionLaw
-    terms: tuple[JointTerm, ...]
-    statistic: float
-    p_value: float
-    before_mm: float
-    after_mm: float
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """Problem with the terms so far, its solution, and the held-out error."""
-
-    problem: Problem
-    solution: Solution
-    heldout_mm: float
+    return _Search(*motion_problem(arm, told), told, tuple(motion_laws(EFFECTS.values()))).run()
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +108,7 @@ class _Search:
     stop_rows: NDArray[np.intp]
     told: Told
     own: tuple[MotionLaw, ...] = ()
-    """Laws of speeds that plug-ins add."""
+    """Laws of speeds of plug-ins."""
 
     @property
     def alternatives(self) -> int:
@@ -178,38 +119,44 @@ class _Search:
         """Laws of all joints and lines, until none is left that chance does not explain."""
         state = self._state(self.problem.without_terms(), None)
         state = _whitened(state)
-        first_mm, steps = state.heldout_mm, list[_Step]()
-        loads = (Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ()
-        own = (law for law in self.own if self.problem.masses is not None or not law.needs_torques)
-        laws: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, *loads, *own]
+        first_mm, steps = state.heldout_mm, list[Step]()
+        loaded = (Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ()
+        own = [law for law in self.own if loaded or not law.needs_torques]
+        laws: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, Law.INERTIA, *loaded, *own]
         while True:
-            found = self._law(state, [law for law in laws if not _has(steps, law)]) or self._lines(state, steps)
+            left = [law for law in laws if not has(steps, law)]
+            found = self._law(state, left) or self._lines(state, steps) or self._vibration(state, steps)
             if found is None:
                 break
             state, step = found
             steps.append(step)
-        state, steps = self._with_exact_counts(state, steps)
+            if step.law is Law.INERTIA:
+                state, steps = self._with_time_constants(state, steps)
+        state, steps = self._with_exact_counts(*self._with_one_lag(state, steps))
         state, steps = self._without_chance(state, steps)
-        final = self._unwhitened(state, self._plain(state))
+        final, steps = self._settled(self._unwhitened(state, self._plain(state)), steps)
         # with lags an offset is known by its sum with their mean only, and is left as it is
-        freed = final.solution if _has(steps, Law.LAG) else allow_for_missing(final.problem, final.solution)
+        late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
+        freed = final.solution if late else allow_for_missing(final.problem, final.solution)
         fit = motion_fit(final.problem, freed)
-        effects = tuple(_effect(final, law, steps) for law in dict.fromkeys(step.law for step in steps))
-        laws_at_rest = [law for law in dict.fromkeys(step.law for step in steps) if law in _AT_REST]
-        at_rest = [term for law in laws_at_rest for term in _shown(final, law, steps)]
-        places = [*range(final.problem.layout.geometric), *_places(final, at_rest)]
+        effects = tuple(effect_of(final, law, steps) for law in dict.fromkeys(step.law for step in steps))
+        laws_at_rest = [law for law in dict.fromkeys(step.law for step in steps) if law in AT_REST]
+        at_rest = [term for law in laws_at_rest for term in shown(final, law, steps)]
+        places = [*range(final.problem.layout.geometric), *places_of(final, at_rest)]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
         lost = {joint for one in effects if one.slug in (Law.PLAY.value, Law.WINDUP.value) for joint in one.joints}
         drawn = loops(final.problem, final.solution, sorted(lost))
-        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, drawn)
+        moving = [law for law in dict.fromkeys(step.law for step in steps) if law not in AT_REST]
+        aside = tuple(pair for law in moving for pair in with_values(final, shown(final, law, steps)))
+        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, drawn, aside)
 
-    def _with_exact_counts(self, state: _State, steps: list[_Step]) -> tuple[_State, list[_Step]]:
+    def _with_exact_counts(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """Lines at the counts that are best beside all other terms: the first ones entered before these were known.
 
         Lines of one joint that are not apart over the turns that it made are joined to the stronger one.
         """
         for _ in range(_COUNT_ROUNDS):
-            lines = _terms(Law.LINE, steps)[::2]
+            lines = terms_of(Law.LINE, steps)[::2]
             better: dict[tuple[int, int], int | None] = {}
             for term in lines:
                 if (term.joint, term.cycles) in better:
@@ -217,7 +164,7 @@ class _Search:
                 self.told(f"cycles of lines of joint {term.joint + 1}")
                 near = _near(state, term, lines)
                 values = state.solution.values.copy()
-                values[_places(state, [t for line in near for t in _pair(line.joint, line.cycles)])] = 0.0
+                values[places_of(state, [t for line in near for t in _pair(line.joint, line.cycles)])] = 0.0
                 power = line_powers(state.problem, replace(state.solution, values=values))[0][term.joint]
                 reach = np.abs(np.arange(len(power)) - term.cycles) <= _reach(state, term)
                 count = int(np.argmax(np.where(reach & (np.arange(len(power)) > 1), power, 0.0)))
@@ -230,18 +177,86 @@ class _Search:
             state = self._refitted(state, steps)
         return state, steps
 
-    def _without_chance(self, state: _State, steps: list[_Step]) -> tuple[_State, list[_Step]]:
+    def _with_time_constants(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+        """Joints that accelerations turn the way that no spring does lag by a time constant, if that fits better."""
+        step = steps[-1]
+        values, covariance = values_of(state, step.terms)
+        late = lagging_joints(step.terms, values, np.sqrt(np.diag(covariance)), SHOWN)
+        if not late:
+            return state, steps
+        other = {term.joint for term in late}
+        kept = replace(step, terms=tuple(term for term in step.terms if term.joint not in other))
+        beside = [*steps[:-1], *([kept] if kept.terms else []), replace(step, law=Law.TIME_CONSTANT, terms=late)]
+        trial, beside = self._settled(self._refitted(state, beside), beside)
+        if trial.heldout_mm > step.before_mm:
+            return state, steps
+        return self._with_one_lag(trial, beside)
+
+    def _with_one_lag(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+        """All joints lag by time constants, without further delays, and only those that vibrate twist under their
+        acceleration, if that says as much: the simpler of two explanations."""
+        late = terms_of(Law.TIME_CONSTANT, steps)
+        if not late:
+            return state, steps
+        usual, own = float(np.median([term.shape[0] for term in late])), {term.joint: term for term in late}
+        joints = range(state.problem.layout.parameters.joints)
+        everywhere = tuple(own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in joints)
+        springs = {term.joint for term in terms_of(Law.VIBRATION, steps)}
+        twisted = tuple(JointTerm(Law.INERTIA, joint) for joint in sorted(springs))
+        terms: dict[Law | MotionLaw, tuple[JointTerm, ...]]
+        terms = {Law.LAG: (), Law.INERTIA: twisted, Law.TIME_CONSTANT: everywhere}
+        simple = [replace(step, terms=terms.get(step.law, step.terms)) for step in steps]
+        simple = [step for step in simple if step.terms]
+        trial, simple = self._settled(self._refitted(state, simple), simple)
+        return (trial, simple) if trial.heldout_mm < _AS_WELL * state.heldout_mm else (state, steps)
+
+    def _vibration(self, state: State, steps: list[Step]) -> tuple[State, Step] | None:
+        """The vibration of a joint that is least likely to be chance."""
+        taken = {term.joint for term in terms_of(Law.VIBRATION, steps)}
+        power, terms = strongest_vibration(state.problem, state.solution, sorted(taken))
+        tried = len(FREQUENCIES) * state.problem.layout.parameters.joints
+        if len(taken) == state.problem.layout.parameters.joints or power < math.log(tried / _CHANCE):
+            return None
+        self.told(f"vibration of joint {terms[0].joint + 1}")
+        step = Step(Law.VIBRATION, terms, 0.0, 1.0, state.heldout_mm, math.nan)
+        trial, (step,) = self._settled(self._extended(state, terms), [step])
+        statistic = statistic_of(trial, step.terms)
+        p_value = min(1.0, float(chdtrc(1, statistic)) * tried)
+        if p_value > _CHANCE or not shown(trial, Law.VIBRATION, [step]):
+            return None
+        trial = self._judged(trial)
+        if trial.heldout_mm >= state.heldout_mm:
+            return None
+        return trial, replace(step, statistic=statistic, p_value=p_value, after_mm=trial.heldout_mm)
+
+    def _settled(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+        """The same with the shapes of ``steps`` where the fit leaves them."""
+        for _ in range(_SHAPED_ROUNDS):
+            before = [step.terms for step in steps]
+            after = [reshaped(terms, values_of(state, terms)[0].tolist()) for terms in before]
+            if all(settled(new, old) for new, old in zip(after, before)):
+                break
+            steps = [replace(step, terms=terms) for step, terms in zip(steps, after)]
+            renamed = {old: new for step, terms in zip(steps, before) for old, new in zip(terms, step.terms)}
+            terms = tuple(renamed.get(term, term) for term in state.problem.layout.terms)
+            self.told("shapes of laws")
+            state = self._state(state.problem.with_shapes(terms), started(state, terms))
+        return state, steps
+
+    def _without_chance(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """Without laws that entered early and that chance explains beside all others."""
         for step in list(steps):
             if step.law is Law.LINE:
                 continue
-            p_value = min(1.0, float(chdtrc(len(step.terms), _statistic(state, step.terms))) * self.alternatives)
-            if p_value > _CHANCE or not _shown(state, step.law, steps):
+            p_value = min(
+                1.0, float(chdtrc(len(tested(step.terms)), statistic_of(state, step.terms))) * self.alternatives
+            )
+            if p_value > _CHANCE or not shown(state, step.law, steps):
                 steps = [one for one in steps if one is not step]
                 state = self._refitted(state, steps)
         return state, steps
 
-    def _refitted(self, state: _State, steps: Sequence[_Step]) -> _State:
+    def _refitted(self, state: State, steps: Sequence[Step]) -> State:
         """The same with the terms of ``steps``, in the same order; new terms begin at zero."""
         layout, terms = state.problem.layout, tuple(term for step in steps for term in step.terms)
         problem = state.problem.without_terms().with_terms(terms)
@@ -249,17 +264,17 @@ class _Search:
             np.delete(state.solution.values, np.arange(layout.geometric, layout.arm)),
             layout.geometric,
             [
-                float(state.solution.values[_places(state, [term])[0]]) if term in layout.terms else 0.0
+                float(state.solution.values[places_of(state, [term])[0]]) if term in layout.terms else term.start
                 for term in terms
             ],
         )
         return self._state(problem, values)
 
-    def _plain(self, state: _State) -> _State:
+    def _plain(self, state: State) -> State:
         """All points as they are."""
         return self._state(replace(state.problem, whitening=None), state.solution.values)
 
-    def _unwhitened(self, state: _State, plain: _State) -> _State:
+    def _unwhitened(self, state: State, plain: State) -> State:
         """All points as they are, for predictions; lines and play, which are fast, stay as the whitened residuals
         determine them, where these tell more of them than ``plain`` ones."""
         problem, solution, size = plain.problem, state.solution, state.problem.layout.geometric
@@ -273,43 +288,43 @@ class _Search:
             return plain
         return self._state(replace(problem, mean=mean, precision=precision), solution.values)
 
-    def _judged(self, trial: _State) -> _State:
+    def _judged(self, trial: State) -> State:
         """The same fitted with filters of what its terms leave, as those of residuals without them hide a part; with
         the held-out error of the arm by all points as they are, as filtered ones tell little of the geometry."""
         plain = self._plain(trial)
         filtered = self._state(_whitened(plain).problem, plain.solution.values)
         return replace(filtered, heldout_mm=self._unwhitened(filtered, plain).heldout_mm)
 
-    def _state(self, problem: Problem, start: Array | None) -> _State:
+    def _state(self, problem: Problem, start: Array | None) -> State:
         laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
         beginning = f"with {', '.join(laws)}: " if laws else ""
         solution = solve(problem, self.stop_rows, start, lambda words: self.told(beginning + words))
-        return _State(problem, solution, held_out_rms_mm(problem, solution))
+        return State(problem, solution, held_out_rms_mm(problem, solution))
 
-    def _extended(self, state: _State, terms: tuple[JointTerm, ...]) -> _State:
+    def _extended(self, state: State, terms: tuple[JointTerm, ...]) -> State:
         at = state.problem.layout.arm
-        start = np.insert(state.solution.values, at, np.zeros(len(terms)))
+        start = np.insert(state.solution.values, at, [term.start for term in terms])
         return self._state(state.problem.with_terms(terms), start)
 
-    def _law(self, state: _State, laws: Sequence[Law | MotionLaw]) -> tuple[_State, _Step] | None:
+    def _law(self, state: State, laws: Sequence[Law | MotionLaw]) -> tuple[State, Step] | None:
         """The law of all joints that is least likely to be chance and lowers the held-out error."""
         tried = []
         for law in laws:
-            terms = terms_of(law, state.problem.layout.parameters.joints)
+            terms = of_all_joints(law, state.problem.layout.parameters.joints)
             trials = [self._extended(state, terms)]
             if law in _OF_POSTURE:
                 trials.append(self._extended(replace(state, problem=replace(state.problem, whitening=None)), terms))
-            statistic, trial = max(((_statistic(one, terms), one) for one in trials), key=lambda each: each[0])
+            statistic, trial = max(((statistic_of(one, terms), one) for one in trials), key=lambda each: each[0])
             p_value = min(1.0, float(chdtrc(len(terms), statistic)) * self.alternatives)
             if p_value < _CHANCE:
-                tried.append((trial, _Step(law, terms, statistic, p_value, state.heldout_mm, math.nan)))
+                tried.append((trial, Step(law, terms, statistic, p_value, state.heldout_mm, math.nan)))
         for trial, step in sorted(tried, key=lambda each: (each[1].p_value, -each[1].statistic)):
             judged = self._judged(trial)
             if judged.heldout_mm < state.heldout_mm:
                 return judged, replace(step, after_mm=judged.heldout_mm)
         return None
 
-    def _lines(self, state: _State, steps: Sequence[_Step]) -> tuple[_State, _Step] | None:
+    def _lines(self, state: State, steps: Sequence[Step]) -> tuple[State, Step] | None:
         """The strongest lines of the residuals, at most one of each joint."""
         taken = [(term.joint, term.cycles) for step in steps for term in step.terms if term.law is Law.LINE]
         if len(taken) >= 2 * _MOST_LINES:
@@ -327,22 +342,22 @@ class _Search:
         if not terms:
             return None
         trial = self._extended(state, terms)
-        tested = {pair: _statistic(trial, terms[2 * n : 2 * n + 2]) for n, pair in enumerate(chosen)}
+        evidence = {pair: statistic_of(trial, terms[2 * n : 2 * n + 2]) for n, pair in enumerate(chosen)}
         limit = float(chdtri(2, _CHANCE / power.size))
-        kept = tuple(term for term in terms if tested[term.joint, term.cycles] > limit)
+        kept = tuple(term for term in terms if evidence[term.joint, term.cycles] > limit)
         if not kept:
             return None
         if len(kept) < len(terms):
             trial = self._extended(state, kept)
-        statistic = _statistic(trial, kept)
+        statistic = statistic_of(trial, kept)
         p_value = min(1.0, float(chdtrc(len(kept), statistic)) * power.size)
         trial = self._judged(trial)
         if trial.heldout_mm >= state.heldout_mm:
             return None
-        return trial, _Step(Law.LINE, kept, statistic, p_value, state.heldout_mm, trial.heldout_mm)
+        return trial, Step(Law.LINE, kept, statistic, p_value, state.heldout_mm, trial.heldout_mm)
 
 
-def _whitened(state: _State) -> _State:
+def _whitened(state: State) -> State:
     """The same state, for steps that weigh every frequency by its noise."""
     model = state.problem.model(state.solution.values)
     filters = tuple(
@@ -356,89 +371,21 @@ def _pair(joint: int, cycles: int) -> tuple[JointTerm, JointTerm]:
     return JointTerm(Law.LINE, joint, cycles, False), JointTerm(Law.LINE, joint, cycles, True)
 
 
-def _reach(state: _State, term: JointTerm) -> float:
+def _reach(state: State, term: JointTerm) -> float:
     """Counts that are not apart from that of a line over the turns that its joint made."""
     q = np.concatenate([track.path.at(track.path.stamps.time_s)[0][:, term.joint] for track in state.problem.tracks])
     return max(1.0, 2.0 * math.pi * _ALIKE_TURNS / max(float(np.ptp(q)), 1e-3))
 
 
-def _near(state: _State, term: JointTerm, lines: Sequence[JointTerm]) -> list[JointTerm]:
+def _near(state: State, term: JointTerm, lines: Sequence[JointTerm]) -> list[JointTerm]:
     reach = _reach(state, term)
     return [line for line in lines if line.joint == term.joint and abs(line.cycles - term.cycles) <= 1.5 * reach]
 
 
-def _recounted(step: _Step, better: Mapping[tuple[int, int], int | None]) -> _Step:
+def _recounted(step: Step, better: Mapping[tuple[int, int], int | None]) -> Step:
     """A step with its lines at other counts; those that are joined to another are gone."""
     if step.law is not Law.LINE:
         return step
     counts = [(term.joint, better[term.joint, term.cycles]) for term in step.terms[::2]]
     terms = [term for joint, count in counts if count is not None for term in _pair(joint, count)]
     return replace(step, terms=tuple(terms))
-
-
-def _has(steps: Sequence[_Step], law: Law | MotionLaw) -> bool:
-    return any(step.law.value == law.value for step in steps)
-
-
-def _terms(law: Law | MotionLaw, steps: Sequence[_Step]) -> tuple[JointTerm, ...]:
-    return tuple(term for step in steps if step.law is law for term in step.terms)
-
-
-def _shown(state: _State, law: Law | MotionLaw, steps: Sequence[_Step]) -> tuple[JointTerm, ...]:
-    """Terms of the joints that show a law."""
-    terms = _terms(law, steps)
-    values, covariance = _values(state, terms)
-    errors = np.sqrt(np.diag(covariance))
-    pairs = zip(terms, np.abs(values) > SHOWN * errors, strict=True)
-    clear = {(term.joint, term.cycles) for term, shows in pairs if shows}
-    return tuple(term for term in terms if (term.joint, term.cycles) in clear)
-
-
-def _places(state: _State, terms: Sequence[JointTerm]) -> list[int]:
-    layout = state.problem.layout
-    return [layout.geometric + layout.terms.index(term) for term in terms]
-
-
-def _values(state: _State, terms: Sequence[JointTerm]) -> tuple[Array, Array]:
-    """Values of some terms and their covariance; lags less their mean."""
-    places = _places(state, terms)
-    values = state.solution.values[places]
-    covariance = state.solution.noise.covariance[np.ix_(places, places)]
-    if terms[0].law is Law.LAG:
-        less_mean = np.eye(len(terms)) - 1.0 / len(terms)
-        values, covariance = less_mean @ values, less_mean @ covariance @ less_mean.T
-    return values, covariance
-
-
-def _statistic(state: _State, terms: Sequence[JointTerm]) -> float:
-    """Chi-square of some terms."""
-    values, covariance = _values(state, terms)
-    return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
-
-
-def _effect(state: _State, law: Law | MotionLaw, steps: Sequence[_Step]) -> MotionEffect:
-    own, terms = [step for step in steps if step.law is law], _shown(state, law, steps)
-    values, covariance = _values(state, _terms(law, steps))
-    places = [_terms(law, steps).index(term) for term in terms]
-    values, errors = values[places], np.sqrt(np.diag(covariance))[places]
-    only = ""
-    if law is Law.LAG:
-        only = "a delay moves nothing at rest"
-    elif isinstance(law, MotionLaw):
-        only = "it depends on speeds, which readings at rest do not have"
-    elif law is Law.LINE and all(term.cycles >= DENSE for term in terms):
-        only = "lines as dense as these are aliased by the few hundred stops of a plan"
-    return MotionEffect(
-        slug=law.value,
-        names=tuple(term.name for term in terms),
-        units=tuple(term.unit for term in terms),
-        values=values,
-        standard_errors=errors,
-        joints=tuple(sorted({term.joint + 1 for term in terms})),
-        statistic=sum(step.statistic for step in own),
-        p_value=min(step.p_value for step in own),
-        heldout_before_mm=own[0].before_mm,
-        heldout_after_mm=own[-1].after_mm,
-        only_motion=only,
-        at_rest=law in _AT_REST,
-    )

@@ -97,9 +97,17 @@ class Problem:
         return replace(
             self,
             layout=layout,
-            mean=np.insert(self.mean, at, np.zeros(len(added))),
+            mean=np.insert(self.mean, at, [term.start * bool(term.part) for term in added]),
             precision=np.insert(self.precision, at, precisions),
         )
+
+    def with_shapes(self, terms: tuple[JointTerm, ...]) -> Problem:
+        """The same problem with its terms about other shapes."""
+        mean, precision = self.mean.copy(), self.precision.copy()
+        for place, term in enumerate(terms, start=self.layout.geometric):
+            if term.shape:
+                mean[place], precision[place] = term.start * bool(term.part), 1.0 / term.prior_sd**2
+        return replace(self, layout=replace(self.layout, terms=terms), mean=mean, precision=precision)
 
     def without_terms(self) -> Problem:
         """The same problem with geometry and clocks alone."""

@@ -24,13 +24,15 @@ from cellapp.estimation.calibration.parameters import (
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.plan_forecast import accuracy_of
 from cellapp.estimation.discovery.records import PlannedAccuracy
-from cellapp.estimation.motion.effects import DENSE, SHOWN
+from cellapp.estimation.motion.steps import DENSE, SHOWN
 from cellapp.estimation.motion.terms import JointState, JointTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian
 from cellapp.robot.kinematics.transforms import Array
 
 _CYCLES = (2, 40)
 """Lines that are foreseen: slow ones of eccentric parts, dense ones of gears."""
+_PLAIN = (Law.PLAY, Law.WINDUP, Law.LAG, Law.COMPLIANCE)
+"""Laws of one parameter a joint that are foreseen."""
 _DELAY_SD_S = 1.0
 """What is known of the delay between the clocks before: nothing."""
 
@@ -88,7 +90,7 @@ def forecast_motion(
 
 def _laws(joints: int) -> list[tuple[JointTerm, ...]]:
     """Terms of all joints, law by law."""
-    plain = [tuple(JointTerm(law, joint) for joint in range(joints)) for law in Law if law is not Law.LINE]
+    plain = [tuple(JointTerm(law, joint) for joint in range(joints)) for law in _PLAIN]
     lines = [
         tuple(JointTerm(Law.LINE, joint, cycles, sine) for joint in range(joints) for sine in (False, True))
         for cycles in _CYCLES

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -98,6 +98,9 @@ def motion_problem(arm: RecordedArm, told: Told) -> tuple[Problem, NDArray[np.in
     stop_rows = np.arange(0 if arm.stops is None else len(arm.stops.q))
     if arm.held_out_stops is not None:
         stop_rows = np.flatnonzero(~arm.held_out_stops)
+    masses = None if arm.bodies is None or arm.up_M is None else Masses(arm.nominal, arm.bodies, arm.up_M)
+    if masses is not None:
+        tracks = [replace(track, path=replace(track.path, inertia=masses.matrix)) for track in tracks]
     problem = problem_of(
         arm.nominal,
         tracks,
@@ -105,7 +108,7 @@ def motion_problem(arm: RecordedArm, told: Told) -> tuple[Problem, NDArray[np.in
         tool_unknown=arm.tool_unknown,
         parameter_set=arm.parameter_set,
         prior_sigma=arm.prior_sigma or {},
-        masses=None if arm.bodies is None or arm.up_M is None else Masses(arm.nominal, arm.bodies, arm.up_M),
+        masses=masses,
     )
     return problem, stop_rows
 

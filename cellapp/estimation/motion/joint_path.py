@@ -1,4 +1,4 @@
-"""Joint positions, speeds and accelerations of a recording at any time, by cubic Hermite interpolation.
+"""Joint positions and speeds of a recording at any time, by cubic Hermite interpolation.
 
 Recorded speeds are the slopes where they agree with the positions; else slopes are those of a cubic spline through the
 positions. Joints are interpolated to the tracker's times, not the reverse: joints are smooth.
@@ -6,12 +6,15 @@ positions. Joints are interpolated to the tracker's times, not the reverse: join
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, PPoly
 
+from cellapp.estimation.motion.responses import EvenPath, even_grid
 from cellapp.estimation.motion.stamps import Stamps, read_stamps
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.robot.kinematics.transforms import Array
@@ -20,6 +23,8 @@ _WINDOW_S = 0.2
 """Time over which recorded speeds are integrated to compare them with positions."""
 _AGREES = 0.03
 """Share of the motion by which integrated speeds may differ from positions: filtered or late speeds differ by more."""
+BEND_S = 0.02
+"""Step of the second difference that gives accelerations: short against any motion, long against noise and jitter."""
 _PLAY = 5e-5
 """Half gap of the play operator that gives the direction of motion [rad]: above the noise of an encoder, and passed
 within a few samples of any sweep."""
@@ -36,6 +41,8 @@ class JointPath:
         Whether the slopes are the recorded speeds.
     direction : array, shape (m, N)
         Output of a play operator of small gap, -1 to 1, at the samples: against it a joint with lost motion lags.
+    inertia : callable, optional
+        Mass matrices (n, N, N) [kg m^2] at joint positions (n, N), where masses are known.
     """
 
     stamps: Stamps
@@ -43,7 +50,7 @@ class JointPath:
     direction: Array = field(repr=False)
     _position: PPoly = field(repr=False)
     _speed: PPoly = field(repr=False)
-    _acceleration: PPoly = field(repr=False)
+    inertia: Callable[[Array], Array] | None = field(default=None, repr=False)
 
     def known(self, time_s: Array) -> NDArray[np.bool_]:
         """Whether times (n,) [s] lie between samples, and not in a gap or beside a step of the clock."""
@@ -63,9 +70,16 @@ class JointPath:
         """Positions [rad] and speeds [rad/s] at times (n,) [s], each (n, N)."""
         return np.asarray(self._position(time_s)), np.asarray(self._speed(time_s))
 
-    def acceleration_at(self, time_s: Array) -> Array:
-        """Accelerations at times (n,) [s], (n, N) [rad/s^2]."""
-        return np.asarray(self._acceleration(time_s))
+    @cached_property
+    def even(self) -> EvenPath:
+        """The same on even grids between gaps."""
+        t = self.stamps.time_s
+        runs = [(float(t[first]), float(t[last - 1])) for first, last in _runs(self.stamps)]
+        time_s, middle_s, first = even_grid(runs, BEND_S)
+        q, bent = self.at(time_s)[0], [self.at(middle_s + step)[0] for step in (-BEND_S, 0.0, BEND_S)]
+        qdd = (bent[0] - 2.0 * bent[1] + bent[2]) / BEND_S**2
+        inertia = None if self.inertia is None else self.inertia(q[first[:-1]])
+        return EvenPath(time_s, q, qdd, first, inertia)
 
     def direction_at(self, time_s: Array) -> Array:
         """Side on which a joint with lost motion lies at times (n,) [s], (n, N), -1 to 1; 0 before it first moved."""
@@ -93,7 +107,7 @@ def joint_path(joints: JointStream) -> JointPath:
     position = CubicHermiteSpline(t, q, slopes)
     speed = position.derivative()
     sides = play(q, np.full(q.shape[1], _PLAY))
-    return JointPath(stamps, recorded, (q - sides) / _PLAY, position, speed, speed.derivative())
+    return JointPath(stamps, recorded, (q - sides) / _PLAY, position, speed)
 
 
 def play(q: Array, half_gap: Array) -> Array:

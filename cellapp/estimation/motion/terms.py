@@ -5,28 +5,31 @@
     line       dq_j = a cos(c q_j) + b sin(c q_j)   transmission error, c cycles a turn
     lag        dq_j = -T_j qd_j           delay of one joint's position behind the others'
     compliance dq_j = k_j tau_j           tau = gravity + inertia: torque of all masses beyond, at their acceleration
+    inertia    dq_j = -i_j qdd_j          twist under the joint's own acceleration, where no masses are known
+    time constant  dq_j = x_j(T_j) - q_j  a first-order lag (``responses``)
+    vibration  dq_j = g_j (y_j(f_j, d_j) + qdd_j)   what a damped spring adds after changes of acceleration
 
 The torque of inertia is that of point masses (``statics``): ``tau_j = z_j . sum_k (c_k - o_j) x m_k (g - a_k)``. Lags
-serve motion only, as do laws of speeds that plug-ins add; the others serve commands at rest as well. What only motion
-can show: lag, the part of inertia in a compliance, and lines that are denser than stops can sample.
+and the last three serve motion only, as do laws of speeds of plug-ins; the others serve commands at rest as well. What
+only motion can show: these, the part of inertia in a compliance, and lines that are denser than stops can sample. Time
+constants, frequencies and dampings are not linear: their terms are those at a shape, about which a fit is repeated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
-from cellapp.estimation.motion.joint_path import JointPath
+from cellapp.estimation.motion.joint_path import BEND_S, JointPath
 from cellapp.robot.effects import MotionLaw
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 
-_STEP_S = 0.02
-"""Step of the second difference that gives accelerations of the masses: short against any motion."""
+_OWN_INERTIA = 0.02
+"""Of a joint's own link about its axis [kg m^2], which point masses on the axis do not have."""
 
 
 class Law(Enum):
@@ -37,31 +40,57 @@ class Law(Enum):
     LINE = "transmission_error"
     LAG = "tracking_lag"
     COMPLIANCE = "joint_compliance"
+    INERTIA = "inertia"
+    TIME_CONSTANT = "time_constant"
+    VIBRATION = "vibration"
 
 
-_UNIT = {Law.PLAY: "rad", Law.WINDUP: "rad/Nm", Law.LINE: "rad", Law.LAG: "s", Law.COMPLIANCE: "rad/Nm"}
-_SD = {Law.PLAY: 1e-4, Law.WINDUP: 1e-5, Law.LINE: 3e-4, Law.LAG: 5e-3, Law.COMPLIANCE: 2e-5}
+_UNIT = {
+    Law.PLAY: "rad",
+    Law.WINDUP: "rad/Nm",
+    Law.LINE: "rad",
+    Law.LAG: "s",
+    Law.COMPLIANCE: "rad/Nm",
+    Law.INERTIA: "s^2",
+    Law.TIME_CONSTANT: "s",
+}
+_SD = {
+    Law.PLAY: 1e-4,
+    Law.WINDUP: 1e-5,
+    Law.LINE: 3e-4,
+    Law.LAG: 5e-3,
+    Law.COMPLIANCE: 2e-5,
+    Law.INERTIA: 1e-3,
+    Law.TIME_CONSTANT: 3e-2,
+}
 """Prior standard deviations, several times what arms of this kind have (handbook, chapter "effects")."""
+_VIBRATION = (("gain", "s^2"), ("frequency", "Hz"), ("damping", "1"))
+"""Parameters of a vibration with their units: deflection by acceleration, natural frequency, share of the critical
+damping."""
+_GAIN_SD, _SHAPE_SD = 1e-3, 0.5
+"""Prior standard deviations: of a gain [s^2], that of a spring at 5 Hz; of frequency and damping, relative."""
 
 
-def terms_of(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
-    """The parameters of a law of all joints, but for lines."""
+def of_all_joints(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
+    """The parameters of a law that has some at every joint, but for lines and shaped ones."""
     names = tuple(law.parameters) if isinstance(law, MotionLaw) else ("",)
     return tuple(JointTerm(law, joint, parameter=name) for joint in range(joints) for name in names)
 
 
 @dataclass(frozen=True)
 class JointTerm:
-    """One parameter of a law: of joint ``joint`` (from 0).
-
-    ``cycles`` a turn and ``sine`` are those of lines, ``parameter`` is its name in a law of a plug-in.
-    """
+    """One parameter of a law: of joint ``joint`` (from 0); ``cycles`` a turn and ``sine`` for lines; ``shape`` about
+    which a time constant [s], or gain [s^2], frequency [Hz] and damping of a vibration lie, of which it is number
+    ``part``."""
 
     law: Law | MotionLaw
     joint: int
     cycles: int = 0
     sine: bool = False
+    shape: tuple[float, ...] = ()
+    part: int = 0
     parameter: str = ""
+    """Its name in a law of a plug-in."""
 
     @property
     def name(self) -> str:
@@ -75,24 +104,36 @@ class JointTerm:
             Law.LINE: f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}",
             Law.LAG: f"lag{number}",
             Law.COMPLIANCE: f"compliance{number}",
+            Law.INERTIA: f"inertia{number}",
+            Law.TIME_CONSTANT: f"time_constant{number}",
+            Law.VIBRATION: f"{_VIBRATION[self.part][0]}{number}",
         }[self.law]
 
     @property
     def unit(self) -> str:
         """Unit of the parameter."""
-        return self.law.parameters[self.parameter].unit if isinstance(self.law, MotionLaw) else _UNIT[self.law]
+        if isinstance(self.law, MotionLaw):
+            return self.law.parameters[self.parameter].unit
+        return _VIBRATION[self.part][1] if self.law is Law.VIBRATION else _UNIT[self.law]
+
+    @property
+    def start(self) -> float:
+        """Value at which a fit begins; about it lies the prior of a frequency or a damping."""
+        return self.shape[self.part] if self.shape else 0.0
 
     @property
     def prior_sd(self) -> float:
         """Standard deviation of its prior."""
-        return self.law.parameters[self.parameter].most if isinstance(self.law, MotionLaw) else _SD[self.law]
+        if isinstance(self.law, MotionLaw):
+            return self.law.parameters[self.parameter].most
+        if self.law is Law.VIBRATION:
+            return _SHAPE_SD * self.start if self.part else _GAIN_SD
+        return _SD[self.law]
 
     @property
     def needs_torques(self) -> bool:
         """Whether it depends on torques."""
-        if isinstance(self.law, MotionLaw):
-            return self.law.needs_torques
-        return self.law in (Law.WINDUP, Law.COMPLIANCE)
+        return self.law.needs_torques if isinstance(self.law, MotionLaw) else self.law in (Law.WINDUP, Law.COMPLIANCE)
 
     def offset(self, state: JointState) -> Array:
         """Offset of the joint (n,) per unit of the parameter [rad]."""
@@ -103,52 +144,63 @@ class JointTerm:
             return np.asarray(-state.direction[:, j])
         if self.law is Law.LAG:
             return np.asarray(-state.qd[:, j])
+        if self.law in (Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION):
+            return self._in_motion(state)
         if self.law is Law.LINE:
             return np.asarray((np.sin if self.sine else np.cos)(self.cycles * state.q[:, j]))
         if self.law is Law.WINDUP:
             return np.asarray(-state.direction[:, j] * np.abs(state.torque[:, j]))
         return np.asarray(state.torque[:, j])
 
+    def turned(self, state: JointState, value: float) -> Array:
+        """Offset of the joint (n,) for a value of the parameter [rad]; of shaped terms, with what the shape gives."""
+        if self.law is Law.TIME_CONSTANT and state.course is not None:
+            path, time_s = state.course
+            at_shape = path.even.at(path.even.lagging(self.joint, self.shape[0])[0], time_s)
+            return np.asarray(at_shape + (value - self.shape[0]) * self.offset(state))
+        if self.law is Law.VIBRATION and self.part:
+            value -= self.shape[self.part]
+        return np.asarray(value * self.offset(state))
+
+    def _in_motion(self, state: JointState) -> Array:
+        if state.course is None:
+            return np.zeros(len(state.q))
+        (path, time_s), j = state.course, self.joint
+        if self.law is Law.INERTIA:
+            return -path.even.at(path.even.qdd[:, j], time_s)
+        if self.law is Law.TIME_CONSTANT:
+            return path.even.at(path.even.lagging(j, self.shape[0])[1], time_s)
+        gain, frequency, damping = self.shape
+        answer = path.even.at(path.even.of_shape(j, frequency, damping, self.part), time_s)
+        return gain * answer if self.part else answer
+
 
 @dataclass(frozen=True, eq=False)
 class JointState:
-    """Joint positions, speeds, directions with history and torques of all masses [Nm], each (n, N).
-
-    ``acceleration`` computes the accelerations (n, N), which few laws need; None at rest.
-    """
+    """Joint positions, speeds, directions with history and torques of all masses [Nm], each (n, N); in motion the path
+    and the times (n,) on it."""
 
     q: Array
     qd: Array
     direction: Array
     torque: Array
-    acceleration: Callable[[], Array] | None = None
-
-    @property
-    def qdd(self) -> Array:
-        """Accelerations (n, N) [rad/s^2]."""
-        return np.zeros_like(self.q) if self.acceleration is None else self.acceleration()
+    course: tuple[JointPath, Array] | None = None
 
     def quantity(self, name: str) -> Array:
         """What laws of plug-ins take, (n, N), by their name for it."""
-        match name:
-            case "q":
-                return self.q
-            case "qd":
-                return self.qd
-            case "qdd":
-                return self.qdd
-            case "tau":
-                return self.torque
-            case "approach":
-                return self.direction
-        raise ValueError(f"no quantity '{name}' in motion")
+        if name == "qdd":
+            if self.course is None:
+                return np.zeros_like(self.q)
+            path, time_s = self.course
+            return np.stack([path.even.at(row, time_s) for row in path.even.qdd.T], axis=1)
+        return {"q": self.q, "qd": self.qd, "tau": self.torque, "approach": self.direction}[name]
 
     def offsets(self, terms: tuple[JointTerm, ...], values: Array) -> Array:
         """Sum of the offsets of all terms (n, N) [rad]."""
         total = np.zeros_like(self.q)
         for term, value in zip(terms, values.tolist(), strict=True):
             if value:
-                total[:, term.joint] += value * term.offset(self)
+                total[:, term.joint] += term.turned(self, value)
         return total
 
 
@@ -160,6 +212,15 @@ class Masses:
     bodies: Bodies
     up_M: Array
 
+    def matrix(self, q: Array) -> Array:
+        """Mass matrix (n, N, N) [kg m^2] of point masses at ``q`` (n, N): ``sum_k m_k (z_i x r_ik) . (z_j x r_jk)``
+        over the masses beyond both joints."""
+        loads, joints = gravity_loads(frame_poses(self.geometry, q), self.bodies, self.up_M), q.shape[1]
+        levers = loads.centers[None] - loads.origins[:-1, None]
+        moved = np.cross(loads.rotations[:-1, None, :, :, 2], levers)  # (joint, mass, n, 3)
+        moved[np.arange(joints)[:, None] > np.arange(joints + 1)[None]] = 0.0
+        return np.asarray(np.einsum("iknx,jknx,kn->nij", moved, moved, loads.masses) + _OWN_INERTIA * np.eye(joints))
+
 
 def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, torques: bool) -> JointState:
     """State of the joints at times (n,) of the controller [s]."""
@@ -167,7 +228,7 @@ def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, to
     torque = np.zeros_like(q)
     if torques and masses is not None:
         torque = torques_in_motion(path, time_s, masses)
-    return JointState(q, qd, path.direction_at(time_s), torque, lambda: path.acceleration_at(time_s))
+    return JointState(q, qd, path.direction_at(time_s), torque, (path, time_s))
 
 
 def state_at_rest(q: Array, direction: Array, masses: Masses | None) -> JointState:
@@ -183,9 +244,9 @@ def torques_in_motion(path: JointPath, time_s: Array, masses: Masses) -> Array:
     now = gravity_loads(frame_poses(masses.geometry, path.at(time_s)[0]), masses.bodies, masses.up_M)
     before, after = (
         gravity_loads(frame_poses(masses.geometry, path.at(time_s + step)[0]), masses.bodies, masses.up_M).centers
-        for step in (-_STEP_S, _STEP_S)
+        for step in (-BEND_S, BEND_S)
     )
-    acceleration = (after - 2.0 * now.centers + before) / _STEP_S**2
+    acceleration = (after - 2.0 * now.centers + before) / BEND_S**2
     force = now.masses[:, :, None] * (now.gravity - acceleration)
     moment = np.cross(now.centers, force)
     force, moment = np.cumsum(force[::-1], axis=0)[::-1], np.cumsum(moment[::-1], axis=0)[::-1]

@@ -7,15 +7,16 @@ minority of wrong rows does not pull.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
-from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings import Distance, Readings
 from cellapp.estimation.sockets.contacts import Contacts, gauge_errors
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, register
 
 _ROUNDS = 25
 """Rounds of the robust fit of the ball; its weights settle to a few per cent."""
@@ -62,6 +63,73 @@ def misplaced_readings(geometry: Geometry, readings: Readings) -> Iterator[tuple
             f"'{contacts.names[contacts.index[row]]}' is {own[row] * 1e3:.0f} mm from the ball's place by the published"
             f" arm, '{contacts.names[nearest[row]]}' {away[row, nearest[row]] * 1e3:.0f} mm; are the two swapped?",
         )
+
+
+def swapped_between_arms(geometries: Sequence[Geometry], readings: Sequence[Readings]) -> Iterator[tuple[int, str]]:
+    """Rows of the second of two arms at sockets that the first arm has elsewhere, where exchanging two names explains
+    it, with what is wrong. Three sockets or more must be common."""
+    names, first, second = _common_centres(geometries, readings)
+    if len(names) < 3 or (own := _misfit_m(first, second)) <= _OWN_M:
+        return
+    tried = {}
+    for a, b in combinations(range(len(names)), 2):
+        order = np.arange(len(names))
+        order[[a, b]] = b, a
+        tried[a, b] = _misfit_m(first, second[order])
+    (a, b), left = min(tried.items(), key=lambda one: one[1])
+    if left > min(_OTHER * own, _OWN_M):
+        return
+    for name, other in ((names[a], names[b]), (names[b], names[a])):
+        row = (readings[1].point or ()).index(name)
+        yield (
+            row,
+            f"'{name}' is not where the other arm touched it: common sockets differ by {own * 1e3:.0f} mm, with"
+            f" '{name}' and '{other}' exchanged by {left * 1e3:.0f} mm; are the two swapped?",
+        )
+
+
+def wrong_between_arms(
+    geometries: Sequence[Geometry], readings: Sequence[Readings], known: Iterable[Distance]
+) -> Iterator[tuple[Distance, str]]:
+    """Known distances between sockets of two arms that both published arms contradict, with what is wrong.
+
+    How the bases stand follows from common sockets: without three, nothing is judged.
+    """
+    names, first, second = _common_centres(geometries, readings)
+    if len(names) < 3:
+        return
+    T = np.asarray(register(first, second))
+    places = [_centres(one, its) for one, its in zip(geometries, readings, strict=True)]
+    places[1] = {name: T[:3, :3] @ at + T[:3, 3] for name, at in places[1].items()}
+    for one in known:
+        ends = [next(place[point] for place in places if point in place) for point in (one.point_a, one.point_b)]
+        computed = float(np.linalg.norm(ends[0] - ends[1]))
+        if abs(computed - one.distance_m) > _DISTANCE_M + _DISTANCE_SHARE * min(one.distance_m, computed):
+            yield (
+                one,
+                f"{one.distance_m:g} m from '{one.point_a}' to '{one.point_b}', but the published arms find"
+                f" {computed:.3f} m; check the unit, and whether the names of sockets are swapped",
+            )
+
+
+def _centres(geometry: Geometry, readings: Readings) -> dict[str, Array]:
+    """Medians (3,) [m] of the computed ball centres of each point, in the arm's base."""
+    contacts, computed = Contacts.of(readings), smr_positions(geometry.with_T_M_B(np.eye(4)), readings.q)
+    return {name: np.median(computed[contacts.index == k], axis=0) for k, name in enumerate(contacts.names)}
+
+
+def _common_centres(geometries: Sequence[Geometry], readings: Sequence[Readings]) -> tuple[list[str], Array, Array]:
+    """Names of the points that both arms touched, and where either has them (C, 3) [m], each in its base."""
+    first, second = (_centres(one, its) for one, its in zip(geometries, readings, strict=True))
+    names = [name for name in first if name in second]
+    at = [np.array([one[name] for name in names]).reshape(-1, 3) for one in (first, second)]
+    return names, at[0], at[1]
+
+
+def _misfit_m(first: Array, second: Array) -> float:
+    """Rms distance of points (C, 3) [m] after the second ones are laid onto the first."""
+    T = np.asarray(register(first, second))
+    return float(np.sqrt(np.mean(np.sum((second @ T[:3, :3].T + T[:3, 3] - first) ** 2, axis=1))))
 
 
 def wrong_distances(geometry: Geometry, readings: Readings) -> Iterator[tuple[tuple[str, str], str]]:

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile.acceptance import Tolerances, Traceability
 from cellapp.ground.profile.collection import Collection
+from cellapp.ground.profile.controller_table import ControllerTable
 from cellapp.ground.profile.grown import GrownSection
 from cellapp.ground.profile.notify import Notify
 from cellapp.ground.profile.obstacles import Obstacles
@@ -118,7 +119,7 @@ class Payload(Section):
     center_of_mass: ArmPoint = (0.0, 0.0, 0.0)
 
 
-class Arm(Section, defer_build=True):
+class Arm(GrownSection, defer_build=True):
     """One arm. ``base`` is its approximate pose in the cell; planning and pointing need it, calibration does not."""
 
     type: ArmType
@@ -126,16 +127,35 @@ class Arm(Section, defer_build=True):
     smr: Smr
     base: Pose | None = None
     payload: Payload = Payload()
+    payloads: tuple[Payload, ...] = ()
+    """Further loads, which a person hangs one after the other while the plan is measured; the last one stays."""
     limits: tuple[tuple[Turn, Turn], ...] | None = None
     """Joint ranges of this cell, if tighter than those of the type."""
     home: tuple[Turn, ...] | None = None
     """Configuration before and after a job [rad]; planning needs it."""
     speed_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 0.5
+    factory: ControllerTable | None = None
+    """The controller's own calibration, which then is nominal instead of the published rows: a ``calibration.conf``."""
+    later_keys = frozenset({"payloads", "factory"})
 
     @property
     def joint_limits(self) -> tuple[tuple[float, float], ...]:
         """Joint ranges [rad]: those of this cell, or of the type."""
         return self.limits or tuple(joint.limit for joint in self.type.joints)
+
+    def payload_at(self, load: int) -> Payload:
+        """What the arm carries at the stops of a load of the plan, from 0."""
+        carried = (self.payload, *self.payloads)
+        return carried[min(load, len(carried) - 1)]
+
+    @model_validator(mode="after")
+    def _factory_fits_the_type(self) -> Self:
+        joints = len(self.type.joints)
+        if self.factory is not None and len(self.factory.delta_theta) != joints:
+            raise ValueError(
+                f"factory: {len(self.factory.delta_theta)} deltas for the {joints} joints of {self.type.model}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _limits_fit_the_type(self) -> Self:
@@ -267,6 +287,13 @@ class TorqueSensing(Section):
     """Motor constant of every joint, at the joint; drives then report currents."""
 
 
+class FactoryErrors(Section):
+    """How well the factory's calibration in each controller knows the axes of its arm: standard deviations."""
+
+    length: Annotated[Length, Field(ge=0.0)] = 0.1e-3
+    angle: Annotated[Angle, Field(ge=0.0)] = 0.1e-3
+
+
 class Plant(GrownSection):
     """The simulated cell behind the simulated drivers. ``effects`` specifies the hidden physics of each arm."""
 
@@ -281,7 +308,9 @@ class Plant(GrownSection):
     """Where the simulated tracker really stands, if that is not ``tracker.pose``, as after it was moved."""
     torques: TorqueSensing | None = None
     """What drives measure of their torques; nothing if left out."""
-    later_keys = frozenset({"tracker_pose", "torques"})
+    factory: FactoryErrors | None = None
+    """The controllers' own calibration; if left out, they compute with the published rows."""
+    later_keys = frozenset({"tracker_pose", "torques", "factory"})
 
 
 class Profile(GrownSection, defer_build=True):
@@ -314,6 +343,16 @@ class Profile(GrownSection, defer_build=True):
     def moves_hardware(self) -> bool:
         """Whether a motion in this cell moves a real arm."""
         return any(arm.driver.moves_hardware for arm in self.arms.values())
+
+    @property
+    def loads(self) -> int:
+        """Number of loads with which the plan is measured, one after the other."""
+        return 1 + max(len(arm.payloads) for arm in self.arms.values())
+
+    def with_load(self, load: int) -> Self:
+        """The cell whose arms carry a load of the plan."""
+        arms = {name: arm.model_copy(update={"payload": arm.payload_at(load)}) for name, arm in self.arms.items()}
+        return self.model_copy(update={"arms": arms})
 
     @property
     def cell_kind(self) -> CellKind:

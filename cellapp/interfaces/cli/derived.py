@@ -115,7 +115,7 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         screens=partial(_screens, job.outputs),
         announce=announce,
         say=job.say,
-        choose=_choose,
+        choose=partial(_choose, job),
         line=partial(typed_line, job),
         secret=_secret,
     )
@@ -127,12 +127,12 @@ def _screens(outputs: Outputs, profile: Path, run: Path | None, folder: Path) ->
     return write_screens(profile, run, folder, outputs=outputs)
 
 
-def _choose(question: str, answers: tuple[str, ...]) -> str:
+def _choose(job: Job, question: str, answers: tuple[str, ...]) -> str:
     """Ask a person; empty where nobody sits at a terminal."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return ""
-    said: str = typer.prompt(f"{question}\n{', '.join(answers)}", err=True, default=answers[0])
-    return said.strip() if said.strip() in answers else ""
+    said = typed_line(job, f"{question}\n{', '.join(answers)} [{answers[0]}]:") or answers[0]
+    return said if said in answers else ""
 
 
 def _secret(question: str, twice: bool) -> str | None:

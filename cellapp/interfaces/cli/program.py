@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
-from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.progress import Cancelled
 from cellapp.ground.signals import HANGUP, INTERRUPTS
@@ -21,6 +21,7 @@ from cellapp.ground.signals import HANGUP, INTERRUPTS
 EXIT_UNEXPECTED = 1
 EXIT_INTERRUPTED = 4
 _ERROR_LOG = "cellapp-error.log"
+_REPORT = "to report this: 'cellapp doctor PROFILE --bundle FILE.zip' packs what the authors need, without secrets"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What a disk or device answers that takes no more."""
 
@@ -54,6 +55,8 @@ def _ended(app: Callable[[], object]) -> None:
         app()
     except (CellappError, Cancelled) as error:
         _complain(error_text(error))
+        if isinstance(error, HardwareError):
+            _complain(_REPORT)
         sys.exit(EXIT_INTERRUPTED if isinstance(error, Cancelled) else error.exit_code)
     except BrokenPipeError:
         _reader_gone()

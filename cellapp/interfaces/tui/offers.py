@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.at_rest.request import VERB as AT_REST
 from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.follow.request import VERB as FOLLOW
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import VERBS
+from cellapp.commands.rehearse.request import VERB as REHEARSE
 from cellapp.commands.replay.request import VERB as REPLAY
 from cellapp.commands.touch.request import VERB as TOUCH
 from cellapp.ground.counting import counted
@@ -104,8 +105,21 @@ def verbs_of_run() -> tuple[Verb, ...]:
 def offer_verb(screen: DayScreen, verb: Verb) -> None:
     """Ask for the request of any verb on the run that is open, then do it and show its view."""
     folder = screen.open_folder()
-    if folder is None:
-        return
+    if folder is not None:
+        _offer(screen, verb, {"folder": folder})
+
+
+def offer_rehearsal(screen: DayScreen) -> None:
+    """Ask for the step of a rehearsal of the profile that is open, then drive it and show what happened."""
+    profile = screen.workspace.profile_path
+    if profile is None:
+        screen.say("No profile is open: choose one in the list of the screen Cell.", "warning")
+    else:
+        _offer(screen, REHEARSE, {"profile": profile})
+
+
+def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
+    """Ask for what is not ``given`` of the request of a verb, then do it and show its view."""
     app = screen.cell_app
 
     def begin(request: Request | None) -> None:
@@ -114,7 +128,7 @@ def offer_verb(screen: DayScreen, verb: Verb) -> None:
 
     text = f"{verb.summary}" + (f" {arms_words(screen.workspace)}." if verb.moves_arms else "")
     simulated = screen.workspace.kind == "simulated"
-    app.push_screen(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
+    app.push_screen(VerbQuestion(verb, text, BEGIN, given, simulated=simulated), begin)
 
 
 class _TouchView:

@@ -27,18 +27,21 @@ if TYPE_CHECKING:
 def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
     """The job of a verb; ``outputs`` says what it may replace."""
 
+    moves = verb.moves_arms and request.moves()
+
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
         given = Work(
             listener,
             control,
             lambda profile_name: ask,
             outputs,
+            choose=lambda question, answers: answers[-1] if moves and ask(question) else "",
             write_page=write_page,
             certificate_page=draw_certificate,
         )
         return verb.run(request, given)
 
-    folder, moves = getattr(request, "folder", None), verb.moves_arms and request.moves()
+    folder = getattr(request, "folder", None)
     name = request.job_name() or verb.name
     return Job(name, work, folder, moves=moves, verb=verb, request=request)
 

@@ -174,6 +174,10 @@ class FrictionWindup(Effect):
                 "does not."
             ),
             "Repeat 10 stops cold and after an hour of motion.",
+            (
+                "Dry friction and play look the same at every stop: push at the link with drives on and a dial gauge on"
+                " it. Play gives way at once, a gear that friction holds gives way in proportion to the force."
+            ),
         ),
     )
     look_alikes = ("backlash", "unsettled_measurement")

@@ -1,4 +1,4 @@
-"""Plain D-H rows that describe the same arm as rows with Hayati's angle beta.
+"""Plain D-H rows that describe the same arm as rows with Hayati's angle beta, and the way back.
 
 A D-H row places both of its frames on the common normal of two joint axes. Between axes that are nearly parallel this
 normal lies far from the arm: at a tilt of 1 mrad, hundreds of metres. The rows then hold large d of opposite signs,
@@ -15,11 +15,16 @@ from dataclasses import replace
 import numpy as np
 
 from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.transforms import Array, apply, rotation_z, transform
+from cellapp.robot.kinematics.transforms import Array, apply, rotation_x, rotation_y, rotation_z, transform
 
 _PARALLEL = math.sqrt(sys.float_info.epsilon)
 """Tilt [rad] below which two axes count as parallel. An arm of length L loses L times the tilt by this; above it, d of
 about L over the tilt costs L times epsilon over the tilt by rounding. Both are below 1e-7 m at the square root."""
+
+_SAME_ROWS = 2e-6
+"""Difference of rows [m, rad] that is rounding: controllers and files say 1.570796327."""
+_NEARLY_PARALLEL = math.sin(math.radians(5.0))
+"""Sine of the twist of a published row below which the row has Hayati's angle, as in ``chain``."""
 
 
 def plain_geometry(geometry: Geometry) -> Geometry:
@@ -63,3 +68,48 @@ def _plain_row(row: Array) -> tuple[Array, float, float]:
     x_next = np.array([cb, sa * sb, -ca * sb])
     turn = math.atan2(x_next @ [-sp * ct, cp * ct, math.sin(twist)], x_next @ [cp, sp, 0.0])
     return np.array([theta + psi, d - shift * ct, a * cp, twist, 0.0]), turn, shift
+
+
+def hayati_rows(plain: Array, published: Array) -> Array:
+    """Rows (N, 5) with beta that describe the same arm as plain rows (N, 4), near its published ones (N, 4).
+
+    Where two published axes are parallel, the row keeps the published d and has a beta, so that no length is large;
+    what that leaves goes into theta and d of the next row, as in ``plain_geometry``. Flange poses are equal.
+    """
+    rows = np.column_stack([plain, np.zeros(len(plain))])
+    turn = shift = 0.0
+    for i, row in enumerate(rows):
+        row[0] += turn
+        row[1] += shift
+        turn = shift = 0.0
+        if i + 1 < len(rows) and abs(math.sin(published[i, 3])) < _NEARLY_PARALLEL:
+            row[:], turn, shift = _hayati_row(row, published[i])
+    return rows
+
+
+def same_chain(plain: Array, other: Array, published: Array) -> bool:
+    """Whether plain rows (N, 4) and others (N, 4) of an arm are equal to rounding, also where lengths d are large."""
+    if plain.shape != other.shape:
+        return False
+    rows = [hayati_rows(one, published) for one in (plain, other)]
+    turn = 2.0 * np.pi
+    return bool(np.all(np.abs(np.remainder(rows[0] - rows[1] + 0.5 * turn, turn) - 0.5 * turn) < _SAME_ROWS))
+
+
+def _hayati_row(row: Array, published: Array) -> tuple[Array, float, float]:
+    """A plain row (5,) as one with the published d and a beta, and the turn [rad] and shift [m] that remain about z.
+
+    The next axis passes the plane z = d at the row's new origin; x goes through that point.
+    """
+    theta, d, a, alpha = row[:4].tolist()
+    c, s = math.cos(theta), math.sin(theta)
+    axis = np.array([s * math.sin(alpha), -c * math.sin(alpha), math.cos(alpha)])
+    shift = (d - published[1]) / axis[2]
+    x, y = np.array([a * c, a * s]) - shift * axis[:2]
+    sign = -1.0 if published[2] < 0.0 else 1.0
+    theta_new = math.atan2(sign * y, sign * x)
+    in_row = rotation_z(-theta_new) @ axis
+    beta, alpha_new = math.asin(in_row[0]), math.atan2(-in_row[1], in_row[2])
+    left = (rotation_z(theta_new) @ rotation_x(alpha_new) @ rotation_y(beta)).T @ rotation_z(theta) @ rotation_x(alpha)
+    turned = np.array([theta_new, published[1], sign * math.hypot(x, y), alpha_new, beta])
+    return turned, math.atan2(left[1, 0], left[0, 0]), float(shift)

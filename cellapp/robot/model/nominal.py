@@ -2,20 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cellapp.ground.profile import Arm, Pose, Priors, Profile
 from cellapp.ground.profile.obstacles import Placement
 from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parameter_names, parameter_unit
+from cellapp.robot.kinematics.plain_dh import hayati_rows
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array, rotation_zyx, transform
 
 
 def nominal_arm(arm: Arm) -> Geometry:
-    """The published chain of an arm with its base at the origin; an unknown SMR offset is zero."""
-    rows = np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in arm.type.joints])
+    """The chain by which an arm's controller computes, with its base at the origin; an unknown SMR offset is zero.
+
+    It is the published one, or that of the factory's calibration if the profile has it.
+    """
     tool = np.zeros(3) if arm.smr.offset == "unknown" else np.array(arm.smr.offset)
-    return nominal_geometry(rows, tool)
+    published = published_rows(arm)
+    geometry = nominal_geometry(published, tool)
+    if arm.factory is None:
+        return geometry
+    return replace(geometry, rows=hayati_rows(controller_rows(arm), published))
+
+
+def published_rows(arm: Arm) -> Array:
+    """D-H rows (N, 4) of the arm's type: theta, d, a, alpha [rad, m]."""
+    return np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in arm.type.joints])
+
+
+def controller_rows(arm: Arm) -> Array:
+    """Plain D-H rows (N, 4) by which the controller computes: the published ones and the factory's deltas, if any."""
+    rows = published_rows(arm)
+    return rows if arm.factory is None else rows + np.array(arm.factory.deltas).T
 
 
 def bodies_of(arm: Arm) -> Bodies:

@@ -112,6 +112,8 @@ class ControllerConfig:
         Initial mode: "RUNNING" or "POWER_OFF".
     remote_control : bool
         Whether commands over the network are accepted; CB3 has no such switch and always accepts them.
+    simulation : bool
+        Whether its primary interface says that the real robot is not enabled, as in simulation mode.
     payload_mass, payload_center, tcp : float, tuple of 3, tuple of 6
         Settings of the controller's installation [kg, m; m and rotation vector in rad].
     boot_s, brake_release_s, unlock_after_s : float
@@ -132,6 +134,7 @@ class ControllerConfig:
     home: tuple[float, ...] = (0.0, -math.pi / 2.0, 0.0, -math.pi / 2.0, 0.0, 0.0)
     robot_mode: Literal["RUNNING", "POWER_OFF"] = "RUNNING"
     remote_control: bool = True
+    simulation: bool = False
     payload_mass: float = 0.0
     payload_center: tuple[float, ...] = (0.0, 0.0, 0.0)
     tcp: tuple[float, ...] = (0.0,) * 6

@@ -77,7 +77,7 @@ def _state(controller: Controller) -> list[bytes]:
         ">Q7?2B3dB",
         int(controller.clock_s * _MICROSECONDS),
         True,
-        True,
+        not controller.config.simulation,
         powered,
         safety is SafetyMode.ROBOT_EMERGENCY_STOP,
         safety is SafetyMode.PROTECTIVE_STOP,

@@ -8,11 +8,13 @@ from typing import Any
 from drivers.plant.effect import Effect, Parameters
 from drivers.plant.effects.backlash import backlash
 from drivers.plant.effects.drift import base_drift, base_step, target_slip, tracker_drift
+from drivers.plant.effects.drive_lag import drive_lag
 from drivers.plant.effects.encoder_eccentricity import encoder_eccentricity
 from drivers.plant.effects.friction_windup import friction_windup
 from drivers.plant.effects.joint_axis_runout import joint_axis_runout
 from drivers.plant.effects.joint_axis_wobble import joint_axis_wobble
 from drivers.plant.effects.joint_compliance import joint_compliance
+from drivers.plant.effects.joint_vibration import joint_vibration
 from drivers.plant.effects.link_bending import link_bending
 from drivers.plant.effects.payload_compliance import payload_compliance
 from drivers.plant.effects.pedestal import pedestal_compliance, pedestal_coupling
@@ -42,6 +44,7 @@ FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
     "crosstalk": crosstalk,
     "draught": draught,
     "dress_pack": dress_pack,
+    "drive_lag": drive_lag,
     "elbow_hose": elbow_hose,
     "joint_coupling": joint_coupling,
     "encoder_eccentricity": encoder_eccentricity,
@@ -50,6 +53,7 @@ FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
     "joint_axis_wobble": joint_axis_wobble,
     "joint_compliance": joint_compliance,
     "joint_drift": joint_drift,
+    "joint_vibration": joint_vibration,
     "link_bending": link_bending,
     "payload_compliance": payload_compliance,
     "pedestal_compliance": pedestal_compliance,

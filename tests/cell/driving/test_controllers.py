@@ -13,13 +13,15 @@ import pytest
 
 from cellapp.cell.driving.cell import Cell, arm_context, open_cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.controllers import ControllerIdentity, check_controllers
+from cellapp.cell.driving.controllers import ControllerIdentity, check_controllers, recorded_controllers
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.profile.controller_table import ControllerTable
+from cellapp.robot.model.nominal import published_rows
 from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.arms.ur import UrArm
@@ -29,6 +31,7 @@ from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast
 
+_DELTAS = ("delta_theta", "delta_d", "delta_a", "delta_alpha")
 PROFILES = Path(__file__).parents[3] / "profiles"
 
 
@@ -80,15 +83,34 @@ def test_the_controllers_are_recorded_once(run: RunFile, cell: Cell) -> None:
     assert json.loads(run.read_result(CONTROLLERS_RESULT) or "") == recorded
 
 
-def test_a_changed_checksum_warns_each_time_and_is_logged(run: RunFile, cell: Cell) -> None:
+def test_a_changed_checksum_is_refused_by_name_and_noted_where_one_insists(run: RunFile, cell: Cell) -> None:
     check_controllers(run, cell)
     left(cell).says = replace(Known.says, dh_checksum="0000000b")
-    for _ in range(2):
-        (note,) = check_controllers(run, cell).notes
-        assert note.startswith("arm left: ")
-        for words in ("0000000a", "0000000b", "stale"):
-            assert words in note
-    assert [event.text for event in run.events() if event.level == "warning"] == [note, note]
+    with pytest.raises(HardwareError, match=r"arm left: .* was 0000000a, now it is 0000000b.*nothing was moved$"):
+        check_controllers(run, cell)
+    with pytest.raises(HardwareError, match=r"nothing was moved\. Insist with --out-of-date"):
+        check_controllers(run, cell, insist=False)
+    (note,) = check_controllers(run, cell, insist=True).notes
+    assert note.startswith("arm left: ")
+    assert [event.text for event in run.events() if event.level == "warning"] == [note]
+
+
+def test_another_calibration_than_that_of_the_profile_is_refused(run: RunFile, cell: Cell, tmp_path: Path) -> None:
+    arm = run.profile.arms["left"]
+    rows = published_rows(arm)
+    deltas = np.zeros_like(rows)
+    deltas[1:3, 1], deltas[1, 3] = (439.2, -439.2), 1e-3  # the lengths of axes that are nearly parallel cancel
+    table = ControllerTable(**dict(zip(_DELTAS, deltas.T.tolist(), strict=True)), checksum="0000000a")
+    arms = {**run.profile.arms, "left": arm.model_copy(update={"factory": table})}
+    with RunFile.create(tmp_path / "own", run.profile.model_copy(update={"arms": arms})) as own:
+        with pytest.raises(HardwareError, match=r"arm left: its controller has another .*arms\.left\.factory"):
+            check_controllers(own, cell)
+        left(cell).says = replace(Known.says, dh_rows=rows + deltas)
+        assert check_controllers(own, cell).notes == ()
+        np.testing.assert_array_equal(recorded_controllers(own)["left"].dh_rows, rows + deltas)
+        left(cell).says = replace(Known.says, dh_rows=rows + 0.99 * deltas)
+        with pytest.raises(HardwareError, match="another calibration"):
+            check_controllers(own, cell)
 
 
 def test_another_controller_is_refused(run: RunFile, cell: Cell) -> None:

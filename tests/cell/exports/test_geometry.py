@@ -33,11 +33,11 @@ def test_urdf_origins_make_the_same_arm():
 def test_ur_deltas_say_what_they_lose():
     nominal = at_station(UR10, OFF_AXIS)
     identified = true_geometry(nominal, np.random.default_rng(1))
-    deltas = ur_deltas(nominal, identified)
+    deltas = ur_deltas(nominal.rows[:, :4], identified)
     np.testing.assert_allclose(deltas.delta_a_m, identified.rows[:, 2] - nominal.rows[:, 2])
     assert set(deltas.lost.beta_rad) == {"beta2", "beta3"}
     lost = deltas.lost.position_mm
     assert 0.05 < lost.rms < lost.max < 10.0
-    plain = ur_deltas(nominal, nominal)
+    plain = ur_deltas(nominal.rows[:, :4], nominal)
     assert plain.lost.beta_rad == {}
     assert plain.lost.position_mm.max == 0.0

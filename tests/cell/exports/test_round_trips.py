@@ -19,15 +19,20 @@ from cellapp.cell.exports.export_format import CellFormat, ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.exports.ur_description import kinematics_hash, murmur
 from cellapp.cell.profile import load_profile
+from cellapp.cell.profile.controller_file import controller_file_text, controller_table
 from cellapp.ground.errors import InputError
+from cellapp.ground.profile.controller_table import ControllerTable
 from cellapp.ground.profile.schema import ArmType
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import controller_rows, nominal_arm
+from drivers.emulators.ur_controller import personality
 from tests.arms import OFF_AXIS, STATION, UR10, at_station, dh, true_geometry
 from tests.cell.exports import readers
+from tests.drivers.arms.test_ur_probe import ask, emulated
 
 pytestmark = pytest.mark.fast
 
@@ -236,3 +241,25 @@ def test_the_whole_cell_in_one_file() -> None:
             assert float(np.linalg.norm(off, axis=1).max()) < BAR_M
         model = pinocchio.buildModelFromXML(text)
         assert model.nq == sum(export.geometry.joints for export in exports.values())
+
+
+def test_a_controller_that_holds_the_file_computes_by_the_calibrated_rows() -> None:
+    """Out as a file, into an emulated controller, over its primary interface back into a profile."""
+    export = drawn("ur10", 3)
+    text = FORMATS["ur-calibration"].text(export, ["from here"])
+    table = ControllerTable.model_validate(controller_table(text, Path("left.conf")))
+    arm = export.arm.model_copy(update={"factory": table})
+    rows = tuple((theta, d, a, alpha) for theta, d, a, alpha in controller_rows(arm).tolist())
+    holds = replace(personality("CB3", "UR10", "20150001"), rows=rows, checksums=(1,) * 6, calibration_status=2)
+    with emulated(holds) as emulator:
+        kinematics = ask(emulator).kinematics
+    assert kinematics is not None
+    np.testing.assert_array_equal(kinematics.rows, controller_rows(arm))
+    text = controller_file_text((kinematics.rows - controller_rows(export.arm)).tolist(), kinematics.checksum)
+    again = ControllerTable.model_validate(controller_table(text, Path("left.conf")))
+    assert again.checksum == "-".join(["00000001"] * 6)
+    nominal = nominal_arm(arm.model_copy(update={"factory": again}))
+    assert np.abs(nominal.rows[1:3, 1]).max() < 1e-3, "no length of hundreds of metres is left"
+    there = smr_positions(replace(nominal, tool=FORMATS["ur-calibration"].smr(export)), export.q)
+    here = smr_positions(export.geometry.with_T_M_B(np.eye(4)), export.q)
+    assert np.linalg.norm(there - here, axis=1).max() < BAR_M

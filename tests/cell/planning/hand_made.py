@@ -11,7 +11,7 @@ from cellapp.cell.safety.gate import refuse_motion
 from tests.twin import small_twin
 
 
-def some_stops(count: int, seed: int = 3) -> PlannedStops:
+def some_stops(count: int, seed: int = 3, *, loads: bool = False) -> PlannedStops:
     """``count`` stops of the arms left and right of the twin, in blocks of two; not for driving."""
     rng = np.random.default_rng(seed)
     q = {name: rng.uniform(-1.0, 1.0, (count, 6)) for name in ("left", "right")}
@@ -27,6 +27,7 @@ def some_stops(count: int, seed: int = 3) -> PlannedStops:
         block=np.arange(count, dtype=np.intp) // 2,
         repeat_of=np.where(np.arange(count) == 3, 0, -1).astype(np.intp),
         frozen=np.arange(count) == 2,
+        load=np.arange(count, dtype=np.intp) // 4 if loads else np.zeros(count, dtype=np.intp),
     )
 
 
@@ -44,7 +45,7 @@ def same_stops(first: PlannedStops, second: PlannedStops) -> None:
         for one, other in zip(ours, theirs, strict=True):
             for name in one:
                 np.testing.assert_array_equal(one[name], other[name])
-    for kind in ("block", "repeat_of", "frozen"):
+    for kind in ("block", "repeat_of", "frozen", "load"):
         np.testing.assert_array_equal(getattr(first, kind), getattr(second, kind))
 
 

@@ -80,16 +80,18 @@ def test_blocks_of_different_sizes_keep_their_stops() -> None:
         assert np.all(order[arm, block, size:] == -1)
 
 
-def test_forbidden_pairs_and_correlations_are_avoided() -> None:
-    """The stops of both arms are in two places. On the shortest way both arms change the place at once, and once."""
-    rng = np.random.default_rng(0)
+@pytest.mark.parametrize("seed", range(3))
+def test_forbidden_pairs_and_correlations_are_avoided(seed: int) -> None:
+    """The stops of both arms are in two places, and it costs a little where the arms are not in the same one."""
+    rng = np.random.default_rng(seed)
     there = np.repeat([0.0, 1.0], 15)
     time_s = np.tile(np.abs(there[:, None] - there) + 0.01, (2, 1, 1, 1))
     forbidden = np.where(np.abs(np.arange(30)[:, None] - np.arange(30)) % 7 == 3, 100.0, 0.0)[None, None]
+    cost_s = np.maximum(forbidden, 0.05 * np.abs(there[:, None] - there))
     posture = standardised(("q",), there[:, None]).values[None]
     free, charged = (
         best_order(
-            task_of(time_s, [30], forbidden, postures=[posture] * 2, correlation_cost=cost), 600, rng, CancelToken()
+            task_of(time_s, [30], cost_s, postures=[posture] * 2, correlation_cost=cost), 600, rng, CancelToken()
         )[:, 0]
         for cost in (0.0, 10.0)
     )

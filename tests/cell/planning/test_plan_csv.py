@@ -16,6 +16,7 @@ from cellapp.cell.planning.plan_csv import read_plan_csv, write_plan_csv
 from cellapp.cell.planning.planned_stops import straight_stops
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
+from cellapp.ground.profile.schema import Payload
 from tests.cell.planning.hand_made import same_stops, some_stops
 from tests.twin import small_twin, with_arms
 
@@ -31,9 +32,11 @@ def written(path: Path) -> list[str]:
 
 
 def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
-    for stops in (some_stops(9), straight_stops(some_stops(3).q)):
+    left = PROFILE.arms["left"].model_copy(update={"payloads": (Payload(mass=5.0), Payload(mass=2.0))})
+    profile = PROFILE.model_copy(update={"arms": {**PROFILE.arms, "left": left}})
+    for stops in (some_stops(9), some_stops(9, loads=True), straight_stops(some_stops(3).q)):
         write_plan_csv(stops, tmp_path / "plan.csv", RENEWED)
-        back = read_plan_csv(tmp_path / "plan.csv", PROFILE)
+        back = read_plan_csv(tmp_path / "plan.csv", profile)
         same_stops(back.stops, stops)
         assert back.configurations == tuple(range(len(stops)))
         write_plan_csv(back.stops, tmp_path / "again.csv", RENEWED)
@@ -186,3 +189,9 @@ def test_arms_of_different_joints_share_a_file(tmp_path: Path) -> None:
     path.write_text("\n".join(cell(4, "q5", "1")(path.read_text().splitlines())))
     with pytest.raises(InputError, match=":4: q5: there is a value, but arm right has 4 joints"):
         read_plan_csv(path, profile)
+
+
+def test_a_load_that_the_profile_has_not_is_named_by_line(tmp_path: Path) -> None:
+    write_plan_csv(some_stops(5, loads=True), tmp_path / "plan.csv", RENEWED)
+    with pytest.raises(InputError, match=r":\d+: load: there is no load 1; with arms\.NAME\.payloads there"):
+        read_plan_csv(tmp_path / "plan.csv", PROFILE)

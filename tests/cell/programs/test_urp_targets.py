@@ -35,7 +35,7 @@ def urp(body: str) -> bytes:
 
 
 def read(body: str) -> ReadProgram:
-    return read_urp(urp(body), "a.urp", UR10)
+    return read_urp(urp(body), "a.urp", UR10, UR10)
 
 
 def waypoint(position: str, kind: str = "Fixed") -> str:
@@ -86,7 +86,7 @@ def test_other_motions_are_named_by_line(body: str, line: int, reason: str) -> N
 )  # fmt: skip
 def test_damaged_and_hostile_files_are_refused_in_words(data: bytes, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        read_urp(data, "a.urp", UR10)
+        read_urp(data, "a.urp", UR10, UR10)
 
 
 NUMBERS = st.lists(st.floats(-6.0, 6.0, allow_nan=False), min_size=6, max_size=6)

@@ -131,3 +131,37 @@ def test_distances_without_points_are_refused(tmp_path: Path) -> None:
             tmp_path / "run",
             distances=DATA / "distances.csv",
         )
+
+
+def of_both_arms(profile: Profile, changed: dict[str, dict[str, str]]) -> tuple[Profile, list[dict[str, str]]]:
+    """Two equal arms that touched the same sockets, with other names of some of them, by arm."""
+    both = profile.model_copy(update={"arms": {"left": profile.arms["left"], "right": profile.arms["left"]}})
+    rows = []
+    for arm in both.arms:
+        for row in rows_of(DATA / "readings.csv"):
+            number = int(row["configuration"]) + (1000 if arm == "right" else 0)
+            point = changed.get(arm, {}).get(row["point"], row["point"])
+            rows.append(row | {"arm": arm, "configuration": str(number), "point": point})
+    return both, rows
+
+
+def test_sockets_that_two_arms_name_differently_are_named_by_row(profile: Profile, tmp_path: Path) -> None:
+    exchanged = {"back-high_0": "front_0", "front_0": "back-high_0"}
+    both, rows = of_both_arms(profile, {"right": exchanged})
+    place = [(row["arm"], row["point"]) for row in rows].index(("right", "front_0"))
+    words = rf":{place + 2}: point: 'front_0' is not where the other arm touched it: .* exchanged by \d mm"
+    with pytest.raises(InputError, match=words):
+        import_csv(both, written(tmp_path / "readings.csv", rows), tmp_path / "run")
+
+
+def test_a_distance_between_two_arms_that_is_ten_times_too_long_is_named_by_row(
+    profile: Profile, tmp_path: Path
+) -> None:
+    both, rows = of_both_arms(profile, {"left": {"front_0": "of left"}, "right": {"front_1": "of right"}})
+    path = written(tmp_path / "readings.csv", rows)
+    known = {"point_a": "of left", "point_b": "of right", "distance_m": "0.05", "sigma_m": "0.00005"}
+    with import_csv(both, path, tmp_path / "run", distances=written(tmp_path / "good.csv", [known])) as run:
+        assert run.readings("left").distances == (Distance("of left", "of right", 0.05, 5e-5),)
+    wrong = written(tmp_path / "wrong.csv", [known | {"distance_m": "0.5"}])
+    with pytest.raises(InputError, match=r"wrong\.csv:2: distance_m: 0\.5 m from 'of left' to 'of right', but the pub"):
+        import_csv(both, path, tmp_path / "again", distances=wrong)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.plant import OUTSIDE, REALISTIC, suggest
+from drivers.plant import ONLY_MOVING, OUTSIDE, REALISTIC, suggest
 from drivers.plant.effects import FACTORIES, build
 
 pytestmark = pytest.mark.fast
@@ -43,8 +43,9 @@ def test_a_suggestion_is_an_effect_of_realistic_size(make_arm, make_plant, slug)
 
 
 def test_every_effect_has_a_suggestion():
-    assert set(REALISTIC) | set(OUTSIDE) == set(FACTORIES)
-    assert not set(REALISTIC) & set(OUTSIDE)
+    groups = (REALISTIC, OUTSIDE, ONLY_MOVING)
+    assert set().union(*groups) == set(FACTORIES)
+    assert sum(map(len, groups)) == len(FACTORIES)
 
 
 @pytest.mark.parametrize("slug", REALISTIC + OUTSIDE)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from cellapp.cell.driving.cell import build_plant
 from drivers.plant import Plant
+from drivers.plant.inertia import Bodies, inertia_torques
 from drivers.plant.servo import LOOKAHEAD_S
 from drivers.plant.sweep import Recorder, SweepRecord, record_sweep, recorder_of
 from tests.twin import small_twin
@@ -50,9 +52,60 @@ def test_joints_lag_behind_their_commands_and_rest_at_both_ends() -> None:
 
 def test_points_are_those_of_the_arm_at_the_same_joints() -> None:
     plant = plant_with({"joint_compliance": {"stiffness": [9e4, 6e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]}})
-    record = record_sweep(plant, EXACT, "left", swing(plant), CYCLE_S)
+    record = record_sweep(plant, EXACT, "left", swing(plant, seconds=24.0), CYCLE_S)  # slow: next to no inertia
     expected = plant.smr_positions("left", at_points(record, EXACT))
-    np.testing.assert_allclose(record.p_M, expected, atol=2e-6)
+    np.testing.assert_allclose(record.p_M, expected, atol=5e-6)
+
+
+def test_inertia_is_that_of_virtual_work():
+    mechanism, rng, h = plant_with({}).true_mechanism("left"), np.random.default_rng(1), 1e-3
+    q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 5, 6))
+    before, after = (q + sign * h * qd + 0.5 * h * h * qdd for sign in (-1.0, 1.0))
+    centers = [Bodies.at(mechanism, at).centers for at in (before, q, after)]
+    acceleration = (centers[0] - 2.0 * centers[1] + centers[2]) / h**2
+    found = inertia_torques(mechanism, before, q, after, h)
+    masses = Bodies.at(mechanism, q).masses
+    for joint in range(6):
+        by = 1e-5 * np.eye(6)[joint]
+        moved = (Bodies.at(mechanism, q + by).centers - Bodies.at(mechanism, q - by).centers) / 2e-5
+        work = -np.einsum("k,knx,knx->n", masses, acceleration, moved)
+        own = Bodies.at(mechanism, q).own[joint] * qdd[:, joint]
+        np.testing.assert_allclose(found[:, joint], work - own, atol=1e-4)
+
+
+def struck(plant: Plant) -> SweepRecord:
+    """A joint that is accelerated all at once, and rests after half a second."""
+    time_s = np.arange(0.0, 4.0, CYCLE_S)
+    q = np.repeat(plant.q("left")[None], len(time_s), axis=0)
+    q[:, 1] += 0.05 * np.clip(time_s, 0.0, 0.5)
+    return record_sweep(plant, EXACT, "left", q, CYCLE_S)
+
+
+def test_a_struck_arm_swings_at_its_natural_frequency_and_comes_to_rest():
+    stiffness = [9e4, 6e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]
+    plant = plant_with({"joint_vibration": {"stiffness": stiffness, "damping": 0.04}})
+    mass = Bodies.at(plant.true_mechanism("left"), plant.q("left")[None]).mass_matrix(0)
+    first_hz = np.sqrt(eigh(np.diag(stiffness), mass, eigvals_only=True)[0]) / (2.0 * np.pi)
+    record = struck(plant)
+    still = record.joint_time_s[-1] - 3.0  # the command ended half a second before
+    rests = record.point_time_s > still
+    moved = record.p_M[rests] - record.p_M[-20:].mean(axis=0)
+    along = moved @ np.linalg.svd(moved, full_matrices=False)[2][0]
+    power = np.abs(np.fft.rfft(along, 8192))
+    frequency = np.fft.rfftfreq(8192, 1.0 / EXACT.point_hz)
+    assert frequency[np.argmax(power)] == pytest.approx(first_hz, rel=0.05)
+    assert np.abs(along[:50]).max() > 5e-6
+    assert np.abs(along[-50:]).max() < 0.05 * np.abs(along[:50]).max()
+
+
+def test_a_late_drive_follows_by_its_time_constant_and_delay():
+    plant = plant_with({"drive_lag": {"time_constant": [0.02] * 6, "delay": [0.0, 0.01, 0.0, 0.0, 0.0, 0.0]}})
+    for joint, late_s in ((0, 0.0225), (1, 0.0325)):
+        record = record_sweep(plant, EXACT, "left", swing(plant, joint=joint), CYCLE_S)
+        q = at_points(record, EXACT)
+        delayed = np.column_stack([np.interp(record.point_time_s - late_s, record.point_time_s, c) for c in q.T])
+        miss = np.linalg.norm(record.p_M - plant.smr_positions("left", delayed), axis=1)
+        assert miss.max() < 0.2 * np.linalg.norm(record.p_M - plant.smr_positions("left", q), axis=1).max()
 
 
 def test_play_lags_behind_each_reversal_by_its_width() -> None:

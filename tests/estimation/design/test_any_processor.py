@@ -21,7 +21,8 @@ rng = np.random.default_rng(0)
 rows = np.repeat(rng.normal(size=(150, 3, 20)), 2, axis=0)
 rows *= 1.0 + 1e-7 * rng.normal(size=(300, 1, 1))  # each candidate has a rival that tells as much, nearly
 candidates = Candidates(rows, np.eye(20))
-criterion = Criterion(reference_errors(rows, 40, candidates.prior, 15), rng.normal(size=(50, 3, 20)))
+reference = reference_errors(candidates.mean_information, 40, candidates.prior, 15)
+criterion = Criterion(reference, rng.normal(size=(50, 3, 20)))
 chosen = choose_blocks(candidates, 40, criterion, rng)
 print(most_informative_first(candidates, chosen, criterion).tolist())
 """

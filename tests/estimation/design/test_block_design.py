@@ -26,7 +26,7 @@ def problem(seed: int = 0, m: int = M) -> tuple[Candidates, Criterion]:
     rows = rng.normal(size=(m, 3, P)) * rng.uniform(0.2, 2.0, (m, 1, 1)) * np.geomspace(0.3, 3.0, P)
     candidates = Candidates(rows, np.diag(np.geomspace(0.1, 1.0, P)))
     points = rng.normal(size=(50, 3, P))
-    return candidates, Criterion(reference_errors(rows, COUNT, candidates.prior, 6), points)
+    return candidates, Criterion(reference_errors(candidates.mean_information, COUNT, candidates.prior, 6), points)
 
 
 @given(st.integers(0, 2**32 - 1))

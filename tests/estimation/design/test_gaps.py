@@ -21,7 +21,9 @@ def clustered() -> tuple[Candidates, np.ndarray, Criterion, np.ndarray]:
     q = rng.uniform(-2.0, 2.0, (800, 2))
     rows = rng.normal(size=(800, 3, 4)) * np.abs(q[:, :1, None])
     candidates = Candidates(rows, np.eye(4))
-    criterion = Criterion(reference_errors(rows, COUNT, candidates.prior, 4), rng.normal(size=(40, 3, 4)))
+    criterion = Criterion(
+        reference_errors(candidates.mean_information, COUNT, candidates.prior, 4), rng.normal(size=(40, 3, 4))
+    )
     return candidates, q, criterion, choose_blocks(candidates, COUNT, criterion, rng)
 
 

@@ -48,6 +48,8 @@ class Arm:
     drag: np.ndarray = field(default_factory=lambda: np.zeros(7))
     """Most that grease holds each joint back, nearly reached beyond ``drag_speed`` [rad/s]."""
     drag_speed: float = 0.2
+    time_constant: np.ndarray = field(default_factory=lambda: np.zeros(7))
+    springs: dict[int, tuple[float, float]] = field(default_factory=dict)  # joint: natural frequency [Hz], damping
 
     def points(self, q):
         """SMR (n, 3) of the output angles ``q`` (n, N)."""
@@ -120,6 +122,60 @@ def sweep(rng, joints, *, base_hz=0.02, harmonics=8, reach=1.0, speed=0.5):
     return replace(found, sine=sine * scale, cosine=cosine * scale)
 
 
+@dataclass(frozen=True)
+class Corners:
+    """From point to point (m, N), each way of the same time: a third of it speeding up, a third slowing down."""
+
+    way: np.ndarray
+    each_s: float
+
+    def at(self, t):
+        number, share = self._part(t)
+        a = np.minimum(share, 1 / 3)
+        done = 2.25 * a**2 + 1.5 * np.clip(share - 1 / 3, 0.0, 1 / 3)
+        late = np.maximum(share - 2 / 3, 0.0)
+        done += 1.5 * late - 2.25 * late**2
+        return self.way[number] + done[:, None] * (self.way[number + 1] - self.way[number])
+
+    def speed(self, t):
+        number, share = self._part(t)
+        rate = 4.5 * np.minimum(np.minimum(share, 1 / 3), 1 - share) / self.each_s
+        return rate[:, None] * (self.way[number + 1] - self.way[number])
+
+    def _part(self, t):
+        place = np.clip(np.asarray(t) / self.each_s + 10.0, 0.0, len(self.way) - 1.001)
+        number = place.astype(int)
+        return number, place - number
+
+
+def corners(rng, joints, seconds, *, each_s=1.5, reach=0.3):
+    """Ways about a posture, each from rest to rest."""
+    count = int(seconds / each_s) + 24
+    return Corners(rng.uniform(-1.0, 1.0, joints) + rng.uniform(-reach, reach, (count, joints)), each_s)
+
+
+def answered(arm, motion, when):
+    """What time constants and springs add to the joints (m, N) at times (m,), by small steps."""
+    dt = 5e-4
+    t = np.arange(when[0] - 2.0, when[-1] + 2 * dt, dt)
+    q = motion.at(t)
+    found = np.zeros_like(q)
+    for joint, T in enumerate(arm.time_constant[: q.shape[1]]):
+        if T:
+            x = q[0, joint] - T * motion.speed(t[:1])[0, joint]
+            for i in range(1, len(t)):
+                x += (0.5 * (q[i, joint] + q[i - 1, joint]) - x) * -np.expm1(-dt / T)
+                found[i, joint] += x - q[i, joint]
+    for joint, (hz, damping) in arm.springs.items():
+        w, y, v = 2 * np.pi * hz, 0.0, 0.0
+        qdd = np.gradient(motion.speed(t)[:, joint], dt)
+        for i in range(1, len(t)):
+            v += dt * (-qdd[i] - 2 * damping * w * v - w * w * y)
+            y += dt * v
+            found[i, joint] += y
+    return np.column_stack([np.interp(when, t, column) for column in found.T])
+
+
 def lost_motion(q, half_play):
     """Output of gears with play (n, N): it stays until the input has crossed the gap."""
     out = q.copy()
@@ -171,6 +227,8 @@ def record(
     q_fine = motion.at(fine) - speed * arm.lag_s[:n] - arm.drag[:n] * np.tanh(speed / arm.drag_speed)
     out = lost_motion(q_fine, arm.half_play) if arm.half_play.any() else q_fine
     out = out[np.searchsorted(fine, when)]
+    if arm.springs or arm.time_constant.any():
+        out = out + answered(arm, motion, when)
     if arm.cycles:
         q_when = motion.at(when)
         out = out + arm.amplitude[:n] * np.sin(arm.cycles * q_when + arm.phase[:n])

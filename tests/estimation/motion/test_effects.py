@@ -13,7 +13,7 @@ from cellapp.estimation.motion.joint_path import joint_path, play
 from cellapp.estimation.motion.terms import Masses, torques_in_motion
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.statics import Bodies
-from tests.estimation.motion.simulated import UR10, Arm, lost_motion, record, sweep, true_arm
+from tests.estimation.motion.simulated import UR10, Arm, corners, lost_motion, record, sweep, true_arm
 
 NOMINAL = nominal_geometry(UR10, np.zeros(3))
 BODIES = Bodies(
@@ -101,6 +101,23 @@ def test_dense_lines_play_and_lag_are_named_with_their_sizes():
     assert discovery.heldout_after_mm < discovery.heldout_before_mm
 
 
+@pytest.mark.slow
+def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of_commands():
+    rng = np.random.default_rng(7)
+    late = np.array([0.018, 0.015, 0.022, 0.025, 0.027, 0.012, 0.0])
+    arm = replace(true_arm(rng), time_constant=late, springs={0: (9.0, 0.04)})
+    discovery, found = found_in(record(rng, arm, corners(rng, 6, 60.0), seconds=60.0, slow=10e-6))
+    assert set(found) == {"time_constant", "vibration", "inertia"}
+    assert found["time_constant"].values == pytest.approx(late[:6], abs=1e-3)
+    gain, hz, damping = found["vibration"].values
+    assert (gain, hz, damping) == pytest.approx((1.0 / (2.0 * np.pi * 9.0) ** 2, 9.0, 0.04), rel=0.1)
+    assert found["inertia"].joints == found["vibration"].joints == (1,)
+    assert all(effect.only_motion and not effect.at_rest for effect in found.values())
+    assert discovery.terms == ()
+    assert discovery.fit.clocks["sweep"].offset_s == pytest.approx(0.0178, abs=1e-3)
+    assert discovery.heldout_after_mm < 0.2 * discovery.heldout_before_mm
+
+
 def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():
     rng = np.random.default_rng(6)
     rigid = true_arm(rng)
@@ -125,7 +142,8 @@ def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error(
 @pytest.mark.parametrize("seed", [2, 3])
 def test_nothing_is_found_where_nothing_is(seed):
     rng = np.random.default_rng(seed)
-    discovery, _ = found_in(record(rng, true_arm(rng), sweep(rng, 6)), bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
+    motion = corners(rng, 6, 120.0) if seed == 3 else sweep(rng, 6)  # corners excite vibration where there is any
+    discovery, _ = found_in(record(rng, true_arm(rng), motion), bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
     assert discovery.effects == ()
 
 

@@ -7,6 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cellapp.estimation.motion.joint_path import joint_path
+from cellapp.estimation.motion.streams import JointStream
+from cellapp.estimation.motion.terms import state_in_motion
 from cellapp.robot.effects import EFFECTS, Linear, motion_laws, own_law
 from tests.estimation.motion.simulated import record, sweep, true_arm
 from tests.estimation.motion.test_effects import found_in
@@ -73,3 +76,15 @@ def test_accelerations_and_torques_reach_the_function():
         name: np.full((4, 6), value) for name, value in zip(("q", "qd", "qdd", "tau", "approach"), (1, 2, 3, 4, -1))
     }
     assert law.offset("sag", 2, state.__getitem__) == pytest.approx(np.full(4, 1.0))
+
+
+@pytest.mark.fast
+def test_accelerations_are_those_of_the_path():
+    t = np.arange(0.0, 4.0, 0.008)
+    q = np.stack([0.5 * np.sin(2.0 * t), 0.2 * np.cos(3.0 * t)], axis=1)
+    path = joint_path(JointStream(time_s=t, q=q))
+    inside = np.linspace(0.5, 3.5, 40)
+    found = state_in_motion(path, inside, None, torques=False).quantity("qdd")
+    assert found == pytest.approx(
+        np.stack([-2.0 * np.sin(2.0 * inside), -1.8 * np.cos(3.0 * inside)], axis=1), abs=0.02
+    )

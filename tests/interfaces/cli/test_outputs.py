@@ -166,6 +166,7 @@ def test_every_command_has_its_outputs() -> None:
         "--joints",
         "--points",
         "--problems",
+        "--controllers",
     }
 
 

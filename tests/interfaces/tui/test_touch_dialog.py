@@ -46,3 +46,17 @@ async def test_a_name_and_enter_record_and_the_next_one_is_asked_for(
         await until(pilot, lambda: not isinstance(app.screen, VerbQuestion), "the end")
     with RunFile.open(tmp_path / "touched") as run:
         assert not run.arms()
+
+
+async def test_the_palette_rehearses_the_profile_that_is_open() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.open_profile(PROFILES / "twin.yaml")
+        await until(pilot, lambda: app.workspace.profile is not None, "the profile")
+        {one.title: one for one in possible_commands(app, app.day_screen)}["cellapp rehearse"].callback()
+        await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and "step" in shown_text(app), "the dialog")
+        app.screen.query_one("#rung", Input).value = "both-arms"
+        assert isinstance(app.screen, VerbQuestion)
+        app.screen.action_answer("begin")
+        await until(pilot, lambda: "has no controller" in app.message, "the refusal of simulated arms")

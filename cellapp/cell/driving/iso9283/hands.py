@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from cellapp.cell.driving.attendance import SimulatedPerson, by_person
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.cell_checks import PAYLOAD_SLACK_KG
+from cellapp.cell.driving.cell_checks import known_payload
 from cellapp.cell.driving.iso9283.findings import IsoFindings
 from cellapp.estimation.iso9283.evaluate_compliance import FORCE_DIRECTIONS, force_direction, force_place
 from cellapp.estimation.iso9283.places import ArmProgramme, Place
@@ -40,16 +40,9 @@ class Hands:
             " controller to that",
             lambda person: person.hang(name, load_kg),
         )
-        known_kg = self.cell.arms[name].tool().payload_kg
-        if known_kg is None or abs(known_kg - load_kg) <= PAYLOAD_SLACK_KG:
-            return True
-        self.findings.refuse(
-            name,
-            ["pose"],
-            f"not with {load_kg:g} kg: the payload of its controller is set to {known_kg:.3f} kg; an arm that does not"
-            " know its load is not driven",
-        )
-        return False
+        if doubt := known_payload(self.cell.arms[name], load_kg):
+            self.findings.refuse(name, ["pose"], f"not with {load_kg:g} kg: {doubt}")
+        return not doubt
 
     def under_forces(
         self, programme: ArmProgramme, forces: Sequence[float], measure: Callable[[Place, int, int], None]

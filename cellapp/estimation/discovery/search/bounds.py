@@ -15,17 +15,23 @@ import numpy as np
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.design.information import visible_root
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.candidates import LawScore, blocks_beyond_bounds
+from cellapp.estimation.discovery.candidates import BOUND_ERRORS, LawScore, blocks_beyond_bounds
 from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.terms import ModelTerm, ModelTerms
+
+NEARLY = 0.3
+"""Share of a linearly estimated value by which a joint fit may change it."""
 
 
 def within_bounds(data: ArmData, others: ModelTerms, residual: ProjectedResidual, score: LawScore) -> LawScore | None:
     """The score without the blocks whose values, fitted beside ``others``, are impossible; None where none is left."""
 
     def impossible(current: LawScore) -> set[str]:
+        perhaps, surely = impossible_blocks(residual, current, NEARLY)
+        if perhaps == surely:  # a joint fit would say the same
+            return surely
         term = ModelTerm(current.slug, current.candidate.law, current.names)
         return fit_terms(data, (*others, term)).blocks_beyond_bounds(len(others))
 
@@ -43,7 +49,7 @@ def possible_score(residual: ProjectedResidual, score: LawScore) -> float:
     cost, which is too much for every rival of every effect.
     """
     possible = _without_blocks(
-        residual, score, lambda current: _impossible_blocks(residual, current), with_refinements=False
+        residual, score, lambda current: impossible_blocks(residual, current)[1], with_refinements=False
     )
     return -math.inf if possible is None else possible.value
 
@@ -71,11 +77,16 @@ def _without_blocks(
     return current
 
 
-def _impossible_blocks(residual: ProjectedResidual, score: LawScore) -> set[str]:
-    """Blocks with a linearly estimated value outside its bounds by more than chance allows."""
+def impossible_blocks(residual: ProjectedResidual, score: LawScore, nearly: float = 0.0) -> tuple[set[str], set[str]]:
+    """Blocks with a linearly estimated value outside its bounds by more than chance allows.
+
+    Those that may be so if values change by a share ``nearly`` and their errors, and those that are so in any case.
+    """
     columns = [score.candidate.columns[place] for place in score.chosen]
     if all(math.isinf(column.lower) and math.isinf(column.upper) for column in columns):
-        return set()
+        return set(), set()
     root, _ = visible_root(score.rows @ residual.projector.project(score.rows).T, np.linalg.norm(score.rows, axis=1))
-    values = root @ (root.T @ (score.rows @ residual.projected))
-    return blocks_beyond_bounds(columns, values, np.linalg.norm(root, axis=1))
+    values, errors = root @ (root.T @ (score.rows @ residual.projected)), np.linalg.norm(root, axis=1)
+    change = nearly * np.abs(values) + (BOUND_ERRORS * errors if nearly else 0.0)
+    more, less = (blocks_beyond_bounds(columns, values + sign * change, errors) for sign in (1.0, -1.0))
+    return more | less, more & less

@@ -32,6 +32,8 @@ from cellapp.robot.kinematics.transforms import Array
 
 _FAMILIES_AT_ONCE = 128
 """Families of equal size that are scored together: bounds the memory (24 functions each, 800 parameters: 20 MB)."""
+MOST_COLUMNS = 72
+"""Columns of a law at most: a shift in three directions by 24 functions, an offset of a joint by all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +89,13 @@ class ChannelScan:
         return cls(found, fit.projected_residual.square, 3 * n)
 
     def scores(self, families: Families, chosen: Sequence[DataChannel]) -> Array:
-        """Score (channels, families) of each law, without the price of choosing it; minus infinity where invisible."""
+        """Score (channels, families) of each law, without the price of choosing it; minus infinity where it is
+        invisible or has too many columns."""
         values = np.full((len(chosen), len(families.sizes)), -np.inf)
         for numbers, functions in families.batches():
             for row, channel in enumerate(chosen):
+                if len(self.directions[channel]) * functions.shape[1] > MOST_COLUMNS:
+                    continue
                 values[row, numbers] = self._scores(functions, self.directions[channel])
         return values
 

@@ -12,7 +12,7 @@ from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore
 from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
-from cellapp.estimation.discovery.search.bounds import within_bounds
+from cellapp.estimation.discovery.search.bounds import NEARLY, impossible_blocks, within_bounds
 from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
@@ -40,7 +40,9 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
     for score in scan.ranked(residual)[:_TRIED]:
         if score.value <= problem.threshold:
             break
-        term = _impossible_term(state, score)
+        term = None
+        if impossible_blocks(residual, score, NEARLY)[0] and not _left_over(state, score):
+            term = _impossible_term(state, score)
         if term is None:
             continue
         possible = within_bounds(state.data, fit.terms, residual, score)
@@ -52,6 +54,16 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
         ):
             return problem.step(UNKNOWN, term.note, score.value, (*fit.terms, term))
     return None
+
+
+def _left_over(state: SearchState, score: LawScore) -> bool:
+    """Whether a named look-alike explains more: an impossible law beside it is what it leaves over."""
+    explained = score.explained_share * state.fit.projected_residual.square
+    return any(
+        explained < state.fit.removed_square(number)
+        for number, term in enumerate(state.fit.terms)
+        if term.is_library_effect and score.slug in EFFECTS[term.slug].look_alikes
+    )
 
 
 def _unused(state: SearchState, candidates: list[CandidateLaw]) -> list[CandidateLaw]:

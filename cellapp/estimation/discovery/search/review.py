@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellapp.estimation.design.information import NuisanceProjector
-from cellapp.estimation.discovery.candidates import LawScore, best_law_of_each_effect
+from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
+from cellapp.estimation.discovery.candidates import CandidateLaw, LawScore, best_law_of_each_effect
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.projected_residual import ProjectedResidual
 from cellapp.estimation.discovery.records import RunnerUp
@@ -21,7 +23,12 @@ from cellapp.estimation.discovery.terms import UNKNOWN, without_term
 from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS, DriverVariable
 from cellapp.robot.effects.periodic import LINES
+from cellapp.robot.kinematics.transforms import Array
 
+_AS_WELL = 0.5
+"""Share of the score of what it replaces that an effect must have to stand in its place: a free part is made to fit."""
+_SAME_SHAPE = 0.999
+"""Cosine from which two columns move the SMR alike."""
 _SAME_CAUSE = 0.05
 """A term that depends on the variables of another one and removes less than this share of that one's sum of squares is
 taken as the rest of an imperfect law (22 % in rms) and not as a second cause."""
@@ -110,11 +117,61 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
         for rival in best
         if rival.value > max(score - SCORE_MARGIN, 0.0)
     ]
+    contained = _contained(problem, state, number)
+    inside = {rival.effect for rival in contained}
+    rivals = [*(rival for rival in rivals if rival.effect not in inside), *contained]
     alternatives = {rival.slug: rival.value for rival in best}
     alternatives |= {
         rival.slug: possible_score(residual, rival) for rival in best if rival.value > score - 2.0 * SCORE_MARGIN
     }
     return Review(term, score, problem.p_value(score), tuple(rivals), alternatives)
+
+
+def _contained(problem: SearchProblem, state: SearchState, number: int) -> list[RunnerUp]:
+    """Look-alikes that a term's law may hold within itself, in place of columns of the same shape or of its free part.
+
+    Dry friction and play move a joint alike, and what a law leaves over may be the look-alike. Such an effect may be
+    there beside the named one: it scores, beside the rest of the law, about as much as what stands in its place.
+    """
+    fit, term = state.fit, state.fit.terms[number]
+    if not term.is_library_effect:
+        return []
+    target, size = fit.residual_without(number).residual, fit.layout.parameters(number).start + len(term.names)
+    found = []
+    for slug in EFFECTS[term.slug].look_alikes:
+        own = [] if slug in state.slugs else fit.candidates(state.data, [slug])
+        of_shape, free = np.zeros((2, fit.layout.total), dtype=bool)
+        of_shape[size - len(term.names) : size] = _shared_columns(fit.law_rows(number), own)
+        free[size : fit.layout.parameters(number).stop] = True
+        for replaced in (of_shape, free):
+            if own and replaced.any() and not replaced[size - len(term.names) : size].all():
+                found += _in_place_of(problem, fit, replaced, target, own)
+    return list({one.effect: one for one in found}.values())
+
+
+def _in_place_of(
+    problem: SearchProblem, fit: JointFit, replaced: NDArray[np.bool_], target: Array, laws: Sequence[CandidateLaw]
+) -> list[RunnerUp]:
+    """The best of some laws as a rival, if it explains ``target`` about as well as the parameters that it replaces."""
+    projector = NuisanceProjector.of(fit.rows[~replaced], fit.precision[~replaced])
+    rest = ProjectedResidual(projector, target)
+    gain = math.log(rest.square / fit.projected_residual.square) * len(rest)
+    gain -= (fit.projector.effective_parameters - projector.effective_parameters) * math.log(len(rest))
+    return [
+        RunnerUp(effect=one.slug, statistic=one.value, distinguishable=False)
+        for one in LawScan.of(laws, projector).ranked(rest)[:1]
+        if one.value > max(problem.threshold, _AS_WELL * gain)
+    ]
+
+
+def _shared_columns(rows: Array, laws: Sequence[CandidateLaw]) -> NDArray[np.bool_]:
+    """Which rows (m, d) are, but for their size, a column of some law."""
+    shared = np.zeros(len(rows), dtype=bool)
+    norms = np.maximum(np.linalg.norm(rows, axis=1), SMALLEST)
+    for law in laws:
+        cosines = rows @ law.rows.T / norms[:, None] / np.maximum(np.linalg.norm(law.rows, axis=1), SMALLEST)
+        shared |= (np.abs(cosines) > _SAME_SHAPE).any(axis=1)
+    return shared
 
 
 def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, rival: LawScore) -> bool:

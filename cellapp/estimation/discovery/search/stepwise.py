@@ -190,9 +190,12 @@ def _best_model(problem: SearchProblem, start: SearchState, scan: LawScan, progr
 
 
 def _with_contradictions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:
-    """The best of the named model and those with a law that holds with impossible values only, before or beside it."""
-    found = [with_contradiction(problem, state) for state in dict.fromkeys((start, named))]
-    return best_state([named, *(_reviewed_again(problem, state) for state in found if state is not None)])
+    """The best of the named model and one with a law that holds with impossible values only, beside it or before it."""
+    for state in dict.fromkeys((named, start)):
+        found = with_contradiction(problem, state)
+        if found is not None:
+            return best_state([named, _reviewed_again(problem, found)])
+    return named
 
 
 def _with_free_functions(problem: SearchProblem, start: SearchState, named: SearchState) -> SearchState:

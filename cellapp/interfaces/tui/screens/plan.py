@@ -293,6 +293,7 @@ class PlanScreen(PlanEdits):
     @work(thread=True, exclusive=True, group="charts")
     def _make_charts(self, workspace: Workspace) -> None:
         """Draw the design: the mathematics that this needs takes half a second to load."""
+        from cellapp.commands.plan.design_view import load_sentences
         from cellapp.commands.plan.section import design_charts_of, design_tables_of
         from cellapp.commands.plan.sweep_view import sweep_sentences, sweep_tables
 
@@ -300,7 +301,8 @@ class PlanScreen(PlanEdits):
         if profile is not None and ways is not None and stops is not None and stops.stops:
             charts = design_charts_of(profile, stops.stops, ways, design)
             tables = (*design_tables_of(design), *sweep_tables(stops.sweeps))
-            self.post_message(Drawn(stops, charts, tables, sweep_sentences(stops.sweeps)))
+            sentences = (*load_sentences(stops.loads), *sweep_sentences(stops.sweeps))
+            self.post_message(Drawn(stops, charts, tables, sentences))
 
     @work(thread=True, exclusive=True, group="view")
     def _make_view(self, profile: Profile, view: ViewResult) -> None:

@@ -1,0 +1,105 @@
+"""What the factory's calibration in a controller says, beside the published rows of its arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cellapp.cell.profile.controller_file import controller_file_text
+from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.ground.profile import Arm, Profile
+from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
+from cellapp.robot.kinematics.plain_dh import hayati_rows, same_chain
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model.nominal import controller_rows, published_rows
+from drivers.findings import Finding
+
+_DRAWS = 500
+"""Random configurations over which two chains are compared."""
+CONTROLLER_FILE = "{arm}-calibration.conf"
+"""Name of the file that holds the calibration of an arm's controller."""
+
+
+@dataclass(frozen=True, eq=False)
+class FactoryTable:
+    """The calibration in a controller.
+
+    Attributes
+    ----------
+    deltas : array, shape (N, 4)
+        What is added to the published rows theta, d, a, alpha [rad, m, m, rad]; lengths d may be hundreds of metres.
+    near : array, shape (N, 5)
+        The same as rows theta, d, a, alpha, beta next to the published ones, less these.
+    off_mm : tuple of two floats
+        Mean and largest distance of the SMR by both chains, each fitted to the other as a rigid body [mm].
+    """
+
+    checksum: str
+    deltas: Array
+    near: Array
+    off_mm: tuple[float, float]
+
+
+def factory_tables(
+    profile: Profile, reported: Mapping[str, tuple[Sequence[Sequence[float]], str]]
+) -> dict[str, FactoryTable]:
+    """The calibration of every controller that has one, by arm; ``reported`` are rows (N, 4) and checksum by arm."""
+    return {
+        name: _table(profile.arms[name], np.array(rows), checksum)
+        for name, (rows, checksum) in reported.items()
+        if checksum and len(rows) == len(profile.arms[name].type.joints)
+    }
+
+
+def _table(arm: Arm, rows: Array, checksum: str) -> FactoryTable:
+    published = published_rows(arm)
+    near = hayati_rows(rows, published)
+    tool = np.zeros(3) if arm.smr.offset == "unknown" else np.array(arm.smr.offset)
+    chain = nominal_geometry(published, tool)
+    limits = np.array(arm.joint_limits)
+    q = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (_DRAWS, len(limits)))
+    there = smr_positions(replace(chain, rows=near), q)
+    off = (
+        np.linalg.norm(smr_positions(start_from_nominal(chain, q, there, tool_unknown=False), q) - there, axis=1) * 1e3
+    )
+    near = near - np.column_stack([published, np.zeros(len(published))])
+    near[:, [0, 3]] = np.remainder(near[:, [0, 3]] + np.pi, 2.0 * np.pi) - np.pi
+    return FactoryTable(checksum, rows - published, near, (float(off.mean()), float(off.max())))
+
+
+def factory_findings(profile: Profile, tables: Mapping[str, FactoryTable]) -> list[Finding]:
+    """Whether each arm's nominal rows are those of its controller."""
+    return [_finding(name, profile.arms[name], table) for name, table in tables.items()]
+
+
+def _finding(name: str, arm: Arm, table: FactoryTable) -> Finding:
+    subject, published = f"arm {name}: calibration", published_rows(arm)
+    if arm.factory is not None:
+        if same_chain(published + table.deltas, controller_rows(arm), published):
+            return Finding(subject, "ok", f"the controller's own, {table.checksum}, is that of arms.{name}.factory")
+        text = (
+            f"the controller's own, {table.checksum}, is not that of arms.{name}.factory"
+            f" ({arm.factory.checksum or 'no checksum'}): write it with --controllers DIR, then collect and calibrate"
+            " again"
+        )
+        return Finding(subject, "failed", text)
+    mean, most = table.off_mm
+    text = (
+        f"the controller computes with its own, {table.checksum}: its SMR is {mean:.3f} mm (at most {most:.3f} mm) from"
+        f" that of the published rows. --controllers DIR writes it for arms.{name}.factory"
+    )
+    return Finding(subject, "ok", text)
+
+
+def controller_files(tables: Mapping[str, FactoryTable], profile: Profile) -> dict[str, str]:
+    """Name and text of a file of each arm's calibration."""
+    return {
+        CONTROLLER_FILE.format(arm=name): controller_file_text(
+            table.deltas.tolist(),
+            table.checksum,
+            (f"What the controller of arm {name} of {profile.name} adds to the published rows of its arm.",),
+        )
+        for name, table in tables.items()
+    }

@@ -1,0 +1,188 @@
+"""Rehearsing a plan without the tracker: first the controllers alone, then real arms, one safe step more each time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from cellapp.cell.driving.cell import Cell, open_arms
+from cellapp.cell.driving.controllers import check_controllers
+from cellapp.cell.driving.forbidden import forbidden_stops
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
+from cellapp.cell.driving.reaction import StopReaction
+from cellapp.cell.driving.supervision import hold_while_paused, reacting
+from cellapp.cell.driving.travel import Travel
+from cellapp.cell.driving.work import Work, remaining_work
+from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import HardwareError
+from cellapp.ground.progress import Detail, Listener, MotionBegun, MotionEnded, Progress
+
+RungName = Literal["simulation", "one-arm", "ten-stops", "both-arms"]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A step of the rehearsal: how many stops (None: all), which share of the profile's speed, one arm or all."""
+
+    stops: int | None
+    share: float
+    one_arm: bool
+    simulation: bool
+    words: str
+
+
+RUNGS: Mapping[RungName, Rung] = {
+    "simulation": Rung(None, 1.0, False, True, "the whole plan on controllers in simulation mode"),
+    "one-arm": Rung(1, 0.05, True, False, "one stop of one arm at 5 % speed"),
+    "ten-stops": Rung(10, 0.05, True, False, "ten stops of one arm at 5 % speed"),
+    "both-arms": Rung(10, 0.05, False, False, "ten stops of all arms at 5 % speed"),
+}
+"""In the order in which they are climbed."""
+
+
+@dataclass(frozen=True)
+class RehearsedMotion:
+    """A motion to a stop, or None on other ways: how long it took and should have taken [s], and for each arm the
+    largest distance of a joint from where it was commanded [rad]."""
+
+    stop: int | None
+    seconds: float
+    expected_s: float
+    off_rad: Mapping[str, float]
+
+
+@dataclass
+class Rehearsal:
+    """What was found on a rung.
+
+    Attributes
+    ----------
+    visited : list of int
+        Stops that were reached, from 0.
+    refused : dict
+        Stop -> why the gate or a controller refused it.
+    notes : tuple of str
+        What the controllers said.
+    ended : str
+        Why the rung ended early; empty if it did not.
+    """
+
+    visited: list[int] = field(default_factory=list)
+    refused: dict[int, str] = field(default_factory=dict)
+    motions: list[RehearsedMotion] = field(default_factory=list)
+    notes: tuple[str, ...] = ()
+    ended: str = ""
+
+
+def rehearse(
+    run: RunFile,
+    name: RungName,
+    arms: Sequence[str],
+    listener: Listener,
+    control: JobControl,
+    confirm: Confirm | None,
+) -> Rehearsal:
+    """Drive the planned stops of a run for one rung, with ``arms``; the others stay where they are. Nothing is stored.
+
+    What a device refuses or a fault ends is in the result.
+
+    Raises
+    ------
+    InputError
+        Without a plan, if the first motion is not confirmed, or a record of the run is damaged.
+    Stopped, Aborted
+        If a person stopped it; the arms have been braked.
+    """
+    found, rung, work = Rehearsal(), RUNGS[name], remaining_work(run, resume=True)
+    try:
+        with (
+            open_arms(run.profile, control, simulation=rung.simulation) as cell,
+            reacting(cell, control) as reaction,
+        ):
+            found.notes = check_controllers(run, cell).notes
+            _Driver(run, work, rung, tuple(arms), cell, reaction, control, listener, found).drive(confirm)
+    except (HardwareError, MotionRefused) as error:
+        found.ended = str(error)
+    return found
+
+
+@dataclass
+class _Driver:
+    """Drives one rung in an open cell."""
+
+    run: RunFile
+    work: Work
+    rung: Rung
+    arms: tuple[str, ...]
+    cell: Cell
+    reaction: StopReaction
+    control: JobControl
+    listener: Listener
+    found: Rehearsal
+
+    def __post_init__(self) -> None:
+        profile = self.run.profile
+        self.mover = Mover(profile, self.cell, cell_bodies(profile), self.reaction, self._note)
+        self.travel = Travel(profile, self.mover, self.work)
+        self.mover.speed = self.rung.share
+        self._begun: tuple[MotionBegun, float] | None = None
+
+    def drive(self, confirm: Confirm | None) -> None:
+        """Visit the stops of the rung, then go home."""
+        homes = home_positions(self.run.profile)
+        forbidden, errors = forbidden_stops(self.cell, self.work, homes)
+        for name, error in errors.items():
+            raise HardwareError(f"arm {name}: {error}") from error
+        stops = [stop for stop in self.work.stops if stop not in forbidden][: self.rung.stops]
+        self.found.refused |= {stop: why for stop, why in forbidden.items() if self.rung.stops is None}
+        if stops:
+            self.mover.confirm_first(self._targets(stops[0]), confirm)
+        for number, stop in enumerate(stops):
+            hold_while_paused(self.cell, self.control, self.reaction)
+            self.listener(Progress("rehearse", number, len(stops), f"stop {stop + 1}"))
+            self.mover.stop = stop
+            try:
+                self._to_stop(stop)
+                self.found.visited.append(stop)
+            except MotionRefused as error:
+                self.found.refused[stop] = str(error)
+            finally:
+                self.mover.stop = None
+        self.mover.go_home(self.arms)
+        self.listener(Progress("rehearse", len(stops), len(stops), "done"))
+
+    def _to_stop(self, stop: int) -> None:
+        """As collecting does; arms of a part of the cell go straight, or from home."""
+        if set(self.arms) == set(self.work.plan):
+            self.travel.to_stop(stop)
+            return
+        try:
+            self.mover.move(self._targets(stop))
+        except MotionRefused:
+            self.mover.go_home(self.arms)
+            self.mover.move(self._targets(stop))
+
+    def _targets(self, stop: int) -> dict[str, np.ndarray]:
+        return {name: q for name, q in self.work.targets(stop).items() if name in self.arms}
+
+    def _note(self, detail: Detail) -> None:
+        """Keep time and deviation of a motion from the reports of its beginning and end."""
+        now_s = self.cell.clock.now_s()
+        if isinstance(detail, MotionBegun):
+            self._begun = detail, now_s
+        elif isinstance(detail, MotionEnded) and self._begun is not None:
+            begun, since_s = self._begun
+            off = {
+                name: float(np.abs(np.array(q) - detail.q[name]).max(initial=0.0))
+                for name, q in begun.q_target.items()
+                if name in detail.q
+            }
+            expected_s = begun.expected_s if math.isfinite(begun.expected_s) else 0.0
+            self.found.motions.append(RehearsedMotion(begun.stop, now_s - since_s, expected_s, off))
+            self._begun = None

@@ -1,0 +1,21 @@
+"""Where the file of a run's profile was: what is recorded beside the profile is found from there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cellapp.cell.run.file import RunFile
+
+_STORED = "profile file"
+"""Name of the stored result."""
+
+
+def note_profile(run: RunFile, path: Path) -> None:
+    """Keep in a run where its profile's file is."""
+    run.write_result(_STORED, str(path.resolve()))
+
+
+def noted_profile(run: RunFile) -> Path | None:
+    """Where the file of the profile was when the run was planned; None if that is not known."""
+    text = run.read_result(_STORED)
+    return None if text is None else Path(text)

@@ -1,0 +1,137 @@
+"""One file for a report to the authors: what is installed, the profile, what the doctor found, the log of a run, some
+states of each controller; no secrets, no keys, no readings."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import platform
+import time
+import zipfile
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from cellapp.cell.driving.examination import LONGEST_PROBE_S
+from cellapp.cell.profile import profile_to_json
+from cellapp.cell.run import RunFile
+from cellapp.commands.doctor.redaction import REDACTED, redacted
+from cellapp.commands.doctor.result import DoctorResult
+from cellapp.commands.rehearse.record_file import record_path
+from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.version import __version__
+from drivers.settings import SettingError
+
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "pydantic",
+    "textual",
+    "typer",
+    "ur-rtde",
+    "torch",
+    "python-fcl",
+    "pyserial",
+    "pythonnet",
+)
+_MOST_EVENTS = 1000
+_MOST_OF_A_FILE = 1024 * 1024
+"""Bytes of a text file that are packed, its end."""
+_LEAST_ARGUMENT = 8
+"""Shorter arguments of the command are words that stand everywhere."""
+_ERROR_LOG = Path("cellapp-error.log")
+
+
+def bundle(path: Path, profile: Profile, result: DoctorResult, run: Path | None, seconds: float) -> bytes:
+    """The ZIP file. ``run`` is the folder of a run whose log is packed; ``seconds`` is what the doctor took.
+
+    Raises
+    ------
+    InputError
+        If ``run`` holds no run.
+    """
+    secrets = _secrets(profile)
+    timings: dict[str, float] = {"doctor_s": seconds}
+    parts = {
+        "versions.json": json.dumps(_versions(), indent=1),
+        "doctor.json": result.to_json(indent=1),
+        "profile.json": _without_commands(profile),
+    }
+    if profile.notify is None:  # its command may hold what only its owner knows
+        parts["profile.yaml"] = _end_of(path)
+    for name, arm in profile.arms.items():
+        began_s = time.monotonic()
+        states = arm.driver.excerpt(LONGEST_PROBE_S)
+        timings[f"excerpt {name}_s"] = time.monotonic() - began_s
+        if states:
+            parts[f"rtde-{name}.jsonl"] = "\n".join(json.dumps(state) for state in states) + "\n"
+    if record_path(path).is_file():
+        parts[record_path(path).name] = _end_of(record_path(path))
+    if _ERROR_LOG.is_file():
+        parts[_ERROR_LOG.name] = _end_of(_ERROR_LOG)
+    if run is not None:
+        parts |= _of_run(run)
+    parts["timings.json"] = json.dumps(timings, indent=1)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, text in parts.items():
+            file.writestr(name, redacted(text, secrets))
+    return packed.getvalue()
+
+
+def newest_run(profile: Profile) -> Path | None:
+    """The folder of the newest run below ``logs`` that is of a profile of this name; None without one."""
+    files = [(file.stat().st_mtime, file) for file in Path("logs").glob("*/run.sqlite")]
+    for _, file in sorted(files, reverse=True):
+        with suppress(CellappError), RunFile.open(file.parent) as run:
+            if run.profile.name == profile.name:
+                return file.parent
+    return None
+
+
+def _versions() -> dict[str, str]:
+    found = {"cellapp": __version__, "python": platform.python_version(), "system": platform.platform()}
+    for package in _PACKAGES:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
+
+
+def _secrets(profile: Profile) -> set[str]:
+    """Secrets that the profile leads to, in whatever text they may stand."""
+    found = set[str]()
+    with suppress(SettingError, OSError):
+        found.add(profile.tracker.driver.token() or "")
+    for name, value in os.environ.items():
+        if any(word in name.upper() for word in ("TOKEN", "PASSWORD", "PASSPHRASE", "SECRET", "API_KEY")):
+            found.add(value)
+    if profile.notify is not None:
+        found |= {word for word in profile.notify.command[1:] if len(word) >= _LEAST_ARGUMENT}
+    return found - {""}
+
+
+def _without_commands(profile: Profile) -> str:
+    """The whole profile as JSON, without the arguments of its command."""
+    content = json.loads(profile_to_json(profile))
+    if profile.notify is not None:
+        content["notify"]["command"] = [profile.notify.command[0], *([REDACTED] * (len(profile.notify.command) - 1))]
+    return json.dumps(content, indent=1)
+
+
+def _end_of(path: Path) -> str:
+    try:
+        return path.read_bytes()[-_MOST_OF_A_FILE:].decode("utf-8", "replace")
+    except OSError as error:
+        return f"{path.name} cannot be read: {error.strerror}\n"
+
+
+def _of_run(folder: Path) -> dict[str, str]:
+    """The end of a run's log, and why stops were left out."""
+    if not (folder / "run.sqlite").is_file():
+        raise InputError(f"--run {folder}: there is no run; give the folder of one, or leave it out")
+    with RunFile.open(folder) as run:
+        events = [f"{one.written} {one.level}: {one.text}" for one in run.events()[-_MOST_EVENTS:]]
+        outcomes = [f"stop {one.stop + 1}: {one.reason}" for one in run.outcomes()]
+    return {"run-log.txt": "\n".join(events) + "\n", "run-left-out.txt": "\n".join(outcomes) + "\n"}

@@ -1,0 +1,62 @@
+"""The record of a profile's rehearsals: a file beside the profile, which a run finds again."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from cellapp.cell.driving.rehearsal import RUNGS, RungName
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import noted_profile
+from cellapp.commands.rehearse.result import RehearsalLog
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import RENEWED
+from cellapp.ground.profile import Profile
+
+
+def record_path(profile: Path) -> Path:
+    """The file beside a profile."""
+    return profile.with_name(f"{profile.stem}.rehearsals.json")
+
+
+def arms_hash(profile: Profile) -> str:
+    """The hash of what a rehearsal is of: arms, their bases and obstacles."""
+    text = profile.model_dump_json(by_alias=True, include={"arms", "obstacles"})
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_log(path: Path, profile: Profile) -> RehearsalLog:
+    """The rungs on record for these arms; none without a file, or of other arms. Raises ``InputError``."""
+    new = RehearsalLog(arms=arms_hash(profile), rungs={})
+    file = record_path(path)
+    if not file.is_file():
+        return new
+    try:
+        found = RehearsalLog.from_json(file.read_text("utf-8"), str(file))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{file}: cannot be read ({error}); move it away and rehearse again") from None
+    return found if found.arms == new.arms else new
+
+
+def write_log(path: Path, log: RehearsalLog) -> None:
+    """Write the file beside the profile."""
+    RENEWED.write_text(record_path(path), log.to_json(indent=1) + "\n")
+
+
+def missing_rungs(log: RehearsalLog) -> tuple[RungName, ...]:
+    """The rungs that were not passed yet, in their order."""
+    return tuple(name for name in RUNGS if name not in log.rungs or not log.rungs[name].passed)
+
+
+def missing_sentence(run: RunFile) -> str:
+    """Which rungs a run of real arms has not behind it, as a sentence; empty where none is missing or arms are none."""
+    path = noted_profile(run)
+    if not run.profile.moves_hardware:
+        return ""
+    try:
+        missing = tuple(RUNGS) if path is None else missing_rungs(read_log(path, run.profile))
+    except InputError as error:
+        return str(error)
+    if not missing:
+        return ""
+    return f"not rehearsed with these arms: {', '.join(missing)}; 'cellapp rehearse PROFILE' does the next one"

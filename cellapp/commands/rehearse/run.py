@@ -1,0 +1,112 @@
+"""The verb: drive one rung of the rehearsal of a profile, and record it beside the profile."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from cellapp.cell.driving.controllers import recorded_controllers
+from cellapp.cell.driving.motion import Confirm
+from cellapp.cell.driving.rehearsal import RUNGS, Rehearsal, RungName, rehearse
+from cellapp.cell.driving.requests.running import running_job
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import note_profile
+from cellapp.commands.confirm import Ask, first_path_words, require_permission
+from cellapp.commands.plan.run import new_planned_run
+from cellapp.commands.record import Work
+from cellapp.commands.rehearse.record_file import missing_rungs, read_log, write_log
+from cellapp.commands.rehearse.request import RehearseRequest
+from cellapp.commands.rehearse.result import RehearsedMotionRecord, RehearseResult
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import with_eta
+
+
+def run(request: RehearseRequest, work: Work) -> RehearseResult:
+    """Drive the rung that is asked for, or the first missing one."""
+    path, profile = request.profile, load_profile(request.profile)
+    _require_controllers(profile)
+    log = read_log(path, profile)
+    missing = missing_rungs(log)
+    name = request.rung or (missing[0] if missing else "both-arms")
+    arms = _arms(profile, name, request.arm)
+    if missing and (before := [one for one in missing if list(RUNGS).index(one) < list(RUNGS).index(name)]):
+        work.say(f"rehearse: not passed yet before '{name}': {', '.join(before)}")
+    folder = request.run_folder or path.with_name(f"{path.stem}-rehearsal")
+    with _planned(folder, profile, work) as opened:
+        note_profile(opened, path)
+        confirm = _confirmation(profile, work.ask(profile.name), name)
+        with running_job(opened, work.control, "rehearse", work.listener) as listener:
+            found = rehearse(opened, name, arms, with_eta(listener), work.control, confirm)
+        result = _result(opened, name, arms, found)
+    log = log.model_copy(update={"rungs": {**log.rungs, name: result}})
+    result = result.model_copy(update={"missing": missing_rungs(log)})
+    write_log(path, log)
+    return result
+
+
+def _require_controllers(profile: Profile) -> None:
+    """Raise ``InputError`` unless every arm has a controller to rehearse with."""
+    without = [name for name, arm in profile.arms.items() if not arm.driver.has_device or arm.driver.needs_plant]
+    if without:
+        raise InputError(
+            f"rehearse: arm {', '.join(without)} of {profile.name} has no controller (driver '"
+            f"{profile.arms[without[0]].driver.kind}'); nothing to rehearse. Simulated cells are collected at once"
+        )
+
+
+def _arms(profile: Profile, name: RungName, asked: str | None) -> tuple[str, ...]:
+    if asked is not None and asked not in profile.arms:
+        raise InputError(f"rehearse: --arm {asked}: no such arm; arms are {', '.join(profile.arms)}")
+    if not RUNGS[name].one_arm:
+        if asked is not None:
+            raise InputError(f"rehearse: --arm {asked}: '{name}' drives all arms; leave it out")
+        return tuple(profile.arms)
+    return (asked or next(iter(profile.arms)),)
+
+
+def _planned(folder: Path, profile: Profile, work: Work) -> RunFile:
+    """The run whose plan is driven. Raises ``InputError`` if it is of another cell."""
+    if not (folder / "run.sqlite").exists():
+        return new_planned_run(profile, folder, work.listener, work.control)
+    found = RunFile.open(folder, write=True)
+    if found.profile.arms != profile.arms or found.profile.obstacles != profile.obstacles:
+        found.close()
+        raise InputError(
+            f"{folder}: its plan is of other arms or obstacles than {profile.name} has now; give another run, or move"
+            " this one away"
+        )
+    return found
+
+
+def _confirmation(profile: Profile, ask: Ask | None, name: RungName) -> Confirm | None:
+    """What is asked before the first motion of controllers that are not on this computer."""
+    require_permission(profile, ask)
+    if ask is None or not profile.moves_hardware:
+        return None
+    return lambda start, targets: ask(f"Rehearse {RUNGS[name].words}.\n{first_path_words(profile, start, targets)}")
+
+
+def _result(run: RunFile, name: RungName, arms: tuple[str, ...], found: Rehearsal) -> RehearseResult:
+    return RehearseResult(
+        rung=name,
+        arms=arms,
+        when=datetime.now(UTC).isoformat(timespec="seconds"),
+        controllers={
+            arm: f"{its.model} {its.serial}, {its.software}" for arm, its in recorded_controllers(run).items()
+        },
+        visited=tuple(stop + 1 for stop in found.visited),
+        refused={stop + 1: why for stop, why in sorted(found.refused.items())},
+        motions=tuple(
+            RehearsedMotionRecord(
+                stop=None if motion.stop is None else motion.stop + 1,
+                seconds=motion.seconds,
+                expected_s=motion.expected_s,
+                off_mrad={arm: 1e3 * off for arm, off in motion.off_rad.items()},
+            )
+            for motion in found.motions
+        ),
+        notes=found.notes,
+        ended=found.ended,
+    )

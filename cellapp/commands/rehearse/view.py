@@ -1,0 +1,41 @@
+"""The result of ``rehearse`` as a table and sentences."""
+
+from __future__ import annotations
+
+from cellapp.cell.driving.rehearsal import RUNGS
+from cellapp.commands.record import Request, View
+from cellapp.commands.rehearse.result import RehearseResult
+from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.ground.counting import counted
+
+_SLOW = 1.5
+"""A motion that takes this many times as long, and a second more, is named."""
+
+
+def view(result: RehearseResult, request: Request | None = None) -> View:
+    """Times and deviations of each arm, refusals, slow motions, what is next."""
+    columns = (Column("arm"), *(number_column(what, ".4f") for what in ("mean off [mrad]", "most off [mrad]")))
+    offs = {arm: [one.off_mrad[arm] for one in result.motions if arm in one.off_mrad] for arm in result.arms}
+    rows: list[tuple[Cell, ...]] = [(arm, sum(off) / len(off), max(off)) for arm, off in offs.items() if off]
+    took, expected = (sum(getattr(one, key) for one in result.motions) for key in ("seconds", "expected_s"))
+    lines = [
+        f"rung '{result.rung}': {RUNGS[result.rung].words}; arms {', '.join(result.arms)}",
+        *(f"arm {arm}: {words}" for arm, words in result.controllers.items()),
+        f"{counted(len(result.visited), 'stop')} reached, {len(result.refused)} refused,"
+        f" {counted(len(result.motions), 'motion')} in {took:.1f} s, of which {expected:.1f} s are the motions alone",
+        *(f"stop {stop}: {why}" for stop, why in result.refused.items()),
+        *(
+            f"slow: to {'home' if one.stop is None else f'stop {one.stop}'} in {one.seconds:.1f} s instead of"
+            f" {one.expected_s:.1f} s"
+            for one in result.motions
+            if one.seconds > _SLOW * one.expected_s + 1.0
+        ),
+        *result.notes,
+    ]
+    if result.missing:
+        lines.append(f"missing: {', '.join(result.missing)}")
+    else:
+        lines.append("all rungs are passed")
+    table = Table("Commanded and reached joint positions", columns, tuple(rows))
+    failed = () if result.passed else (result.ended or "no stop was reached",)
+    return View((table, *lines), failed)

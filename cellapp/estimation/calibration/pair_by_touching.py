@@ -1,0 +1,222 @@
+"""Inter-base transform without a tracker: both arms rest their balls in the same sockets.
+
+With c_R,k and c_L,k the centre of socket k as either calibrated arm finds it in its own base frame, and distances d_m
+that are known between a socket of one arm and one of the other,
+
+    minimise  r^T S^-1 r,   r = (c_R,k - (R c_L,k + b) for all k,  d_m - |c_R,m - (R c_L,m + b)| for all m)
+
+over R, b. S holds the scatter of touches, the uncertainty of both arms' parameters, which moves all their sockets
+together, and that of the distances. Where r is larger than S allows, S is scaled to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.calibration.inter_base_transform import PairIdentification
+from cellapp.estimation.readings import Distance, Readings
+from cellapp.estimation.sockets.contacts import Contacts
+from cellapp.robot.kinematics.chain import JointAngles, jacobian
+from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, transform, zyx_angles
+from cellapp.robot.model import ArmModel
+
+_MOST_STEPS = 50
+_SETTLED = 1e-10
+_UNSEEN = 3e-3
+"""Smallest singular value, over the largest, from which on all six directions are seen: sockets half a metre apart are
+then some millimetres off one line."""
+_LEAST_NOISE_M = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class TouchedPoints:
+    """The points that one arm touched, in its base frame.
+
+    Attributes
+    ----------
+    place : mapping
+        Name -> row.
+    at_B : array, shape (P, 3) [m]
+    covariance : array, shape (3 P, 3 P) [m^2]
+    rms_m : array, shape (P,)
+        Rms distance of the touches of a point from their mean [m].
+    first : array, shape (P,)
+        Configuration of the first touch.
+    """
+
+    place: Mapping[str, int]
+    at_B: Array
+    covariance: Array
+    rms_m: Array
+    first: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, readings: Readings, p_B: Array, model: ArmModel | None) -> TouchedPoints:
+        """From ball centres ``p_B`` (n, 3) [m]; ``model`` states the uncertainty of its parameters, if it has any."""
+        contacts = Contacts.of(readings)
+        count, own = len(contacts.names), contacts.index
+        touches = np.bincount(own, minlength=count)
+        at_B = contacts.centres(p_B)
+        square = np.bincount(own, np.sum((p_B - at_B[own]) ** 2, axis=1), minlength=count)
+        noise = max(float(square.sum()) / (3.0 * max(len(own) - count, 1)), _LEAST_NOISE_M**2)
+        covariance = np.diag(np.repeat(noise / touches, 3))
+        if model is not None and model.covariance is not None:
+            covariance += _of_parameters(model, readings, contacts)
+        first = np.array([readings.configuration[own == k][0] for k in range(count)])
+        places = {name: k for k, name in enumerate(contacts.names)}
+        return cls(places, at_B, covariance, np.sqrt(square / touches), first)
+
+
+@dataclass(frozen=True, eq=False)
+class TouchedPair:
+    """The transform and what is left of each common point.
+
+    Attributes
+    ----------
+    identification : PairIdentification
+    errors_m : array, shape (C,)
+        Distance of both arms' centres of a common point, which the transform never had where ``held_out`` [m].
+    held_out : bool
+        Whether there are enough common points to leave one out: four that fix the transform without any of them.
+    """
+
+    identification: PairIdentification
+    errors_m: Array
+    held_out: bool
+
+
+def common_points(left: TouchedPoints, right: TouchedPoints) -> tuple[str, ...]:
+    """Points that both arms touched."""
+    return tuple(name for name in left.place if name in right.place)
+
+
+def cross_distances(left: TouchedPoints, right: TouchedPoints, known: Sequence[Distance]) -> list[Distance]:
+    """Known distances from a point of the left arm (first) to one of the right; those within one arm are left out."""
+    found = []
+    for one in dict.fromkeys(known):
+        a, b = one.point_a, one.point_b
+        if {a, b} <= left.place.keys() or {a, b} <= right.place.keys():
+            continue
+        if a in left.place and b in right.place:
+            found.append(one)
+        elif b in left.place and a in right.place:
+            found.append(Distance(b, a, one.distance_m, one.sigma_m))
+    return found
+
+
+def tie_by_touching(
+    left: TouchedPoints, right: TouchedPoints, known: Sequence[Distance], start: Array
+) -> TouchedPair | None:
+    """Tie the bases of two arms; ``start`` (4, 4) is T_R_L from the profile. None where a direction is not seen."""
+    common, crossing = common_points(left, right), cross_distances(left, right, known)
+    problem = _Problem(left, right, common, crossing)
+    found = problem.solved(start)
+    if found is None:
+        return None
+    T, covariance, steps = found
+    without = [_Problem(left, right, tuple(n for n in common if n != name), crossing).solved(T) for name in common]
+    tied = [one[0] for one in without if one is not None]
+    held_out = len(common) > 0 and len(tied) == len(common)
+    errors = [
+        np.linalg.norm(right.at_B[right.place[name]] - apply(tied[k] if held_out else T, left.at_B[left.place[name]]))
+        for k, name in enumerate(common)
+    ]
+    size = np.sqrt(np.diag(covariance))
+    identification = PairIdentification(
+        T_R_L=T,
+        values=np.concatenate([T[:3, 3], zyx_angles(T[:3, :3])]),
+        standard_errors=np.concatenate([size[:3], size[:2:-1]]),
+        iterations=steps,
+        converged=steps < _MOST_STEPS,
+        scale=float(np.sqrt(np.mean(np.square(errors)) / 3.0)) if errors else float("nan"),
+    )
+    return TouchedPair(identification, np.array(errors), held_out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    left: TouchedPoints
+    right: TouchedPoints
+    common: tuple[str, ...]
+    crossing: Sequence[Distance]
+
+    def solved(self, start: Array) -> tuple[Array, Array, int] | None:
+        """T_R_L, covariance (6, 6) of a shift and a small rotation in R, and steps; None if a direction is not seen."""
+        ends = [(name, name) for name in self.common] + [(one.point_a, one.point_b) for one in self.crossing]
+        if not ends:
+            return None
+        rows_L, rows_R = [self.left.place[a] for a, _ in ends], [self.right.place[b] for _, b in ends]
+        p_L, p_R, n = self.left.at_B[rows_L], self.right.at_B[rows_R], len(self.common)
+        T = np.asarray(register(p_R[:n], p_L[:n])) if n >= 3 else start
+        steps = 0
+        while steps < _MOST_STEPS:
+            steps += 1
+            r, A, S = self._linearised(T, p_L, p_R, rows_L, rows_R)
+            lever = np.array([1.0, 1.0, 1.0, *[max(float(np.ptp(p_R, axis=0).max()), 1e-3)] * 3])
+            sizes = np.linalg.svd(A / lever, compute_uv=False)
+            if len(r) < 6 or sizes[5] < _UNSEEN * sizes[0]:
+                return None
+            white = np.linalg.cholesky(S)
+            A, r = np.linalg.solve(white, A), np.linalg.solve(white, r)
+            move = np.linalg.lstsq(A, r, rcond=None)[0]
+            T = transform(rotation_from_vector(move[3:]) @ T[:3, :3], T[:3, 3] + move[:3])
+            if float(np.abs(move).max()) <= _SETTLED:
+                break
+        left = r - A @ move
+        excess = max(float(left @ left) / max(len(r) - 6, 1), 1.0)
+        return T, np.asarray(excess * np.linalg.inv(A.T @ A), dtype=np.float64), steps
+
+    def _linearised(
+        self, T: Array, p_L: Array, p_R: Array, rows_L: Sequence[int], rows_R: Sequence[int]
+    ) -> tuple[Array, Array, Array]:
+        """Residuals, their derivatives by a shift and a rotation after R, and the residuals' covariance."""
+        n, m, R = len(self.common), len(self.crossing), T[:3, :3]
+        rotated = p_L @ R.T
+        off = p_R - rotated - T[:3, 3]
+        length = np.maximum(np.linalg.norm(off, axis=1), 1e-12)
+        turned = np.zeros((len(p_L), 3, 6))
+        turned[:, range(3), range(3)] = 1.0
+        turned[:, :, 3:] = -_cross_matrices(rotated)
+        along = off[n:] / length[n:, None]
+        select = np.zeros((3 * n + m, 3 * (n + m)))
+        select[: 3 * n, : 3 * n] = np.eye(3 * n)
+        for k in range(m):
+            select[3 * n + k, 3 * (n + k) : 3 * (n + k) + 3] = along[k]
+        known = np.array([one.distance_m for one in self.crossing])
+        r = np.concatenate([off[:n].ravel(), length[n:] - known])
+        A = select @ turned.reshape(-1, 6)
+        block = np.kron(np.eye(n + m), R)
+        of_ends = _taken(self.right.covariance, rows_R) + block @ _taken(self.left.covariance, rows_L) @ block.T
+        S = select @ of_ends @ select.T
+        S[range(3 * n, 3 * n + m), range(3 * n, 3 * n + m)] += np.array([one.sigma_m for one in self.crossing]) ** 2
+        return r, A, S
+
+
+def _of_parameters(model: ArmModel, readings: Readings, contacts: Contacts) -> Array:
+    """Covariance (3 P, 3 P) of all points [m^2] from that of the arm's parameters, in its base frame."""
+    assert model.covariance is not None
+    names = model.geometry.names
+    known = [k for k, name in enumerate(model.identified) if name in names]
+    columns = tuple(names.index(model.identified[k]) for k in known)
+    _, J = jacobian(model.geometry, JointAngles.of(readings.q), columns)
+    R_B_M = model.geometry.T_M_B()[:3, :3].T
+    means = [J[:, :, contacts.index == k].mean(axis=2) for k in range(len(contacts.names))]
+    rows = np.concatenate([R_B_M @ one for one in means])
+    return np.asarray(rows @ model.covariance[np.ix_(known, known)] @ rows.T)
+
+
+def _taken(covariance: Array, rows: Sequence[int]) -> Array:
+    """Covariance of some of the points."""
+    places = (3 * np.asarray(rows)[:, None] + np.arange(3)).ravel()
+    return np.asarray(covariance[np.ix_(places, places)])
+
+
+def _cross_matrices(vectors: Array) -> Array:
+    """Matrices (n, 3, 3) with ``matrix @ x = vector x x``."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

@@ -1,0 +1,41 @@
+"""Drives that follow late: the joint moves a delay and a creep behind what its encoder reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.plant.config import Array
+from drivers.plant.effect import Effect, Parameters
+from drivers.plant.mechanism import Mechanism
+
+_FASTER = 8.0
+"""The inertia behind the creeping coupling makes a second, faster time constant: this many times shorter."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveLag(Effect):
+    """A viscous coupling with little inertia behind it: two time constants, the first ``time_constant`` [s], after a
+    pure ``delay`` [s], each (N,)."""
+
+    time_constant: Array
+    delay: Array
+
+    def response(self, time_s: Array, q: Array, mechanism: Mechanism) -> Array | None:
+        late = np.column_stack([np.interp(time_s - d, time_s, own) for d, own in zip(self.delay, q.T, strict=True)])
+        step_s = float(time_s[1] - time_s[0])
+        for time_constant in (self.time_constant, self.time_constant / _FASTER):
+            keep = np.exp(-step_s / np.maximum(time_constant, 1e-6))
+            for row in range(1, len(late)):
+                late[row] = keep * late[row - 1] + (1.0 - keep) * late[row]
+        return np.asarray(late - q)
+
+
+def drive_lag(parameters: Parameters) -> Effect:
+    """Build late drives. Per joint: ``time_constant`` [s]; optional ``delay`` [s]."""
+    parameters.require("time_constant", optional=("delay",))
+    delay = np.zeros(parameters.joints)
+    if parameters.all_or_none("delay"):
+        delay = parameters.numbers("delay", least=0.0)
+    return DriveLag(parameters.numbers("time_constant", least=0.0), delay)

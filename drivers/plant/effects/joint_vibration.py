@@ -1,0 +1,71 @@
+"""Arms that swing on their elastic joints: all masses on all springs, excited by the accelerations of the motion.
+
+    M(q) y'' + C y' + K y = tau
+
+y are the twists of the joints, M the mass matrix of the posture, tau the torques of inertia on the path of the drives.
+It is solved mode by mode in blocks of time in which the posture hardly changes, exactly within each block. What elastic
+joints do under slow accelerations, ``tau / K``, is theirs; vibration is what comes beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from drivers.plant.config import Array
+from drivers.plant.effect import Effect, Parameters
+from drivers.plant.inertia import Bodies, inertia_torques
+from drivers.plant.mechanism import Mechanism
+
+_BLOCK_S = 0.2
+_STIFF = 0.5
+"""Modes whose phase advances by more than this in one step [rad] follow at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointVibration(Effect):
+    """Springs of ``stiffness`` (N,) [Nm/rad]; every mode is damped by ``damping`` of the critical one."""
+
+    stiffness: Array
+    damping: float
+
+    def response(self, time_s: Array, q: Array, mechanism: Mechanism) -> Array | None:
+        step_s = float(time_s[1] - time_s[0])
+        ends = np.concatenate([q[:1], q, q[-1:]])
+        torque, block = inertia_torques(mechanism, ends[:-2], q, ends[2:], step_s), max(round(_BLOCK_S / step_s), 2)
+        bodies = Bodies.at(mechanism, q[block // 2 :: block])
+        twist, speed, found = np.zeros(q.shape[1]), np.zeros(q.shape[1]), np.empty_like(q)
+        for number, first in enumerate(range(0, len(q), block)):
+            rows = slice(first, first + block)
+            mass = bodies.mass_matrix(min(number, len(bodies.centers[0]) - 1))
+            squares, shapes = eigh(np.diag(self.stiffness), mass)
+            onto = shapes.T @ mass
+            modal, late = self._modes(torque[rows] @ shapes, np.sqrt(squares), onto @ twist, onto @ speed, step_s)
+            found[rows] = modal @ shapes.T
+            twist, speed = found[rows][-1], shapes @ late
+        return found - torque / self.stiffness
+
+    def _modes(self, force: Array, rate: Array, start: Array, speed: Array, step_s: float) -> tuple[Array, Array]:
+        """Amplitudes (n, N) of modes under forces (n, N) from amplitudes and speeds (N,) one step before, and their
+        speeds in the end."""
+        decay, turn = -self.damping * rate, rate * np.sqrt(1.0 - self.damping**2)
+        pole = decay + 1j * turn
+        quick = rate * step_s > _STIFF
+        pole[quick] = -_STIFF / step_s  # not used
+        ages = step_s * np.arange(1, len(force) + 1)[:, None]
+        state = speed - decay * start + 1j * turn * start
+        state = np.exp(pole * ages) * (state + np.cumsum(np.exp(-pole * ages) * force * step_s, axis=0))
+        amplitude = np.where(quick, force / rate**2, state.imag / turn)
+        late = np.where(quick, 0.0, (pole * state[-1]).imag / turn)
+        return amplitude, late
+
+
+def joint_vibration(parameters: Parameters) -> Effect:
+    """Build elastic joints that swing. Per joint: ``stiffness`` [Nm/rad]; ``damping``, a share of the critical one."""
+    parameters.require("stiffness", "damping")
+    damping = parameters.number("damping", above=0.0)
+    if damping >= 1.0:
+        raise parameters.error("damping", f"must be below 1, the critical one, not {damping:g}")
+    return JointVibration(parameters.numbers("stiffness", above=0.0), damping)

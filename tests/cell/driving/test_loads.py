@@ -1,0 +1,167 @@
+"""Stops with several loads: one session for each, nobody moves an arm whose load is in doubt."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.driving.loads import hung_load
+from cellapp.cell.planning.method import make_stops
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
+from cellapp.cell.run import RunFile
+from cellapp.commands.collect.request import CollectRequest
+from cellapp.ground.control import Stopped
+from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.collection import Collection, Reference
+from cellapp.ground.profile.schema import Payload
+from drivers.arms.protocol import ArmState
+from tests.twin import small_twin
+
+pytestmark = pytest.mark.fast
+STOPS = 6
+HEAVY = Payload(mass=5.0, center_of_mass=(0.0, 0.0, 0.06))
+
+
+def loaded(*payloads: Payload, stops: int = STOPS) -> Profile:
+    profile = small_twin(stops, plan={"method": "random", "repeats": 0})
+    left = profile.arms["left"].model_copy(update={"payloads": payloads})
+    return profile.model_copy(update={"arms": {**profile.arms, "left": left}})
+
+
+@pytest.fixture(scope="module")
+def planned() -> tuple[Profile, PlannedStops]:
+    profile = loaded(HEAVY)
+    collection = Collection(reference=Reference(every=100, drift=0.01))
+    return profile.model_copy(update={"collection": collection}), make_stops(profile)[0]
+
+
+@pytest.fixture
+def run(planned: tuple[Profile, PlannedStops], tmp_path: Path) -> Iterator[RunFile]:
+    with RunFile.create(tmp_path / "run", planned[0]) as run:
+        write_planned_stops(run, planned[1])
+        yield run
+
+
+def by_person(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loads of this cell are changed by a person."""
+    monkeypatch.setattr(Profile, "cell_kind", "real")
+
+
+def test_stops_are_divided_among_loads_and_kept_ones_keep_theirs() -> None:
+    profile = loaded(HEAVY, Payload(mass=2.0))
+    stops, _ = make_stops(profile)
+    assert stops.load.tolist() == [0, 0, 1, 1, 2, 2]
+    more, _ = make_stops(profile, kept=stops, add=2)
+    assert more.load.tolist() == [0, 0, 1, 1, 2, 2, 2, 2]
+    with pytest.raises(InputError, match="2 stops are too few for 3 loads"):
+        make_stops(loaded(HEAVY, HEAVY, stops=2))
+
+
+def test_a_simulated_cell_hangs_its_loads_and_every_reading_says_which(run: RunFile) -> None:
+    assert collect_run(run).outcome == "complete"
+    left, right = run.readings("left"), run.readings("right")
+    first = run.profile.arms["left"].payload.mass
+    assert left.payload_kg is not None
+    assert left.payload_center_F is not None
+    assert right.payload_kg is not None
+    assert left.payload_kg.tolist() == [first] * 3 + [5.0] * 3
+    np.testing.assert_allclose(left.payload_center_F[3:], [HEAVY.center_of_mass] * 3)
+    assert (np.diff(left.time_s) > 0.0).all()  # one cell, whose time and effects go on
+    assert len(set(right.payload_kg.tolist())) == 1
+    assert len(run.sessions()) == 2
+    assert hung_load(run) == 1
+    names = [row.name for row in run.references()]
+    assert names.count("arm left") == 2
+    assert names.count("arm left with 5 kg") == 2
+    assert names.count("arm right") == 4
+
+
+def test_nothing_moves_before_a_person_has_hung_the_load(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    by_person(run, monkeypatch)
+    opened = list[float]()
+    asked = list[str]()
+
+    @contextmanager
+    def watched(profile: Profile, **options: Any) -> Iterator[Cell]:
+        opened.append(profile.arms["left"].payload.mass)
+        with open_cell(profile, **options) as cell:
+            yield cell
+
+    def refuses(words: str) -> bool:
+        asked.append(words)
+        return False
+
+    with pytest.raises(Stopped, match=r"hang 5 kg.*--resume --payload left=5"):
+        collect_run(run, opened=watched, hung=refuses)
+    assert opened == [run.profile.arms["left"].payload.mass]
+    assert run.stops_done() == {0, 1, 2}
+    assert len(asked) == 1
+    assert "at (0, 0, 60) mm in the flange frame" in asked[0]
+    with pytest.raises(InputError, match="said to carry 3 kg, the next stops need 5 kg"):
+        collect_run(run, resume=True, opened=watched, payload={"left": 3.0})
+    with pytest.raises(InputError, match="no arm 'middle'"):
+        collect_run(run, resume=True, opened=watched, payload={"middle": 3.0})
+    with pytest.raises(InputError, match="arm left gets another load too"):
+        collect_run(run, resume=True, opened=watched, payload={"right": run.profile.arms["right"].payload.mass})
+    assert len(opened) == 1
+    collect_run(run, resume=True, opened=watched, payload={"left": 5.0})
+    assert opened[1:] == [5.0]
+    assert len(run.stops_done()) == STOPS
+
+
+def test_a_controller_that_reports_another_payload_is_not_driven(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    moved = list[int]()
+
+    @contextmanager
+    def forgetful(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(profile, **options) as cell:
+            heavy, state, move = profile.arms["left"].payload.mass > 1.0, cell.arms["left"].state, 0
+
+            def says() -> ArmState:
+                return replace(state(), payload_kg=0.3)
+
+            if heavy:
+                moved.append(move)
+                monkeypatch.setattr(cell.arms["left"], "state", says)
+                monkeypatch.setattr(cell.arms["left"], "start_move", lambda *way: moved.append(1))
+            yield cell
+
+    with pytest.raises(HardwareError, match=r"arm left: not moved with 5 kg: .* set to 0.300 kg"):
+        collect_run(run, opened=forgetful)
+    assert moved == [0]
+    assert run.stops_done() == {0, 1, 2}
+
+
+def test_a_stop_measured_again_needs_its_own_load(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    collect_run(run)
+    by_person(run, monkeypatch)
+    asked = list[str]()
+    collect_run(run, again=[1, 4], hung=lambda words: not asked.append(words))  # type: ignore[func-returns-value]
+    first = run.profile.arms["left"].payload.mass
+    assert [f"hang {kg:g} kg" in words for kg, words in zip((first, 5.0), asked, strict=True)] == [True, True]
+    left = run.readings("left").payload_kg
+    assert left is not None
+    assert left.tolist() == [first] * 3 + [5.0] * 3
+
+
+def test_a_damaged_plan_names_what_does_not_fit(run: RunFile) -> None:
+    run.profile = loaded()
+    with pytest.raises(InputError, match="it tells of load 1, the profile has 0 to 0"):
+        read_planned_stops(run)
+
+
+@pytest.mark.parametrize("text", ["5", "left=", "left=five", "left=inf", "left=5;right=3"])
+def test_payloads_that_cannot_be_read_are_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="--payload"):
+        CollectRequest(folder=Path("run"), payload=text)
+    assert CollectRequest(folder=Path("run"), payload="left=5, right=3").payloads == {"left": 5.0, "right": 3.0}

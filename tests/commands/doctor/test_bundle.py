@@ -1,0 +1,135 @@
+"""``doctor --bundle``: what a report to the authors holds, and that it holds no secret."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.commands.doctor.bundle import bundle, newest_run
+from cellapp.commands.doctor.redaction import REDACTED, redacted
+from cellapp.commands.doctor.request import DoctorRequest
+from cellapp.commands.doctor.result import DoctorResult, Finding
+from cellapp.commands.doctor.run import run as doctor
+from cellapp.commands.record import Work
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.notify import Notify
+from cellapp.ground.progress import ignore
+from drivers.arms.ur_settings import UrSettings
+from drivers.emulators.ur_controller import ControllerConfig, UrControllerServer, personality
+from drivers.trackers.bridge_settings import BridgeSettings
+from tests.loopback import own_address
+from tests.twin import PROFILES, small_twin
+
+pytestmark = pytest.mark.fast
+
+TOKEN = "s3cret-token-of-sixteen"
+PASSWORD = "hunter2hunter2"
+FOUND = DoctorResult(findings=(Finding(subject="python", status="ok", text=f"the token is {TOKEN}"),))
+
+
+@pytest.fixture
+def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Profile:
+    """A cell whose tracker has a token, and whose command has a password."""
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "token"
+    file.write_text(TOKEN + "\n")
+    file.chmod(0o600)
+    monkeypatch.setenv("CELLAPP_KEY_PASSPHRASE", PASSWORD)
+    driver = BridgeSettings(url="socket://127.0.0.1:50960", token_file=str(file))
+    twin = small_twin()
+    notify = Notify(command=("curl", "-u", "night:another-password", "{text}"))
+    return twin.model_copy(
+        update={"tracker": twin.tracker.model_copy(update={"driver": driver}), "notify": notify, "name": "bundled"}
+    )
+
+
+def unpacked(data: bytes) -> dict[str, str]:
+    with zipfile.ZipFile(io.BytesIO(data)) as file:
+        assert file.testzip() is None
+        return {name: file.read(name).decode() for name in file.namelist()}
+
+
+def test_no_secret_is_packed_and_the_newest_run_is(cell: Profile, tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    with RunFile.create(tmp_path / "logs" / "first", cell) as run:
+        run.log("warning", f"the bridge refused {TOKEN}, passphrase {PASSWORD}")
+        run.log("error", "curl night:another-password failed\n-----BEGIN PRIVATE KEY-----\nMC4CAQAw\n")
+    (tmp_path / "cellapp-error.log").write_text(f"Traceback\n  password='{PASSWORD}' url=http://me:{PASSWORD}@host/\n")
+    folder = newest_run(cell)
+    assert folder == Path("logs/first")
+    parts = unpacked(bundle(tmp_path / "cell.yaml", cell, FOUND, folder, 1.5))
+    assert set(parts) == {
+        *("versions.json", "doctor.json", "profile.json", "timings.json"),
+        *("run-log.txt", "run-left-out.txt", "cellapp-error.log"),
+    }
+    for name, text in parts.items():
+        for secret in (TOKEN, PASSWORD, "another-password", "MC4CAQAw"):
+            assert secret not in text, name
+    assert f"the bridge refused {REDACTED}" in parts["run-log.txt"]
+    assert json.loads(parts["profile.json"])["notify"]["command"] == ["curl", *[REDACTED] * 3]
+    assert json.loads(parts["profile.json"])["arms"]["left"]["type"]["model"] == cell.arms["left"].type.model
+    assert {"cellapp", "python", "numpy"} <= set(json.loads(parts["versions.json"]))
+    assert json.loads(parts["timings.json"])["doctor_s"] == 1.5
+
+
+def test_states_of_a_controller_are_packed(tmp_path: Path) -> None:
+    twin, host = small_twin(), own_address(61)
+    arms = {"left": twin.arms["left"].model_copy(update={"driver": UrSettings(host=host)})}
+    config = ControllerConfig("left", host, personality("CB3", "UR10", "20153012345"))
+    with UrControllerServer([config]):
+        states = arms["left"].driver.excerpt(5.0)
+    assert [state["robot_mode"] for state in states] == ["RUNNING"] * 50
+    times = [state["received_s"] for state in states]
+    assert times == sorted(times)  # type: ignore[type-var]
+    (lost,) = arms["left"].driver.excerpt(0.5)
+    assert "error" in lost
+    profile = twin.model_copy(update={"arms": arms})
+    parts = unpacked(bundle(PROFILES / "twin.yaml", profile, FOUND, None, 0.0))
+    assert "error" in json.loads(parts["rtde-left.jsonl"])
+    assert parts["profile.yaml"] == (PROFILES / "twin.yaml").read_text("utf-8")
+
+
+def test_the_command_writes_one_file_and_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    work = Work(ignore, JobControl(), lambda _: None, NEW_ONLY)
+    profile = PROFILES / "twin.yaml"
+    result = doctor(DoctorRequest(profile=profile, bundle=Path("report.zip")), work)
+    assert result.written == (Path("report.zip"),)
+    packed = DoctorResult.from_json(unpacked(Path("report.zip").read_bytes())["doctor.json"], "test")
+    assert packed.findings == result.findings
+    with pytest.raises(InputError, match="exists already"):
+        doctor(DoctorRequest(profile=profile, bundle=Path("report.zip")), work)
+    with pytest.raises(InputError, match="there is no run"):
+        doctor(DoctorRequest(profile=profile, bundle=Path("other.zip"), run_folder=tmp_path), work)
+    with pytest.raises(InputError, match="only with --bundle"):
+        doctor(DoctorRequest(profile=profile, run_folder=tmp_path), work)
+    assert load_profile(profile).name
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "token: hush-hush",
+        "  password = 'hush-hush'",
+        '{"api_key": "hush-hush"}',
+        "url: socket://me:hush-hush@10.0.0.1:50960",
+        "Authorization: Bearer hush-hush-hush",
+        "-----BEGIN OPENSSH PRIVATE KEY-----\nhush-hush",
+    ],
+)
+def test_secrets_are_known_by_where_they_stand(text: str) -> None:
+    assert "hush-hush" not in redacted(text)
+
+
+def test_what_is_no_secret_stays() -> None:
+    text = "arm left: joint 1 at 12.5 deg; key points 3; monkeys: 7\nserial: 20153012345"
+    assert redacted(text, ["abc"]) == text

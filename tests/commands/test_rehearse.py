@@ -1,0 +1,109 @@
+"""A plan is rehearsed on emulated controllers, rung by rung; the record beside the profile is found by collect."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cellapp.cell.driving.rehearsal import RUNGS
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import note_profile
+from cellapp.commands.record import Work
+from cellapp.commands.rehearse.record_file import missing_sentence, read_log, record_path
+from cellapp.commands.rehearse.request import RehearseRequest
+from cellapp.commands.rehearse.result import RehearseResult
+from cellapp.commands.rehearse.run import run as rehearse
+from cellapp.commands.rehearse.view import view
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import ignore
+from drivers.arms.ur_settings import UrSettings
+from tests.commands.emulated_cell import emulated
+from tests.commands.test_emulate import CLI_HOSTS, PACE, wire_profile
+
+HOSTS = CLI_HOSTS
+
+
+def one_rung(path: Path, said: list[str] | None = None, **asked: Any) -> RehearseResult:
+    work = Work(ignore, JobControl(), lambda _: None, NEW_ONLY, say=(said if said is not None else []).append)
+    request = RehearseRequest(profile=path, run_folder=path.parent / "rehearsal", **asked)
+    result = rehearse(request, work)
+    assert RehearseResult.from_json(result.to_json(), "test") == result
+    return result
+
+
+def on_real_arms(profile: Profile) -> Profile:
+    """The same cell at addresses that are not on this computer."""
+    arms = {
+        name: arm.model_copy(update={"driver": UrSettings(host=f"192.0.2.{number}")})
+        for number, (name, arm) in enumerate(profile.arms.items(), start=1)
+    }
+    return profile.model_copy(update={"arms": arms})
+
+
+def test_the_rungs_are_climbed_one_by_one(tmp_path: Path) -> None:
+    path, said = wire_profile(tmp_path), list[str]()
+    profile = load_profile(path)
+    with emulated(profile, HOSTS, PACE, simulation=True):
+        whole = one_rung(path)
+        too_early = one_rung(path, said, rung="one-arm")
+    assert (whole.rung, whole.ended, whole.arms) == ("simulation", "", ("left", "right"))
+    assert len(whole.visited) + len(whole.refused) == profile.plan.stops - len(
+        profile.plan.reserves(profile.plan.stops)
+    )
+    assert len(whole.visited) >= 10
+    assert all(math.isfinite(one.seconds) and one.seconds > 0.0 for one in whole.motions)
+    assert max(off for one in whole.motions for off in one.off_mrad.values()) < 1.0
+    assert whole.missing == ("one-arm", "ten-stops", "both-arms")
+    assert "simulation mode" in too_early.ended, "real rungs need real arms"
+    assert view(too_early).failed == (too_early.ended,)
+    assert not too_early.visited
+    assert said == []
+    with emulated(profile, HOSTS, PACE):
+        refused = one_rung(path, rung="simulation")
+        assert "it drives the real arm" in refused.ended
+        first = one_rung(path, said, rung="one-arm", arm="right")
+        assert (first.arms, len(first.visited), first.missing[0]) == (("right",), 1, "simulation")
+        assert said == ["rehearse: not passed yet before 'one-arm': simulation"]
+    slow = next(one for one in first.motions if one.stop is not None)
+    fast = next(one for one in whole.motions if one.stop == slow.stop)
+    assert slow.expected_s > 5.0 * fast.expected_s
+    log = read_log(path, profile)
+    assert log.rungs["one-arm"] == first.model_copy(update={"missing": ()})
+
+
+def test_collect_says_what_is_missing_of_real_arms_only(tmp_path: Path) -> None:
+    path = wire_profile(tmp_path)
+    profile = load_profile(path)
+    with RunFile.create(tmp_path / "emulated", profile) as run:
+        note_profile(run, path)
+        assert missing_sentence(run) == ""
+    with RunFile.create(tmp_path / "real", on_real_arms(profile)) as run:
+        assert missing_sentence(run).startswith(f"not rehearsed with these arms: {', '.join(RUNGS)}; ")
+        note_profile(run, path)
+        record_path(path).write_text("{}")
+        assert "rehearsals.json" in missing_sentence(run)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"rung": "one-arm", "arm": "third"}, "no such arm; arms are left, right"),
+        ({"rung": "both-arms", "arm": "left"}, "'both-arms' drives all arms"),
+    ],
+)
+def test_bad_requests_are_one_sentence(tmp_path: Path, asked: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        one_rung(wire_profile(tmp_path), **asked)
+
+
+def test_simulated_arms_have_nothing_to_rehearse(tmp_path: Path) -> None:
+    path = wire_profile(tmp_path).with_name("twin.yaml")
+    with pytest.raises(InputError, match=r"arm left, right of .* has no controller"):
+        one_rung(path)

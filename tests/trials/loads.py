@@ -1,0 +1,107 @@
+"""Fitted at some loads, predicted at another: errors of one simulated UR10, and the share within the stated bounds.
+
+    python -m tests.trials.loads --stops 150 --seeds 10
+
+The arm is that of ``tests.trials.kinds``: elastic, with an eccentric encoder. It is calibrated and searched from
+readings with the first load alone, or with as many of which half have the second one. Errors are those of predictions
+with a third load at 300 other configurations against the truth; a coordinate is within its bound if it is off by at
+most 1.96 of its standard uncertainty.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.run import RunFile
+from cellapp.cell.targets.prediction import spread_of
+from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.robot.effects import MeasurementConditions
+from tests.trials.kinds import Array, Bench, fitted, rows
+
+app = typer.Typer(add_completion=False)
+
+LOADS_KG = (0.3, 5.0)
+OTHER_KG = 10.0
+CENTER_F = (0.0, 0.0, 0.06)
+_OTHER = 300
+_WITHIN = 1.96
+
+
+@dataclass(frozen=True)
+class Found:
+    """Rms error and rms standard uncertainty of a coordinate [mm], share of coordinates within their bounds."""
+
+    rms_mm: float
+    stated_mm: float
+    within: float
+
+
+def measured(bench: Bench, profile: Profile, loads_kg: Sequence[float]) -> Readings:
+    """Readings at the bench's configurations, as many with each load."""
+    plant, q = build_plant(profile), bench.q(bench.stops, 1)
+    rng, at_rest = np.random.default_rng([bench.seed, 2]), np.zeros_like(q)
+    load_kg = np.resize(np.array(loads_kg), len(q))
+    center_F = np.tile(CENTER_F, (len(q), 1))
+    exact = plant.smr_positions("left", q, approach=at_rest, payload=load_kg, payload_center=center_F)
+    points, covariance = plant.measure_positions(exact, rng)
+    return rows(q, p_M=points, covariance_M=covariance, payload_kg=load_kg, payload_center_F=center_F)
+
+
+def predicted(bench: Bench, loads_kg: Sequence[float]) -> Found:
+    """What the model of readings with some loads is worth under the other one."""
+    profile, q = bench.profile(), bench.q(_OTHER, 9)
+    load_kg, center_F, at_rest = np.full(len(q), OTHER_KG), np.tile(CENTER_F, (len(q), 1)), np.zeros_like(q)
+    true_M = build_plant(profile).smr_positions("left", q, approach=at_rest, payload=load_kg, payload_center=center_F)
+    with tempfile.TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
+        run.add_readings("left", measured(bench, profile, loads_kg))
+        arm = fitted(run, discover=True).arms["left"]
+        ranges = ConditionRanges.of(run.readings("left"), arm)
+    conditions = MeasurementConditions(approach=at_rest, payload_kg=load_kg, payload_center_F=center_F)
+    off_mm = 1e3 * (arm.predict(q, conditions=conditions) - true_M)
+    covariance = spread_of(arm, q, conditions, ranges).of_model
+    stated_mm = 1e3 * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    return Found(_rms(off_mm), _rms(stated_mm), float(np.mean(np.abs(off_mm) <= _WITHIN * stated_mm)))
+
+
+def lines(found: Mapping[str, Sequence[Found]]) -> Iterator[str]:
+    """The table, a line for each case: medians over the arms, and the share over all of them."""
+    yield f"fitted with | error at {OTHER_KG:g} kg [mm] | stated [mm] | within 95 % bounds | least of an arm | arms"
+    for case, its in found.items():
+        within = [one.within for one in its]
+        yield (
+            f"{case} | {np.median([one.rms_mm for one in its]):.3f} | {np.median([one.stated_mm for one in its]):.3f}"
+            f" | {np.mean(within):.3f} | {min(within):.3f} | {len(its)}"
+        )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@app.command()
+def main(
+    stops: Annotated[int, typer.Option(min=40)] = 150, seeds: Annotated[int, typer.Option(min=1)] = 10, first: int = 1
+) -> None:
+    """Print the table."""
+    cases = {f"{LOADS_KG[0]:g} kg": LOADS_KG[:1], " and ".join(f"{kg:g} kg" for kg in LOADS_KG): LOADS_KG}
+    found: dict[str, list[Found]] = {}
+    for seed in range(first, first + seeds):
+        for case, loads_kg in cases.items():
+            one = predicted(Bench(seed, stops), loads_kg)
+            found.setdefault(case, []).append(one)
+            typer.echo(f"seed {seed}: {case}: {one}", err=True)
+    typer.echo("\n".join(lines(found)))
+
+
+if __name__ == "__main__":
+    app()
