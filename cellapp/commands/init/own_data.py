@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,10 +65,10 @@ class OwnData:
 
 @dataclass(frozen=True)
 class OwnDataWritten:
-    """The files that were written, and what was understood."""
+    """The files that were written, and what was understood; no readings for recordings of motion."""
 
     profile: Path
-    readings: Path
+    readings: Path | None
     notes: tuple[str, ...]
 
 
@@ -84,6 +85,8 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     InputError
         If the readings or rows cannot be understood, an answer lacks and nobody can be asked, or a file exists.
     """
+    if (joints := _joints_of_motion(own.readings)) > 0:
+        return _for_recordings(own, joints, folder, outputs)
     recorded = read_recorded(own.readings)
     types = _types(own, recorded.joints)
     angles, lengths = _decided_units(own, recorded, types, choose)
@@ -101,6 +104,36 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     write_new(files, outputs)
     notes = (*_preview(recorded, angles, lengths), _judged(arm_type, q, p_M))
     return OwnDataWritten(profile, readings, notes)
+
+
+def _joints_of_motion(path: Path) -> int:
+    """Number of joints of a recording of joint positions alone (time_s, q1, q2, ...); 0 for other files."""
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            names = {name.strip().strip('"') for name in file.readline().split(",")}
+    except (OSError, UnicodeDecodeError):
+        return 0  # the reader of readings says what is wrong
+    if "time_s" not in names or any(name[:1] in "xyz" for name in names if name):
+        return 0
+    return sum(re.fullmatch(r"q[1-9]\d?", name) is not None for name in names)
+
+
+def _for_recordings(own: OwnData, joints: int, folder: Path, outputs: Outputs) -> OwnDataWritten:
+    """Profile and arm type for recordings of motion, of which this file has the joints."""
+    types = _types(own, joints)
+    if not own.arm:
+        words = ", ".join(one.name for one in types)
+        raise InputError(
+            f"{own.readings}: joint positions of a motion; which arm? Give --arm NAME ({words}), the file of an arm"
+            " type, or one of D-H rows"
+        )
+    name = own.name or own.readings.stem.lower().replace(" ", "-")
+    profile = folder / FOLDER / f"{name}.yaml"
+    text = _profile_text(name, (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
+    head = f"# For recordings of motion: `cellapp import {profile} --joints {own.readings} --points FILE --run DIR`.\n"
+    write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
+    note = f"{own.readings}: joint positions of a motion, {joints} joints; the points come from a file of their own"
+    return OwnDataWritten(profile, None, (note,))
 
 
 # -- arm types --------------------------------------------------------------------------------------------------------

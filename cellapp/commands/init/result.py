@@ -6,9 +6,11 @@ from cellapp.ground.results import Result
 
 
 class InitResult(Result, schema="cellapp-init"):
-    """``init``: the profile that was written, and what is to be known about it; ``readings`` are the converted ones."""
+    """``init``: the profile that was written, and what is to be known about it; ``readings`` are the converted ones,
+    ``joints`` the file of joint positions of a motion."""
 
     profile: str
     notes: tuple[str, ...] = ()
     readings: str | None = None
-    omitted_when_none = frozenset({"readings"})
+    joints: str | None = None
+    omitted_when_none = frozenset({"readings", "joints"})

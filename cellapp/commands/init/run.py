@@ -23,6 +23,8 @@ def run(request: InitRequest, work: Work) -> InitResult:
             request.name or "",
         )
         own = write_own_data(given, request.folder, work.choose, work.outputs)
+        if own.readings is None:
+            return InitResult(profile=str(own.profile), notes=own.notes, joints=str(request.readings))
         return InitResult(profile=str(own.profile), notes=own.notes, readings=str(own.readings))
     if request.answers is not None:
         written = write_answers(request.answers, request.folder)

@@ -21,8 +21,11 @@ def _next_command(result: InitResult) -> str:
     """A cell of which nothing moves has readings to import, and no devices to look at."""
     path = Path(result.profile)
     logs = Path("logs") / path.stem
+    run = path.parent.parent / logs
+    if result.joints is not None:
+        streams = ["--joints", result.joints, "--points", "POINTS.csv"]
+        return shlex.join(["cellapp", "import", result.profile, *streams, "--run", str(run)])
     if result.readings is not None:
-        run = path.parent.parent / logs
         return shlex.join(["cellapp", "import", result.profile, result.readings, "--run", str(run)])
     if any(arm.driver.has_device for arm in load_profile(path).arms.values()):
         return f"cellapp doctor {path}"

@@ -49,8 +49,9 @@ _SAME = 1e-4
 _MOST_TRIED = 400
 _LOG_STEP = 0.2
 """Step of the logarithm of a variance by which the curvature of the likelihood is found."""
-_USUALLY = 0.9
-"""Probability that a model lacks something, before its residuals are seen: most arms have an effect or two."""
+_USUALLY = 0.75
+"""Probability that a model lacks something, before its residuals are seen: most arms have an effect or two. Intervals
+hold as often as stated both for arms with effects and for arms without."""
 _NOTHING = 1e8
 """Precision of a law that the arm does not have, in the inverse square of the standard deviation of its term."""
 _FEWEST_FREE = 4.0

@@ -144,3 +144,14 @@ def test_real_readings_of_both_arms_keep_their_names_and_splits(tmp_path: Path) 
     assert content["tracker"] == {"driver": {"kind": "none"}}
     with import_csv(load_profile(written.profile), written.readings, tmp_path / "run") as run:
         assert set(run.readings("left").split or ()) == {"identify", "validate"}
+
+
+def test_joint_positions_of_a_motion_give_a_profile_for_recordings(tmp_path: Path) -> None:
+    file = tmp_path / "joints.csv"
+    file.write_text("time_s,q1,q2,q3,q4,q5,q6\n0.0,0,0,0,0,0,0\n")
+    with pytest.raises(InputError, match="which arm"):
+        write_own_data(OwnData(file), tmp_path)
+    written = write_own_data(OwnData(file, arm="ur5"), tmp_path)
+    assert written.readings is None
+    assert load_profile(written.profile).arms["robot"].smr.offset == "unknown"
+    assert "--points" in written.profile.read_text("utf-8")
