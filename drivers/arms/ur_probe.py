@@ -39,6 +39,11 @@ _MAX_STATES = 20  # the kinematics come in the first one; 20 states last two sec
 _PACKAGE_HEADER = struct.Struct(">iB")
 _SUB_HEADER = struct.Struct(">IB")
 _ROBOT_STATE = 16
+_MESSAGE = 20
+_VERSION_MESSAGE = 3
+_VERSION = struct.Struct(">QbbB")  # time, source, kind of message, length of the name that follows
+_WITHOUT_DASHBOARD = 10
+"""Major version of PolyScope X, which has no dashboard server."""
 _MODE_DATA = 0
 _MODE = struct.Struct(">Q7?")  # time; connected to and enabled: the real robot; then power, stops, program
 _CARTESIAN_INFO = 4
@@ -272,8 +277,18 @@ def probe_ur(
 
 
 def _with_open_ports(error: LinkLost, others: Sequence[Connection], patience: Patience) -> LinkLost:
-    """The loss of the dashboard; it names other ports that accept a connection, as then only the server is off."""
-    soon = Patience(0.2, patience)
+    """The loss of the dashboard; it names other ports that accept a connection, as then only the server is off.
+
+    PolyScope X has none: its version, the first message of the primary port (the first of ``others``), tells.
+    """
+    soon = Patience(0.5, patience)
+    major = _major_version(others[0], soon)
+    if major is not None and major >= _WITHOUT_DASHBOARD:
+        return LinkLost(
+            f"{others[0].where}: PolyScope X (version {major}) has no dashboard server, over which this program asks"
+            " for modes and stops an arm whose program hangs; such a controller is not driven. Readings that were taken"
+            " with it are calibrated: 'cellapp import'; to be driven it needs PolyScope 5"
+        )
     accepting = [str(link.port) for link in others if not link.refusal(soon)]
     if not accepting:
         return error
@@ -281,6 +296,28 @@ def _with_open_ports(error: LinkLost, others: Sequence[Connection], patience: Pa
         f"{error}. Other UR ports accept a connection there ({', '.join(accepting)}): see whether the dashboard"
         " server is switched on (Settings > Security > Services)"
     )
+
+
+def _major_version(primary: Connection, patience: Patience) -> int | None:
+    """The first number of the software's version from the primary port; None if it does not come."""
+    received = bytearray()
+    try:
+        if primary.refusal(patience):
+            return None
+        while len(received) < _PACKAGE_HEADER.size or len(received) < _PACKAGE_HEADER.unpack_from(received)[0]:
+            more = primary.receive(patience)
+            if not more or len(received) > _LARGEST_PACKAGE:
+                return None
+            received += more
+    except OSError:
+        return None
+    size, kind = _PACKAGE_HEADER.unpack_from(received)
+    message = bytes(received[_PACKAGE_HEADER.size : max(size, 0)])
+    if kind != _MESSAGE or len(message) < _VERSION.size:
+        return None
+    _, _, subtype, length = _VERSION.unpack_from(message)
+    at = _VERSION.size + length
+    return message[at] if subtype == _VERSION_MESSAGE and at < len(message) else None
 
 
 def _series(software: str) -> str:

@@ -29,7 +29,7 @@ from drivers.trackers.lmf_calls import CallThread
 from drivers.trackers.lmf_finder import visible_trackers
 from drivers.trackers.lmf_objects import Lmf, describe, error_number, load_lmf, set_handler, to_si, unwrap
 from drivers.trackers.lmf_options import LmfOptions
-from drivers.trackers.lmf_results import ErrorLaw, read_air, read_position, tracker_time_s
+from drivers.trackers.lmf_results import ErrorLaw, read_air, read_position, read_rotation, tracker_time_s
 from drivers.trackers.lmf_setup import apply_settings, laser_and_stand, set_quantity, start_level_monitoring
 from drivers.trackers.protocol import (
     Face,
@@ -360,7 +360,8 @@ class LmfTracker:
         found = tracker.PositionTo(True, False, *(float(value) for value in expected))
         if found is None or tracker.Targets.Selected is None:
             raise TargetLost(f"tracker: no SMR found near ({', '.join(f'{v:.3f}' for v in expected)}) m")
-        if self._reflector and str(found.Name) != self._reflector:
+        probe = self._use.probes and not unwrap(found.IsSelectable)  # LMF knows probes; only reflectors are selected
+        if self._reflector and str(found.Name) != self._reflector and not probe:
             raise WrongTarget(f"tracker: it locked a '{found.Name}' where a '{self._reflector}' was expected")
 
     def _change_face(self, tracker: Any, face: Face) -> None:
@@ -400,6 +401,7 @@ class LmfTracker:
         covariance_M = self._law.covariance(p_M)
         covariance_M *= max(1.0, precision_m**2 / float(np.trace(covariance_M)))  # the SMR shook more than specified
         air, quality = read_air(result)
+        quaternion_M = read_rotation(self._lmf, result)
         return Point(
             p_M=p_M,
             covariance_M=covariance_M,
@@ -414,6 +416,8 @@ class LmfTracker:
             host_time_s=time.time(),
             reflector=self._reflector,
             quality=(*quality, *self._air_notices(tracker), *self._new_messages()),
+            quaternion_M=quaternion_M,
+            sigma_rad=None if quaternion_M is None else self._law.sigma_rad,
         )
 
     def _new_messages(self) -> list[str]:

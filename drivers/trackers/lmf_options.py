@@ -33,6 +33,8 @@ class LmfOptions(TrackerSettings):
     """Serial number that the tracker must have; compared at each connect."""
     reflector: Annotated[str, Field(max_length=60)] = ""
     """The reflector type as LMF names it, or its class such as RedRingReflector15; empty: what is selected there."""
+    probes: Annotated[bool, Field(strict=True)] = False
+    """A 6-D probe, as a T-Mac, may be where an SMR is expected: LMF knows it by itself and measures its rotation."""
     accuracy: Literal["fast", "standard", "precise"] = "standard"
     air: Air | None = None
     library: Annotated[str, Field(min_length=1)] = DEFAULT_LIBRARY

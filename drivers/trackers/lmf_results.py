@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,10 @@ from drivers.trackers.protocol import Face, TrackerError
 
 _AIR_RANGES = {"Temperature": (-40.0, 85.0), "Pressure": (500.0, 1200.0), "Humidity": (0.0, 100.0)}
 """Plausible air [degC, hPa, %], in the units that ``lmf_setup`` selects."""
+_QUATERNION = ("Value0", "Value1", "Value2", "Value3")
+"""A probe's rotation, scalar first."""
+_UNIT_LENGTH = 1e-3
+"""By how much a quaternion's length may differ from one."""
 _TICKS_1970 = 621_355_968_000_000_000
 """.NET's time stamp of the first second of 1970, in ticks of 100 ns since the year 1."""
 
@@ -22,10 +27,17 @@ class ErrorLaw:
     """Maximum permissible errors ``constant + proportional * distance`` [m, m/m], across the beam and along it.
 
     Half of a maximum permissible error is taken as one standard deviation: the maker calls half of it typical.
+    ``rotation`` is that of a probe about each axis [rad]; Leica states 0.01 degrees for a T-Mac.
     """
 
     transverse: tuple[float, float] = (15e-6, 6e-6)
     range: tuple[float, float] = (10e-6, 0.3e-6)
+    rotation: float = math.radians(0.01)
+
+    @property
+    def sigma_rad(self) -> float:
+        """Standard deviation of a measured rotation about each axis [rad]."""
+        return 0.5 * self.rotation
 
     def covariance(self, p_M: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance (3, 3) [m^2] of a point (3,) [m] in the axes of M."""
@@ -49,6 +61,27 @@ def read_position(lmf: Lmf, position: Any, face: Face) -> tuple[NDArray[np.float
     if bool(unwrap(position.IsFace2)) != (face == 2):
         raise TrackerError(f"tracker: it measured in another face than {face}")
     return p_M, precision_M
+
+
+def read_rotation(lmf: Lmf, result: Any) -> NDArray[np.float64] | None:
+    """Return the orientation of a probe in M, a unit quaternion (4,), scalar first; None for a reflector.
+
+    Raises ``TrackerError`` where it comes in another form than a quaternion, or is none.
+    """
+    rotation = getattr(result, "Rotation", None)
+    if rotation is None:
+        return None
+    kind = unwrap(rotation.RotationType)
+    if str(kind) != "Quaternion" and int(kind) != int(lmf.enumeration("ERotationType").Quaternion):
+        raise TrackerError(f"tracker: the probe's rotation comes as {kind}; another program changed that")
+    if missing := [name for name in _QUATERNION if not hasattr(rotation, name)]:
+        has = ", ".join(name for name in dir(rotation) if name[:1].isupper())
+        raise TrackerError(f"tracker: the probe's rotation has no {', '.join(missing)} in this LMF, only {has}")
+    quaternion = np.array([float(unwrap(getattr(rotation, name))) for name in _QUATERNION])
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1.0) < _UNIT_LENGTH:  # nor where it is not a number
+        raise TrackerError(f"tracker: the probe's rotation is a quaternion of length {length:.4g}, not one")
+    return quaternion / length
 
 
 def read_air(result: Any) -> tuple[dict[str, float | None], list[str]]:

@@ -23,6 +23,7 @@ def apply_settings(lmf: Lmf, tracker: Any, use: LmfOptions, preparation: Prepara
     """
     for path, kind, name in (
         (("Settings", "CoordinateType"), "ECoordinateType", "Cartesian"),
+        (("Settings", "RotationType"), "ERotationType", "Quaternion"),
         (("Settings", "Units", "LengthUnit"), "ELengthUnit", "Meter"),
         (("Settings", "Units", "AngleUnit"), "EAngleUnit", "Radian"),
         (("Settings", "Units", "TemperatureUnit"), "ETemperatureUnit", "Celsius"),

@@ -20,6 +20,7 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.method import make_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stored_stops import write_planned_stops
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
@@ -66,7 +67,16 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
     tmp_path: Path, shells: Future[None]
 ) -> None:
     twin = small_twin(STOPS)
-    twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
+    # the right one has an e-Series controller: 500 Hz, remote control, other dashboard
+    right = twin.arms["right"].model_copy(
+        update={"type": load_profile(PROFILES / "ur10e-ur5e.yaml").arms["right"].type}
+    )
+    twin = twin.model_copy(
+        update={
+            "arms": {**twin.arms, "right": right},
+            "network": twin.network.model_copy(update={"kind": "none"}),
+        }
+    )
     plan, _ = make_stops(twin)
     direct, its, verified = collected(twin, tmp_path / "direct", plan)
     served = twin.model_copy(

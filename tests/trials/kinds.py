@@ -1,13 +1,18 @@
 """What each kind of reading is worth: errors of one simulated UR10 that is calibrated from each, and of a real one.
 
     python -m tests.trials.kinds --stops 100 --seeds 3
-    python -m tests.trials.kinds --real profiles/ur10-real.yaml readings.csv
+    python -m tests.trials.kinds --data FOLDER --profile profiles/ur10-6d.yaml
+    python -m tests.trials.kinds --data FOLDER --profile profiles/panda-sockets.yaml
 
 The arm is elastic and encoder 1 is eccentric; errors are those of predictions at 300 other configurations against the
 truth. From sockets the base is not seen: these predictions are laid onto the truth first. "Further out" is a point
 200 mm beyond the SMR on the flange's axis. After the earlier calibration the zero of joint 3 changes by 0.5 mrad; what
-ten touches of one socket find of it is taken into the model. Of a real arm, held-out readings with orientation stand
-for the truth.
+ten touches of one socket find of it is taken into the model.
+Of real arms the folder has readings, a file for each: with orientation, of which held-out ones stand for the truth; or
+in sockets, with ``NAME-distances.csv`` beside ``NAME.csv``, where errors are those of the ball at held-out placements.
+Three SMRs on a real flange were not measured: they are made from the measured poses, each with noise of its own, so
+that only what the arm does is real. An earlier calibration is that of the arm with most readings, of which ten touches
+of the other one find the ball.
 """
 
 from __future__ import annotations
@@ -26,7 +31,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, read_readings_csv
+from cellapp.cell.run import RunFile, import_csv, read_readings_csv
 from cellapp.cell.run.distances import DISTANCES_RESULT, distances_text
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.check.run import check_by_touches
@@ -34,8 +39,10 @@ from cellapp.commands.discover.run import discover_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.readings import Distance, Readings, joined
+from cellapp.estimation.sockets import Contacts
+from cellapp.estimation.sockets.plausibility import with_ball
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.smr import Smr
+from cellapp.ground.profile.smr import Nest, Smr
 from cellapp.robot.kinematics.transforms import register
 from cellapp.robot.model import ArmModel, CellModel
 from drivers.plant import Plant
@@ -57,6 +64,9 @@ FURTHER_M = 0.2
 SEATING_M = 2e-5
 GAUGE_M = 0.3
 TOUCHES, CHANGED_JOINT, CHANGE_RAD = 10, 3, 5e-4
+MADE_NESTS_S = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0))
+"""Where SMRs that are made from measured poses stand in the probe's frame [m]."""
+NEST_NOISE_M = 1.5e-5
 _RANGE_RAD = 2.2
 _TRUE = 300
 _PLACES = np.array([[0.5, 0.5, 0.1], [0.5, -0.5, 0.2], [-0.5, 0.6, 0.4], [0.8, 0.0, 0.5], [-0.5, -0.5, 0.7]])
@@ -240,14 +250,69 @@ def csv_lines(q: Array) -> Iterator[str]:
 def real(profile: Profile, measured: Readings, *, discover: bool) -> Iterator[tuple[str, Errors]]:
     """The same of readings with orientation of a real arm: positions alone, and both; a quarter is the truth."""
     assert measured.quaternion_M is not None
+    (name,) = profile.arms
+    measured = replace(measured, split=None)
     drawn = np.random.default_rng(profile.seed).permutation(len(measured))
     held_out = measured.take(np.sort(drawn[: len(measured) // 4]))
     learn = measured.take(np.sort(drawn[len(measured) // 4 :]))
     assert held_out.quaternion_M is not None
     turns = Rotation.from_quat(np.roll(held_out.quaternion_M, -1, axis=1)).as_matrix()
     truth = Truth(held_out.q, held_out.p_M, turns)
-    for kind, its in {"one SMR": replace(learn, quaternion_M=None, sigma_rad=None), "6-D probe": learn}.items():
-        yield kind, truth.errors(calibrated(profile, replace(its, split=None), discover=discover))
+    nests = profile.arms[name].smr.model_copy(
+        update={"name": "A", "nests": {nest: Nest(offset="unknown") for nest in "BC"}}
+    )
+    of_nests = profile.model_copy(update={"arms": {name: profile.arms[name].model_copy(update={"smr": nests})}})
+    made = nests_of_poses(learn, np.random.default_rng([profile.seed, 7]))
+    yield (
+        "one SMR",
+        truth.errors(calibrated(profile, replace(learn, quaternion_M=None, sigma_rad=None), discover=discover)),
+    )
+    yield "three SMRs, made from poses", truth.errors(calibrated(of_nests, made, discover=discover))
+    yield "6-D probe", truth.errors(calibrated(profile, learn, discover=discover))
+
+
+def nests_of_poses(measured: Readings, rng: np.random.Generator) -> Readings:
+    """Three SMRs made from measured poses: one where the probe is, two beside it, with noise of their own."""
+    assert measured.quaternion_M is not None
+    turns = Rotation.from_quat(np.roll(measured.quaternion_M, -1, axis=1))
+    plain = replace(measured, quaternion_M=None, sigma_rad=None)
+    parts = []
+    for name, offset_S in zip("ABC", MADE_NESTS_S, strict=True):
+        noise = NEST_NOISE_M * rng.standard_normal(measured.p_M.shape) if any(offset_S) else 0.0
+        p_M = measured.p_M + turns.apply(offset_S) + noise
+        parts.append(replace(plain, p_M=p_M, smr=(name,) * len(p_M)))
+    return joined(parts)
+
+
+def led_arms(profile: Profile, folder: Path, *, discover: bool) -> Iterator[tuple[str, Errors]]:
+    """Real arms led into sockets: each from its own touches, and the others from those of the arm with most."""
+    models: dict[str, tuple[int, ArmModel, Readings]] = {}
+    (name,) = profile.arms
+    for known in sorted(folder.glob("*-distances.csv")):
+        path = known.with_name(known.name.replace("-distances", ""))
+        with (
+            tempfile.TemporaryDirectory() as place,
+            import_csv(profile, path, Path(place) / "run", distances=known) as run,
+        ):
+            arm, its = fitted(run, discover=discover).arms[name], run.readings(name)
+            if its.split is None:
+                continue
+        models[path.stem] = (len(its), arm, its)
+        yield f"sockets only, {path.stem}", at_held_out(arm, its)
+    first = max(models, key=lambda one: models[one][0])
+    for other, (_, _, its) in models.items():
+        if other != first:
+            earlier = models[first][1]
+            touched = its.take(its.in_split("identify")[:: max(len(its.in_split("identify")) // TOUCHES, 1)])
+            ball = with_ball(earlier.geometry, touched, unknown=True)
+            yield f"{other} after a calibration of {first}", at_held_out(replace(earlier, geometry=ball), its)
+
+
+def at_held_out(arm: ArmModel, readings: Readings) -> Errors:
+    """Mean distance of the ball from the mean of its point at held-out placements [mm]; no more is known of it."""
+    its = readings.take(readings.in_split("validate"))
+    p_M, contacts = arm.predict(its.q), Contacts.of(its)
+    return Errors(_mean_mm(p_M - contacts.centres(p_M)[contacts.index]), np.nan, np.nan)
 
 
 def lines(found: Mapping[str, list[Errors]]) -> Iterator[str]:
@@ -262,23 +327,33 @@ def _mean_mm(vectors: Array) -> float:
     return 1e3 * float(np.linalg.norm(vectors, axis=1).mean())
 
 
+def of_folder(profile: Profile, folder: Path, *, discover: bool) -> Iterator[tuple[str, Errors]]:
+    """Each kind with its errors, of the real arms in a folder."""
+    if any(folder.glob("*-distances.csv")):
+        yield from led_arms(profile, folder, discover=discover)
+        return
+    (name,) = profile.arms
+    for path in sorted(folder.glob("*.csv")):
+        readings, _ = read_readings_csv(path, {name: len(profile.arms[name].type.joints)})
+        for kind, errors in real(profile, readings[name], discover=discover):
+            yield f"{kind}, {path.stem}", errors
+
+
 @app.command()
 def main(
     stops: Annotated[int, typer.Option(min=40)] = 100,
     seeds: Annotated[int, typer.Option(min=1)] = 3,
     geometry: Annotated[bool, typer.Option("--geometry", help="without effects")] = False,
-    measured: Annotated[tuple[Path, Path] | None, typer.Option("--real", help="profile, readings with quat_*")] = None,
+    data: Annotated[Path | None, typer.Option(help="folder with readings of real arms")] = None,
+    profile: Annotated[Path | None, typer.Option(help="profile of the real arm")] = None,
 ) -> None:
     """Print the table."""
     found: dict[str, list[Errors]] = {}
     each: Iterator[Iterator[tuple[str, Errors]]]
-    if measured is None:
+    if data is None or profile is None:
         each = (simulated(seed, stops, discover=not geometry) for seed in range(1, seeds + 1))
     else:
-        profile = load_profile(measured[0])
-        (name,) = profile.arms
-        readings, _ = read_readings_csv(measured[1], {name: len(profile.arms[name].type.joints)})
-        each = iter([real(profile, readings[name], discover=not geometry)])
+        each = iter([of_folder(load_profile(profile), data, discover=not geometry)])
     for kinds in each:
         for kind, errors in kinds:
             found.setdefault(kind, []).append(errors)

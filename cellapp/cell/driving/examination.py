@@ -10,10 +10,12 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
+from cellapp.cell.driving.nest_findings import nest_findings, reference_nest_findings
 from cellapp.cell.driving.obstacle_findings import obstacle_findings
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies
@@ -33,15 +35,15 @@ _LEAST_VISIBLE = 0.002
 _OLDEST_PYTHON, _FIRST_UNTRIED_PYTHON = (3, 11), (3, 13)
 
 
-def examine(profile: Profile) -> list[Finding]:
-    """Check all that a profile names; all devices are probed at the same time.
+def examine(profile: Profile, reference_nests: Path | None = None) -> list[Finding]:
+    """Check all that a profile names, and a file of reference nests; all devices are probed at the same time.
 
     However many devices are dead, this takes about twice ``LONGEST_PROBE_S``, or the time limit of the slowest
     connection: a minute for LMF, a sensor's own ``timeout``. Problems are reported as findings, not raised.
     """
     with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
         probes = _start_probes(pool, profile)
-        placement = _placement(profile)
+        placement = _placement(profile, reference_nests)
         findings = [_python(profile), *_notify(profile), *_found(profile, probes)]
     return findings + placement
 
@@ -129,12 +131,12 @@ def _shared_address(profile: Profile, name: str) -> list[Finding]:
 # -- placement --------------------------------------------------------------------------------------------------------
 
 
-def _placement(profile: Profile) -> list[Finding]:
-    """Check whether the arms are safe at home, and whether the tracker can see enough of them."""
+def _placement(profile: Profile, reference_nests: Path | None) -> list[Finding]:
+    """Check whether the arms are safe at home, and whether the tracker can see enough of them and of their nests."""
     placed = {name: arm for name, arm in profile.arms.items() if arm.base is not None and arm.home is not None}
     has_arms = any(arm.driver.has_device for arm in profile.arms.values())
     if not has_arms or not placed or profile.tracker.pose is None:
-        return []
+        return [] if reference_nests is None else list(reference_nest_findings(reference_nests, None, {}))
     findings = [] if profile.plant is None else [_plant(profile)]
     bare = [name for name, arm in placed.items() if not arm.type.capsules]
     if bare:
@@ -153,7 +155,10 @@ def _placement(profile: Profile) -> list[Finding]:
         findings.append(Finding("home", "failed", text))
     else:
         findings.append(Finding("home", "ok", f"safe to stand at: {', '.join(placed)}"))
-    return findings + [_visibility(cell, profile, name) for name in placed]
+    findings += [_visibility(cell, profile, name) for name in placed]
+    findings += nest_findings(cell, profile, homes)
+    tied = () if reference_nests is None else reference_nest_findings(reference_nests, cell, homes)
+    return [*findings, *tied]
 
 
 def _plant(profile: Profile) -> Finding:

@@ -142,7 +142,7 @@ def live_sweep_chart(live: SweepLive, trace: Sequence[tuple[float, float]]) -> C
     """The same of the sweep that is recorded now, as far as it is: times since its first point [s], speeds [mm/s]."""
     times, speeds = _with_gaps(trace)
     seen = f"up to {max(speed for _, speed in trace):.0f} mm/s" if trace else "nothing yet"
-    lost = f"; beam lost {counted(live.lost_beams, 'time')}" if live.lost_beams else ""
+    lost = f"; {counted(live.lost_beams, 'lost beam')}" if live.lost_beams else ""
     message = f"Arm {live.arm}, {live.name}: {seen}, {live.done_s:.0f} of {live.duration_s:.0f} s{lost}."
     axes = Axis("time", "s"), Axis("speed of the SMR", "mm/s")
     return Chart("Sweep that is recorded now", *axes, (series(live.name, times, speeds),) if trace else (), message)

@@ -14,6 +14,9 @@ class DoctorRequest(Request):
     """What is reachable, what is missing, what would be refused; nothing moves."""
 
     profile: ProfilePath
+    reference_nests: Annotated[
+        Path | None, Asked("Say how well these reference nests tie tracker stations, at the arms at home.", "FILE")
+    ] = None
     cell: Annotated[bool, Asked("First print what the profile says of the cell.")] = False
     controllers: Annotated[
         Path | None,

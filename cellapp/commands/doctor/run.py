@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection
+from pathlib import Path
 
 from cellapp.cell.driving.controller_tables import controller_files, factory_findings, factory_tables
 from cellapp.cell.driving.examination import examine, probe
@@ -32,7 +33,7 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     """Check all that the profile names, and write what the controllers report of themselves where that is asked for."""
     profile = load_profile(request.profile)
     began_s = time.monotonic()
-    result = examine_run(profile)
+    result = examine_run(profile, request.reference_nests)
     seconds = time.monotonic() - began_s
     if request.bundle is not None:
         folder = request.run_folder or newest_run(profile)
@@ -50,9 +51,9 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     return result.model_copy(update={"written": written})
 
 
-def examine_run(profile: Profile) -> DoctorResult:
+def examine_run(profile: Profile, reference_nests: Path | None = None) -> DoctorResult:
     """All that ``examine`` finds, after what plug-ins add, as the result of the verb."""
-    found = DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile)))))
+    found = DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile, reference_nests)))))
     tables = factory_tables(profile, _reports(found))
     if not tables:
         return found

@@ -25,6 +25,10 @@ NOT_STATED = 1e-8
 """Standard uncertainty [m, rad] of what states none, where the other kind does: all of its scatter is estimated."""
 _ODD_RAD = 0.2
 """Median angle between orientations and the arm from which they are taken as those of another frame."""
+_SUSPECT_RAD = 0.02
+"""Median angle from which another frame is looked for: a published arm is off by some mrad."""
+_BETTER = 0.2
+"""Share of the median angle below which another frame is the one that was meant."""
 _FEWEST = 4
 """Orientations from which their frame is judged."""
 
@@ -135,9 +139,12 @@ def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -
     """
     rows, rotations = measured_orientations(readings)
     q = readings.q[rows]
-    if len(rows) < _FEWEST or _scatter(geometry, q, rotations) < _ODD_RAD:
+    if len(rows) < _FEWEST or (own := _scatter(geometry, q, rotations)) < _SUSPECT_RAD:
         return
-    fits = (words for words, changed in _FRAMES.items() if _scatter(geometry, q, changed(rotations)) < _ODD_RAD)
+    found = {words: _scatter(geometry, q, changed(rotations)) for words, changed in _FRAMES.items()}
+    fits = (words for words, angle in found.items() if angle == min(found.values()) and angle < _BETTER * own)
+    if own < _ODD_RAD and min(found.values()) >= _BETTER * own:
+        return
     otherwise = "they fit in no usual convention: look for quaternions of other rows, another arm or another frame"
     raise InputError(
         f"arm '{name}': the orientations quat_w, ..., quat_z of most readings, the first of them configuration"

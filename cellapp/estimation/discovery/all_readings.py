@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from cellapp.estimation.calibration.linear import inverse_psd, solve_psd
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
@@ -23,6 +22,7 @@ from cellapp.estimation.discovery.joint_fit import (
     refit,
     uncertainty_with_scatter,
 )
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.process.components import Component, components
 from cellapp.estimation.discovery.process.evidence import Hyperparameters, ProcessData
 from cellapp.estimation.discovery.process.structured import StructuredProcess, needed_components, process_terms
@@ -39,47 +39,8 @@ _EVALUATIONS = 25
 """Evaluations of the evidence, from the values that the searched readings gave."""
 _STEPS = 2
 """Gauss-Newton steps: the second corrects some per cent of the first."""
-_SMALLEST = 1e-300
-"""Guards divisions by a norm of zero."""
 _DRAW_SEED = 0xA117
 """Beside the profile's seed: these draws are then independent of all other draws."""
-
-
-@dataclass(frozen=True, eq=False)
-class _NormalMatrix:
-    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual and what the values at hand predict."""
-
-    gram: Array
-    moment: Array
-    square: float
-
-    def covariance(self, precision: Array) -> Array:
-        """Inverse of X^T X and the prior precisions (p,)."""
-        A, scale = self._scaled(precision)
-        return inverse_psd(A) * (scale[:, None] * scale)
-
-    def solution(self, precision: Array) -> Array:
-        """Values (p,) of all parameters under the priors."""
-        A, scale = self._scaled(precision)
-        return solve_psd(A, self.moment * scale) * scale
-
-    def _scaled(self, precision: Array) -> tuple[Array, Array]:
-        """X^T X and the prior precisions (p,) with each parameter scaled by its column, and these scales (p,)."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.gram), _SMALLEST))
-        return self.gram * (scale[:, None] * scale) + np.diag(precision * scale**2), scale
-
-    def behind(self, flat: int, precision: Array, coordinates: int) -> ProcessData:
-        """The columns from ``flat`` on behind the first ones, whose prior precisions (flat,) are given."""
-        first = _NormalMatrix(self.gram[:flat, :flat], self.moment[:flat], self.square)
-        inverse = first.covariance(precision)
-        cross, moment = self.gram[:flat, flat:], self.moment[:flat]
-        determined = flat - float(np.sum(precision * np.diag(inverse)))
-        return ProcessData(
-            gram=self.gram[flat:, flat:] - cross.T @ inverse @ cross,
-            moment=self.moment[flat:] - cross.T @ (inverse @ moment),
-            square=self.square - float(moment @ inverse @ moment),
-            coordinates=coordinates - determined,
-        )
 
 
 def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[SearchResult, ArmModel]:
@@ -111,8 +72,7 @@ def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: floa
     base = fit_terms(found.data.at(found.fit.model), named)
     had = {term.slug: term for term in found.fit.terms if term.smooth is not None}
     chosen = [one if one.slug in had else one.coarse() for one in components(found.data, base)]
-    flat = base.layout.total
-    gram = _gathered(data, base, chosen).behind(flat, base.precision, 3 * len(data))
+    gram = ProcessData.behind(_gathered(data, base, chosen), base.layout.total, base.precision, 3 * len(data))
     start = Hyperparameters(
         tuple(_amplitudes(one, had.get(one.slug)) for one in chosen),
         tuple(_length(one, had.get(one.slug)) for one in chosen),
@@ -144,11 +104,11 @@ def _columns(data: ArmData, chosen: Sequence[Component]) -> list[EffectColumn]:
     return found
 
 
-def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -> _NormalMatrix:
+def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -> NormalMatrix:
     """Normal matrix of a fit's geometry and terms and of further components over all readings, linearised there."""
     count = sum(len(one.columns) for one in further)
     total = fit.layout.total + count
-    gram, moment, square = np.zeros((total, total)), np.zeros(total), 0.0
+    found = NormalMatrix(np.zeros((total, total)), np.zeros(total), 0.0)
     geometric = np.array(fit.identification.estimated.columns, dtype=np.intp)
     deviation = fit.model.geometry.vector()[geometric] - data.model.nominal.vector()[geometric]
     values = np.concatenate([deviation, fit.identification.effect_values, np.zeros(count)])
@@ -165,10 +125,8 @@ def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -
         ).rows
         left = chunk.readings.p_M - fit.model.predict(chunk.readings.q, conditions=chunk.conditions)
         target = np.einsum("acn,nc->an", white, left).ravel() + values @ rows
-        gram += rows @ rows.T
-        moment += rows @ target
-        square += float(target @ target)
-    return _NormalMatrix(gram, moment, square)
+        found += NormalMatrix.of(rows, target)
+    return found
 
 
 def _chunks(data: ArmData) -> Iterator[ArmData]:
@@ -181,10 +139,10 @@ def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
     """The model with values and uncertainty from all readings."""
     model, flat = fit.model, fit.layout.geometric
     columns = list(fit.identification.estimated.columns)
-    normal = _NormalMatrix(np.zeros((0, 0)), np.zeros(0), 0.0)
+    covariance = np.zeros((0, 0))
     for _ in range(_STEPS):
-        normal = _gathered(data, fit)
-        values = normal.solution(fit.precision)
+        equations = _gathered(data, fit).with_priors(fit.precision)
+        values, covariance = equations.solution, equations.covariance
         vector = model.geometry.vector()
         vector[columns] = data.model.nominal.vector()[columns] + values[:flat]
         effects = tuple(
@@ -196,7 +154,7 @@ def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
     draws = PosteriorDraws.of_covariance(
         columns=tuple(columns),
         sizes=[term.size for term in fit.terms],
-        covariance=normal.covariance(fit.precision),
+        covariance=covariance,
         seed=(data.profile.seed, _DRAW_SEED),
         **noise_of(data),
     )

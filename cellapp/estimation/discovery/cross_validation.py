@@ -12,16 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from cellapp.estimation.calibration.linear import PIVOT, cholesky, solve_psd
+from cellapp.estimation.calibration.linear import PIVOT, cholesky
 from cellapp.estimation.design.information import SMALLEST
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix, Solver
 from cellapp.robot.kinematics.transforms import Array
 
 _FOLD_SEED = 0xF01D
@@ -83,74 +83,45 @@ def _left_out(
 ) -> Iterator[tuple[NDArray[np.bool_], Array, Array]]:
     """For each fold the coordinates that are left out, and what the fit leaves of them without and with new columns."""
     scale = 1.0 / np.maximum(np.linalg.norm(new_rows, axis=1), SMALLEST)
-    new = new_rows * scale[:, None]
+    new, target = new_rows * scale[:, None], fit.target
     for one in _folds(fit, fold):
         learnt = ~one.out
-        B, left = new[:, learnt], one.left
-        cross = one.X[:, learnt] @ B.T
-        taken = one.solve(cross)
-        gram = B @ B.T
-        behind = gram - cross.T @ taken
-        factor = cholesky(behind)
+        B = new[:, learnt]
+        cross, gram = fit.rows[:, learnt] @ B.T, B @ B.T
+        taken = one.solver.solve(cross)
+        factor = cholesky(gram - cross.T @ taken)
         if factor is None or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():
-            yield one.out, left, one.left_with(new)
+            # the fit determines some of them by others
+            rows = np.concatenate([fit.rows, new])
+            precision = np.concatenate([fit.precision, np.zeros(len(new))])
+            scale = NormalMatrix.of(rows, target).scale
+            solution = NormalMatrix.of(rows[:, learnt], target[learnt]).with_priors(precision, scale).solution
+            yield one.out, one.left, target[one.out] - solution @ rows[:, one.out]
             continue
-        moment = B @ one.target[learnt] - taken.T @ one.moment
+        moment = B @ target[learnt] - taken.T @ one.solver.normal.moment
         values = lapack.dpotrs(factor, moment, lower=1)[0]
-        yield one.out, left, left - values @ (new[:, one.out] - taken.T @ one.X[:, one.out])
+        yield one.out, one.left, one.left - values @ (new[:, one.out] - taken.T @ fit.rows[:, one.out])
 
 
 @dataclass(frozen=True, eq=False)
 class _Fold:
-    """A fit to all readings but those of one fold, which are left ``out`` (3 n,).
-
-    ``X`` (p, 3 n) are its columns of unit norm, ``gram`` (p, p) and ``moment`` (p,) of what was learnt with the priors.
-    """
+    """A fit to all readings but those of one fold, which are left ``out`` (3 n,); what it leaves of these."""
 
     out: NDArray[np.bool_]
-    X: Array
-    target: Array
-    gram: Array
-    moment: Array
-
-    @cached_property
-    def _factor(self) -> Array | None:
-        return cholesky(self.gram)
-
-    def solve(self, rhs: Array) -> Array:
-        """``gram^-1 rhs``."""
-        if self._factor is None:
-            return solve_psd(self.gram, rhs)
-        return np.asarray(lapack.dpotrs(self._factor, rhs, lower=1)[0])
-
-    @cached_property
-    def left(self) -> Array:
-        """What the fit leaves of the coordinates that are left out."""
-        return np.asarray(self.target[self.out] - self.solve(self.moment) @ self.X[:, self.out])
-
-    def left_with(self, new: Array) -> Array:
-        """``left`` with further columns (m, 3 n), also where the fit determines some of them by others."""
-        learnt, size = ~self.out, len(self.gram)
-        every = np.concatenate([self.X, new])
-        gram = every[:, learnt] @ every[:, learnt].T
-        gram[:size, :size] = self.gram
-        moment = np.concatenate([self.moment, new[:, learnt] @ self.target[learnt]])
-        return np.asarray(self.target[self.out] - solve_psd(gram, moment) @ every[:, self.out])
+    solver: Solver
+    left: Array
 
 
 def _folds(fit: JointFit, fold: NDArray[np.intp]) -> list[_Fold]:
     """The fits without each fold, kept with the whole fit: many columns are tried beside one."""
     key = fold.tobytes()
     if key not in fit.derived:
-        scale = 1.0 / np.maximum(np.linalg.norm(fit.rows, axis=1), SMALLEST)
-        X = fit.rows * scale[:, None]
-        gram, moment = X @ X.T + np.diag(fit.precision * scale**2), X @ fit.target
-        found = []
+        rows, target, found = fit.rows, fit.target, []
+        whole = NormalMatrix.of(rows, target)
         for number in range(int(fold.max()) + 1):
             out = fold == number
-            left_out = X[:, out]
-            less = moment - left_out @ fit.target[out]
-            found.append(_Fold(out, X, fit.target, gram - left_out @ left_out.T, less))
+            solver = (whole - NormalMatrix.of(rows[:, out], target[out])).with_priors(fit.precision, whole.scale)
+            found.append(_Fold(out, solver, target[out] - solver.solution @ rows[:, out]))
         fit.derived[key] = found
     kept: list[_Fold] = fit.derived[key]
     return kept

@@ -51,9 +51,9 @@ from cellapp.estimation.motion.steps import (
     values_of,
     with_values,
 )
-from cellapp.estimation.motion.terms import JointTerm, Law, state_in_motion
+from cellapp.estimation.motion.terms import JointTerm, Law, of_all_joints, state_in_motion
 from cellapp.ground.progress import Told, ignore_words
-from cellapp.robot.effects import EffectTerm
+from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw, motion_laws
 from cellapp.robot.kinematics.transforms import Array
 
 _CHANCE = 1e-3
@@ -63,7 +63,6 @@ _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
 _OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE)
 """Laws that a filter for slow noise takes away while the residuals hold them: they are tested without it, too."""
-_ALTERNATIVES = len(Law) + len(_OF_POSTURE)
 _SHAPED_ROUNDS = 8
 _AS_WELL = 1.01
 """Ratio of held-out errors up to which the simpler of two models says as much."""
@@ -100,7 +99,7 @@ class MotionDiscovery:
 
 def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
     """Search recordings of one arm for effects of its joints; as ``identify_from_motion``, which raises the same."""
-    return _Search(*motion_problem(arm, told), told).run()
+    return _Search(*motion_problem(arm, told), told, tuple(motion_laws(EFFECTS.values()))).run()
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +107,13 @@ class _Search:
     problem: Problem
     stop_rows: NDArray[np.intp]
     told: Told
+    own: tuple[MotionLaw, ...] = ()
+    """Laws of speeds of plug-ins."""
+
+    @property
+    def alternatives(self) -> int:
+        """Laws that chance may choose from."""
+        return len(Law) + len(_OF_POSTURE) + len(self.own)
 
     def run(self) -> MotionDiscovery:
         """Laws of all joints and lines, until none is left that chance does not explain."""
@@ -115,7 +121,8 @@ class _Search:
         state = _whitened(state)
         first_mm, steps = state.heldout_mm, list[Step]()
         loaded = (Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ()
-        laws = [Law.PLAY, Law.LAG, Law.INERTIA, *loaded]
+        own = [law for law in self.own if loaded or not law.needs_torques]
+        laws: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, Law.INERTIA, *loaded, *own]
         while True:
             left = [law for law in laws if not has(steps, law)]
             found = self._law(state, left) or self._lines(state, steps) or self._vibration(state, steps)
@@ -137,7 +144,7 @@ class _Search:
         at_rest = [term for law in laws_at_rest for term in shown(final, law, steps)]
         places = [*range(final.problem.layout.geometric), *places_of(final, at_rest)]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
-        lost = {joint for one in effects if Law(one.slug) in (Law.PLAY, Law.WINDUP) for joint in one.joints}
+        lost = {joint for one in effects if one.slug in (Law.PLAY.value, Law.WINDUP.value) for joint in one.joints}
         drawn = loops(final.problem, final.solution, sorted(lost))
         moving = [law for law in dict.fromkeys(step.law for step in steps) if law not in AT_REST]
         aside = tuple(pair for law in moving for pair in with_values(final, shown(final, law, steps)))
@@ -196,6 +203,7 @@ class _Search:
         everywhere = tuple(own.get(joint, replace(late[0], joint=joint, shape=(usual,))) for joint in joints)
         springs = {term.joint for term in terms_of(Law.VIBRATION, steps)}
         twisted = tuple(JointTerm(Law.INERTIA, joint) for joint in sorted(springs))
+        terms: dict[Law | MotionLaw, tuple[JointTerm, ...]]
         terms = {Law.LAG: (), Law.INERTIA: twisted, Law.TIME_CONSTANT: everywhere}
         simple = [replace(step, terms=terms.get(step.law, step.terms)) for step in steps]
         simple = [step for step in simple if step.terms]
@@ -240,7 +248,9 @@ class _Search:
         for step in list(steps):
             if step.law is Law.LINE:
                 continue
-            p_value = min(1.0, float(chdtrc(len(tested(step.terms)), statistic_of(state, step.terms))) * _ALTERNATIVES)
+            p_value = min(
+                1.0, float(chdtrc(len(tested(step.terms)), statistic_of(state, step.terms))) * self.alternatives
+            )
             if p_value > _CHANCE or not shown(state, step.law, steps):
                 steps = [one for one in steps if one is not step]
                 state = self._refitted(state, steps)
@@ -296,16 +306,16 @@ class _Search:
         start = np.insert(state.solution.values, at, [term.start for term in terms])
         return self._state(state.problem.with_terms(terms), start)
 
-    def _law(self, state: State, laws: Sequence[Law]) -> tuple[State, Step] | None:
+    def _law(self, state: State, laws: Sequence[Law | MotionLaw]) -> tuple[State, Step] | None:
         """The law of all joints that is least likely to be chance and lowers the held-out error."""
         tried = []
         for law in laws:
-            terms = tuple(JointTerm(law, joint) for joint in range(state.problem.layout.parameters.joints))
+            terms = of_all_joints(law, state.problem.layout.parameters.joints)
             trials = [self._extended(state, terms)]
             if law in _OF_POSTURE:
                 trials.append(self._extended(replace(state, problem=replace(state.problem, whitening=None)), terms))
             statistic, trial = max(((statistic_of(one, terms), one) for one in trials), key=lambda each: each[0])
-            p_value = min(1.0, float(chdtrc(len(terms), statistic)) * _ALTERNATIVES)
+            p_value = min(1.0, float(chdtrc(len(terms), statistic)) * self.alternatives)
             if p_value < _CHANCE:
                 tried.append((trial, Step(law, terms, statistic, p_value, state.heldout_mm, math.nan)))
         for trial, step in sorted(tried, key=lambda each: (each[1].p_value, -each[1].statistic)):

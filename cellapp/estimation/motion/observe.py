@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.motion.noise import Bands, bands_of
-from cellapp.estimation.motion.terms import JointState, JointTerm, Law, Masses, state_at_rest, state_in_motion
+from cellapp.estimation.motion.terms import JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array
@@ -112,7 +112,7 @@ class Model:
     @property
     def needs_torques(self) -> bool:
         """Whether a term depends on torques."""
-        return any(term.law in (Law.WINDUP, Law.COMPLIANCE) for term in self.layout.terms)
+        return any(term.needs_torques for term in self.layout.terms)
 
     def clock(self, number: int) -> tuple[Array, float]:
         """Offsets [s] of the segments of one recording, and its rate."""

@@ -8,7 +8,7 @@ residuals pass the filter that whitens the residuals; a spring of one frequency 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.terms import JointTerm, Law
+from cellapp.robot.effects import MotionLaw
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 
@@ -27,7 +28,10 @@ _DAMPING = 0.06
 _CHUNK = 4096
 _SAME = 1e-3
 """Relative change of a shape below which it is settled."""
-_REACH = {Law.TIME_CONSTANT: ((1e-3, 0.3),), Law.VIBRATION: ((1e-7, 1.0), (1.0, 60.0), (3e-3, 0.7))}
+_REACH: Mapping[Law | MotionLaw, tuple[tuple[float, float], ...]] = {
+    Law.TIME_CONSTANT: ((1e-3, 0.3),),
+    Law.VIBRATION: ((1e-7, 1.0), (1.0, 60.0), (3e-3, 0.7)),
+}
 """Shapes that are followed: time constant [s]; gain [s^2], frequency [Hz], damping."""
 
 

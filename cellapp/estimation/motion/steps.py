@@ -9,7 +9,7 @@ import numpy as np
 
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.terms import JointTerm, Law
-from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
 from cellapp.robot.kinematics.transforms import Array
 
 SHOWN = 3.5
@@ -24,6 +24,8 @@ ONLY_MOTION = {
     Law.VIBRATION: "an arm at rest does not swing",
 }
 """Why stops cannot show a law."""
+OF_SPEEDS = "it depends on speeds, which readings at rest do not have"
+"""The same of a law of a plug-in."""
 DENSE = 20
 """Cycles a turn from which lines are too dense for the few hundred stops of a plan."""
 
@@ -85,7 +87,7 @@ class MotionEffect:
 class Step:
     """What entered: its terms, its statistic, and held-out errors before and after."""
 
-    law: Law
+    law: Law | MotionLaw
     terms: tuple[JointTerm, ...]
     statistic: float
     p_value: float
@@ -102,11 +104,11 @@ class State:
     heldout_mm: float
 
 
-def has(steps: Sequence[Step], law: Law) -> bool:
-    return any(step.law is law for step in steps)
+def has(steps: Sequence[Step], law: Law | MotionLaw) -> bool:
+    return any(step.law.value == law.value for step in steps)
 
 
-def terms_of(law: Law, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
+def terms_of(law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
     return tuple(term for step in steps if step.law is law for term in step.terms)
 
 
@@ -132,7 +134,7 @@ def started(state: State, terms: Sequence[JointTerm]) -> Array:
     return values
 
 
-def shown(state: State, law: Law, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
+def shown(state: State, law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
     """Terms of the joints that show a law; springs that push back are none."""
     terms = terms_of(law, steps)
     if not terms:
@@ -166,12 +168,12 @@ def statistic_of(state: State, terms: Sequence[JointTerm]) -> float:
     return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 
 
-def effect_of(state: State, law: Law, steps: Sequence[Step]) -> MotionEffect:
+def effect_of(state: State, law: Law | MotionLaw, steps: Sequence[Step]) -> MotionEffect:
     own, terms = [step for step in steps if step.law is law], shown(state, law, steps)
     values, covariance = values_of(state, terms_of(law, steps))
     places = [terms_of(law, steps).index(term) for term in terms]
     values, errors = values[places], np.sqrt(np.diag(covariance))[places]
-    only = ONLY_MOTION.get(law, "")
+    only = OF_SPEEDS if isinstance(law, MotionLaw) else ONLY_MOTION.get(law, "")
     if law is Law.LINE and all(term.cycles >= DENSE for term in terms):
         only = "lines as dense as these are aliased by the few hundred stops of a plan"
     return MotionEffect(

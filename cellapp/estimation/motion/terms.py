@@ -10,9 +10,9 @@
     vibration  dq_j = g_j (y_j(f_j, d_j) + qdd_j)   what a damped spring adds after changes of acceleration
 
 The torque of inertia is that of point masses (``statics``): ``tau_j = z_j . sum_k (c_k - o_j) x m_k (g - a_k)``. Lags
-and the last three serve motion only; the others serve commands at rest as well. What only motion can show: these, the
-part of inertia in a compliance, and lines that are denser than stops can sample. Time constants, frequencies and
-dampings are not linear: their terms are those at a shape, about which a fit is repeated.
+and the last three serve motion only, as do laws of speeds of plug-ins; the others serve commands at rest as well. What
+only motion can show: these, the part of inertia in a compliance, and lines that are denser than stops can sample. Time
+constants, frequencies and dampings are not linear: their terms are those at a shape, about which a fit is repeated.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from enum import Enum
 import numpy as np
 
 from cellapp.estimation.motion.joint_path import BEND_S, JointPath
+from cellapp.robot.effects import MotionLaw
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
@@ -70,23 +71,33 @@ _GAIN_SD, _SHAPE_SD = 1e-3, 0.5
 """Prior standard deviations: of a gain [s^2], that of a spring at 5 Hz; of frequency and damping, relative."""
 
 
+def of_all_joints(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
+    """The parameters of a law that has some at every joint, but for lines and shaped ones."""
+    names = tuple(law.parameters) if isinstance(law, MotionLaw) else ("",)
+    return tuple(JointTerm(law, joint, parameter=name) for joint in range(joints) for name in names)
+
+
 @dataclass(frozen=True)
 class JointTerm:
     """One parameter of a law: of joint ``joint`` (from 0); ``cycles`` a turn and ``sine`` for lines; ``shape`` about
     which a time constant [s], or gain [s^2], frequency [Hz] and damping of a vibration lie, of which it is number
     ``part``."""
 
-    law: Law
+    law: Law | MotionLaw
     joint: int
     cycles: int = 0
     sine: bool = False
     shape: tuple[float, ...] = ()
     part: int = 0
+    parameter: str = ""
+    """Its name in a law of a plug-in."""
 
     @property
     def name(self) -> str:
         """Name of the parameter, as the effects name theirs."""
         number = self.joint + 1
+        if isinstance(self.law, MotionLaw):
+            return f"{self.parameter}{number}"
         return {
             Law.PLAY: f"half_play{number}",
             Law.WINDUP: f"windup{number}",
@@ -101,6 +112,8 @@ class JointTerm:
     @property
     def unit(self) -> str:
         """Unit of the parameter."""
+        if isinstance(self.law, MotionLaw):
+            return self.law.parameters[self.parameter].unit
         return _VIBRATION[self.part][1] if self.law is Law.VIBRATION else _UNIT[self.law]
 
     @property
@@ -111,13 +124,22 @@ class JointTerm:
     @property
     def prior_sd(self) -> float:
         """Standard deviation of its prior."""
+        if isinstance(self.law, MotionLaw):
+            return self.law.parameters[self.parameter].most
         if self.law is Law.VIBRATION:
             return _SHAPE_SD * self.start if self.part else _GAIN_SD
         return _SD[self.law]
 
+    @property
+    def needs_torques(self) -> bool:
+        """Whether it depends on torques."""
+        return self.law.needs_torques if isinstance(self.law, MotionLaw) else self.law in (Law.WINDUP, Law.COMPLIANCE)
+
     def offset(self, state: JointState) -> Array:
         """Offset of the joint (n,) per unit of the parameter [rad]."""
         j = self.joint
+        if isinstance(self.law, MotionLaw):
+            return self.law.offset(self.parameter, j, state.quantity)
         if self.law is Law.PLAY:
             return np.asarray(-state.direction[:, j])
         if self.law is Law.LAG:
@@ -163,6 +185,15 @@ class JointState:
     direction: Array
     torque: Array
     course: tuple[JointPath, Array] | None = None
+
+    def quantity(self, name: str) -> Array:
+        """What laws of plug-ins take, (n, N), by their name for it."""
+        if name == "qdd":
+            if self.course is None:
+                return np.zeros_like(self.q)
+            path, time_s = self.course
+            return np.stack([path.even.at(row, time_s) for row in path.even.qdd.T], axis=1)
+        return {"q": self.q, "qd": self.qd, "tau": self.torque, "approach": self.direction}[name]
 
     def offsets(self, terms: tuple[JointTerm, ...], values: Array) -> Array:
         """Sum of the offsets of all terms (n, N) [rad]."""

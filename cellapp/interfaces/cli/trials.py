@@ -162,15 +162,34 @@ def benchmark(
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Draws the problems; left out, a secret one is drawn.")
     ] = None,
+    cells: Annotated[
+        str,
+        typer.Option("--cells", metavar="LIST", help="Further simulated cells, as profiles/twin-6d.yaml: a set each."),
+    ] = "",
+    real: Annotated[
+        str, typer.Option("--real", metavar="LIST", help="Real series of the league too, as C,UR5: held-out errors.")
+    ] = "",
+    rows: Annotated[str, typer.Option("--rows", metavar="N", help="With --real: rows to learn from, or all.")] = "300",
+    draws: Annotated[int, typer.Option("--draws", min=1, help="With --real: draws of rows.")] = 2,
+    data: SeriesFolder = DATA,
+    profiles: SeriesProfiles = PROFILES,
 ) -> Stated:
     """Name the missing effect: methods on sealed problems; exact and false names, odds, held-out error, time."""
     from cellapp.cell.profile import load_profile
-    from cellapp.commands.trials.benchmark.trial import benchmark_table, benchmark_trials, refused
+    from cellapp.commands.trials.benchmark.real import records_words
+    from cellapp.commands.trials.benchmark.trial import RealProblems, benchmark_table, benchmark_trials, refused
+    from cellapp.commands.trials.league.series import parse_rows, series_texts
     from cellapp.commands.trials.skeleton import Stated
 
-    names = [name.strip() for name in method.split(",")]
-    result = benchmark_trials(load_profile(profile), problems, names, n, seed, work)
-    return Stated(result, (benchmark_table(result),), refused=refused(result))
+    names, further, series = (
+        [word.strip() for word in text.split(",") if word.strip()] for text in (method, cells, real)
+    )
+    texts = RealProblems(series_texts(series, data, profiles), parse_rows(rows)[0], draws) if series else None
+    result = benchmark_trials(
+        load_profile(profile), problems, names, n, seed, work,
+        cells=[load_profile(Path(path)) for path in further], real=texts,
+    )  # fmt: skip
+    return Stated(result, (benchmark_table(result),), records_words(series), refused(result))
 
 
 @trial(trials_app, "blind-matrix", "store")

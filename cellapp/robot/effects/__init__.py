@@ -5,7 +5,7 @@ from cellapp.robot.effects.context import EffectContext, MeasurementConditions, 
 from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses, Scaled
 from cellapp.robot.effects.meaning import Meaning, SizeSource, enumeration, place_in_words
-from cellapp.robot.effects.own_law import Linear, Tuned, own_law
+from cellapp.robot.effects.own_law import Linear, MotionLaw, Tuned, motion_laws, own_law
 from cellapp.robot.effects.registry import EFFECTS, registered
 from cellapp.robot.effects.term import Displacement, EffectTerm, displacement, term_from_json, term_to_json
 
@@ -26,6 +26,7 @@ __all__ = [
     "Linear",
     "Meaning",
     "MeasurementConditions",
+    "MotionLaw",
     "NeighbouringPauses",
     "Scaled",
     "SizeSource",
@@ -35,6 +36,7 @@ __all__ = [
     "displacement",
     "enumeration",
     "joint_column",
+    "motion_laws",
     "own_law",
     "place_in_words",
     "registered",

@@ -31,6 +31,7 @@ class DriverVariable(Enum):
     OTHER_ARM = "other arm"
     BEAM = "beam"
     INCIDENCE = "incidence"
+    SPEED = "speed"
 
 
 class Tuning(Protocol):

@@ -16,8 +16,8 @@ import inspect
 import itertools
 import math
 import re
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -101,6 +101,8 @@ class _Quantity:
 
 QUANTITIES: Mapping[str, _Quantity] = {
     "q": _Quantity(DriverVariable.JOINT_ANGLE, lambda context: context.q, per_joint=True),
+    "qd": _Quantity(DriverVariable.SPEED, lambda context: None, per_joint=True),
+    "qdd": _Quantity(DriverVariable.SPEED, lambda context: None, per_joint=True),
     "tau": _Quantity(DriverVariable.TORQUE, lambda context: context.torques, per_joint=True),
     "payload_kg": _Quantity(DriverVariable.PAYLOAD, lambda context: context.payload_kg),
     "approach": _Quantity(DriverVariable.APPROACH, lambda context: context.approach, per_joint=True),
@@ -112,8 +114,14 @@ QUANTITIES: Mapping[str, _Quantity] = {
         DriverVariable.JOINT_TEMPERATURE, lambda context: context.conditions.joints_c, per_joint=True, may_lack=True
     ),
 }
-"""Names of arguments that a law may take: joint positions q (n, N) [rad], torques of gravity tau (n, N) [Nm], signs and
-sizes of the last motions (n, N), payload, rest, time, air temperature (n,), temperatures of the joints (n, N)."""
+"""Names of arguments that a law may take: joint positions q (n, N) [rad], speeds qd [rad/s] and accelerations qdd
+[rad/s^2] of recordings of motion (n, N), which readings at rest do not have, torques of gravity tau (n, N) [Nm], signs
+and sizes of the last motions (n, N), payload, rest, time, air temperature (n,), temperatures of the joints (n, N)."""
+
+
+_SPEEDS = frozenset({"qd", "qdd"})
+_IN_MOTION = frozenset({"q", "qd", "qdd", "tau", "approach"})
+"""What a law of speeds may take; tau is then that of gravity and inertia, approach the direction with history."""
 
 
 def own_law(
@@ -145,6 +153,52 @@ def own_law(
     return made
 
 
+@dataclass(frozen=True)
+class MotionLaw:
+    """A law of speeds with values of its tuned parameters, for recordings of motion.
+
+    Attributes
+    ----------
+    value : str
+        Slug of the effect.
+    constants : tuple
+        Tuned parameter and its value.
+    """
+
+    value: str
+    constants: tuple[tuple[str, float], ...]
+    declared: _Declared = field(repr=False, compare=False)
+
+    @property
+    def needs_torques(self) -> bool:
+        """Whether it depends on torques."""
+        return "tau" in self.declared.taken
+
+    @property
+    def parameters(self) -> Mapping[str, Linear]:
+        """Its linear parameters by name."""
+        return self.declared.linear
+
+    def offset(self, name: str, joint: int, quantity: Callable[[str], Array]) -> Array:
+        """Offset (n,) [rad] of a joint (from 0) for one unit of a linear parameter; ``quantity`` gives those (n, N)."""
+        own = self.declared
+        taken = {word: quantity(word) for word in own.taken}
+        joints = next(iter(taken.values())).shape[1]
+        most = own.linear[name].most
+        values = {other: np.zeros(joints) for other in own.linear} | {name: most * np.eye(joints)[joint]}
+        return np.asarray(own.moved(taken, dict(self.constants), values)[:, joint] / most)
+
+
+def motion_laws(effects: Iterable[Effect]) -> list[MotionLaw]:
+    """The laws of speeds among some effects: one for each combination of values that tuned parameters begin with."""
+    return [
+        MotionLaw(own.slug, tuple(zip(own.tuned, starts, strict=True)), own)
+        for own in (effect.declared for effect in effects if isinstance(effect, _OwnEffect))
+        if own.is_of_speeds
+        for starts in itertools.product(*(one.starts for one in own.tuned.values()))
+    ]
+
+
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
@@ -172,6 +226,11 @@ class _Declared:
     def taken(self) -> list[str]:
         """Names of the quantities of readings that it takes."""
         return [name for name in inspect.signature(self.function).parameters if name in QUANTITIES]
+
+    @property
+    def is_of_speeds(self) -> bool:
+        """Whether it shows in recordings of motion alone."""
+        return bool(_SPEEDS & set(self.taken))
 
     def declarations(
         self, title: str, look_alikes: tuple[str, ...], check: tuple[str, ...], size: str
@@ -224,6 +283,11 @@ class _Declared:
         if missing or not self.linear or not self.taken:
             lacks = f"parameter '{missing[0]}'" if missing else "a Linear parameter" if self.taken else "a quantity"
             raise ValueError(f"law {self.slug}: the function does not take {lacks}")
+        if self.is_of_speeds and (self.acts_on != "joints" or not set(self.taken) <= _IN_MOTION):
+            raise ValueError(
+                f"law {self.slug}: a law of speeds acts on joints and takes no other quantities than"
+                f" {', '.join(sorted(_IN_MOTION))}"
+            )
         self._check_linear()
 
     def _check_linear(self) -> None:
@@ -268,6 +332,8 @@ class _OwnEffect(Effect):
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs every quantity that the law takes, varying over the run."""
+        if self.declared.is_of_speeds:
+            return "readings at rest have no speeds; record motion"
         for name in self.declared.taken:
             if not varies(QUANTITIES[name].of(context)):
                 return f"{name} is not in the readings, or does not vary"

@@ -10,7 +10,7 @@ from typing import Literal
 
 from drivers.emulators.ur_controller.braking import Braking
 
-Series = Literal["CB3", "e-Series"]
+Series = Literal["CB3", "e-Series", "PolyScope X"]
 PortName = Literal["dashboard", "primary", "script", "rtde"]
 Rows = tuple[tuple[float, float, float, float], ...]
 
@@ -20,8 +20,9 @@ FREE_PORTS: Mapping[PortName, int] = dict.fromkeys(STANDARD_PORTS, 0)
 _SOFTWARE = {  # the format matters, the dates do not
     "CB3": ((3, 15, 8, 106339), "Jun 20 2022"),
     "e-Series": ((5, 11, 1, 1108318), "Nov 11 2021"),
+    "PolyScope X": ((10, 7, 0, 1), "Nov 11 2024"),
 }
-_RATE_HZ = {"CB3": 125.0, "e-Series": 500.0}
+_RATE_HZ = {"CB3": 125.0, "e-Series": 500.0, "PolyScope X": 500.0}
 
 
 def _rows(d: tuple[float, ...], a2: float, a3: float) -> Rows:

@@ -41,7 +41,13 @@ FORMATS = formats_of(ExportFormat)
 
 Array = NDArray[np.float64]
 PROFILES = Path(__file__).parents[3] / "profiles"
-TYPES = {path.stem: ArmType.model_validate(yaml.safe_load(path.read_text("utf-8"))) for path in PROFILES.glob("arms/*")}
+SAME_CHAIN = {"ur3e", "ur5e", "ur16e", "ur20"}
+"""Types with the chain of the ur10e."""
+TYPES = {
+    path.stem: ArmType.model_validate(yaml.safe_load(path.read_text("utf-8")))
+    for path in PROFILES.glob("arms/*")
+    if path.stem not in SAME_CHAIN
+}
 TWIN = load_profile(PROFILES / "twin.yaml")
 UR = {name for name in TYPES if name.startswith("ur")}
 BAR_M = 1e-6

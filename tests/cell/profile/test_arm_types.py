@@ -121,3 +121,28 @@ def test_every_arm_type_is_complete(path: Path) -> None:
 def test_joints_faster_than_600_degrees_a_second_are_taken() -> None:
     fastest = {name: max(joint.speed for joint in arm_type(name).joints) for name in ("lrmate-200id", "rx160")}
     assert min(fastest.values()) > np.radians(600.0)
+
+
+UR_PUBLISHED = {
+    # d1, a2, a3, d4, d5, d6 [m], total mass [kg]; Universal Robots, "DH parameters for calculations of kinematics and
+    # dynamics"
+    "ur3e": ((0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921), 8.7985),
+    "ur5e": ((0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996), 17.699),
+    "ur10e": ((0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655), 29.104),
+    "ur16e": ((0.1807, -0.4784, -0.36, 0.17415, 0.11985, 0.11655), 27.26),
+    "ur20": ((0.2363, -0.862, -0.7287, 0.201, 0.1593, 0.1543), 60.88),
+}
+
+
+@pytest.mark.parametrize("name", UR_PUBLISHED)
+def test_arms_of_universal_robots_have_their_published_rows(name: str) -> None:
+    (path,) = (path for path in arm_type_files() if path.stem == name)
+    found = arm_type_of_text(path.read_text("utf-8"), path)
+    lengths, mass = UR_PUBLISHED[name]
+    joints = found.joints
+    assert tuple(joints[i].d for i in (0, 3, 4, 5)) == (lengths[0], *lengths[3:])
+    assert (joints[1].a, joints[2].a) == lengths[1:3]
+    assert sum(joint.mass for joint in joints) == pytest.approx(mass, abs=1e-3)
+    np.testing.assert_allclose([joint.alpha for joint in joints], np.radians([90, 0, 0, 90, -90, 0]), atol=1e-12)
+    reach = max(float(np.hypot(*capsule.start[:2])) for capsule in found.capsules)
+    assert reach == pytest.approx(max(-lengths[1], -lengths[2]), abs=1e-9), "the upper arm's body is as long as its row"

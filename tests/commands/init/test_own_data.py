@@ -48,6 +48,7 @@ def test_a_german_table_becomes_a_run(tmp_path: Path) -> None:
     assert written.notes[-1].endswith("arm, units and signs fit")
     profile = load_profile(written.profile)
     assert (profile.name, list(profile.arms), profile.arms["robot"].driver.kind) == ("meine-messung", ["robot"], "none")
+    assert written.readings is not None
     with import_csv(profile, written.readings, tmp_path / "run") as run:
         np.testing.assert_allclose(run.readings("robot").q, q, atol=1e-9)
         np.testing.assert_allclose(run.readings("robot").p_M, p_M, atol=1e-9)
@@ -142,6 +143,7 @@ def test_real_readings_of_both_arms_keep_their_names_and_splits(tmp_path: Path) 
     assert list(load_profile(written.profile).arms) == ["left"]
     content = yaml.safe_load(written.profile.read_text("utf-8"))
     assert content["tracker"] == {"driver": {"kind": "none"}}
+    assert written.readings is not None
     with import_csv(load_profile(written.profile), written.readings, tmp_path / "run") as run:
         assert set(run.readings("left").split or ()) == {"identify", "validate"}
 

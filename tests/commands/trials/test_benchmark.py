@@ -15,14 +15,17 @@ import pytest
 from cellapp.commands.trials.benchmark.methods.registry import METHODS
 from cellapp.commands.trials.benchmark.methods.relevance import relevant_rows
 from cellapp.commands.trials.benchmark.problem import Answer
+from cellapp.commands.trials.benchmark.real import records_words
 from cellapp.commands.trials.benchmark.scoring import scored, set_score
 from cellapp.commands.trials.benchmark.trial import (
     BenchmarkResult,
+    RealProblems,
     benchmark_table,
     benchmark_trials,
     refused,
     sealed_problem,
 )
+from cellapp.commands.trials.league.series import series_texts
 from cellapp.commands.trials.sealed import SEAL_FILE, TRUTH_FILE, GroundTruth, HiddenLaw
 from cellapp.commands.trials.skeleton import Work
 from cellapp.ground.errors import CheckFailed, InputError
@@ -30,7 +33,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.scale.executor import Resources
 from cellapp.robot.effects import EFFECTS
 from tests.interfaces.plugins.installed import add_distribution, installed
-from tests.twin import small_twin
+from tests.twin import PROFILES, small_twin
 
 STOPS, SEED = 60, 3
 ROWS = {"identify": 20, "train": 20, "validate_": 20, "pair_identify": 10, "pair_validate": 10}
@@ -44,6 +47,12 @@ def guess(problem):
 
 def refuses(problem):
     raise ValueError("no answer")
+
+def passes(problem):
+    from cellapp.commands.trials.benchmark.problem import Answer, NotTaken
+    if problem.name.startswith("one/"):
+        raise NotTaken("no single effects")
+    return Answer(problem.predicted(problem.geometry_fit.model))
 
 def half(problem):
     from cellapp.commands.trials.benchmark.problem import Answer
@@ -71,6 +80,7 @@ def stranger(tmp_path: Path) -> Iterator[None]:
     entries = {
         "guess": "stranger:guess",
         "half": "stranger:half",
+        "passes": "stranger:passes",
         "refuses": "stranger:refuses",
         "text": "stranger:STRANGER",
     }
@@ -114,6 +124,31 @@ def test_a_method_that_cannot_be_used_is_named(folder: Path, stranger: None) -> 
         benchmark_trials(small(), folder, ["nobody"], 1, None)
     with pytest.raises(InputError, match=r"predicted shape \(1, 3\), expected \(20, 3\)"):
         benchmark_trials(small(), folder, ["half"], 1, None)
+
+
+def test_what_a_method_does_not_take_counts_as_not_answered(folder: Path, stranger: None) -> None:
+    result = benchmark_trials(small(), folder, ["passes"], 1, None)
+    assert (result.total.n, result.total.answered) == (6, 4)
+    one = result.sets["one"]
+    assert (one.n, one.answered, one.exact, one.heldout_ratio) == (1, 0, 0.0, None)
+    assert result.failed == ()
+
+
+def test_further_cells_and_real_series_are_sets_of_their_own(folder: Path, tmp_path: Path) -> None:
+    own = Path(shutil.copytree(folder, tmp_path / "problems"))
+    further = small().model_copy(update={"name": "further"})
+    texts = series_texts(["UR5"], PROFILES.parent / "tests" / "fixtures", PROFILES)
+    real = RealProblems(texts, rows=60, draws=1)
+    result = benchmark_trials(small(), own, ["geometry"], 1, SEED, cells=[further], real=real)
+    assert list(result.sets)[-2:] == ["further", "real UR5"]
+    assert result.sets["further"].n == 2
+    series = result.sets["real UR5"]
+    assert (series.n, series.answered, series.exact, series.brier) == (1, 1, None, None)
+    assert series.heldout_mm is not None
+    assert 0.05 < series.heldout_mm < 1.0
+    assert "0.155 mm published" in records_words(["UR5", "C"])[0]
+    with pytest.raises(InputError, match="a set cannot be called 'pair'"):
+        benchmark_trials(small(), own, ["geometry"], 1, SEED, cells=[small().model_copy(update={"name": "pair"})])
 
 
 def test_every_answer_that_failed_is_named(folder: Path, stranger: None) -> None:

@@ -331,3 +331,26 @@ def test_any_bytes_are_parsed_or_refused(state: bytes) -> None:
 def test_broken_packages_are_refused(state: bytes, expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
         parse_robot_state(state)
+
+
+def test_polyscope_x_is_refused_by_name_with_what_to_do() -> None:
+    """It has no dashboard server: its version comes from the primary port."""
+    with (
+        emulated(replace(E_SERIES, series="PolyScope X")) as emulator,
+        closed_port() as dashboard,
+        open_port() as script,
+        closed_port() as rtde,
+        pytest.raises(LinkLost) as caught,
+    ):
+        probe_ur(
+            emulator.host,
+            PATIENT_S,
+            dashboard_port=dashboard,
+            primary_port=emulator.primary_port,
+            script_port=script,
+            rtde_port=rtde,
+        )
+    words = str(caught.value)
+    assert "PolyScope X (version 10) has no dashboard server" in words
+    assert "not driven" in words
+    assert "cellapp import" in words

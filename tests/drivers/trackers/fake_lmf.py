@@ -18,6 +18,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from drivers.trackers.lmf_objects import Lmf
 
@@ -76,6 +77,7 @@ ENUMERATIONS: dict[str, Any] = {
     kind.__name__: kind
     for kind in (
         enumeration("ECoordinateType", "Spherical", "Cartesian", "Cylindrical"),
+        enumeration("ERotationType", "RotationAngles", "RollPitchYaw", "Quaternion"),
         enumeration("ELengthUnit", "Meter", "Millimeter", "Micrometer", "Foot", "Yard", "Inch"),
         enumeration("EAngleUnit", "Radian", "Millirad", "Degree", "Gon", "CC"),
         enumeration("ETemperatureUnit", "Celsius", "Fahrenheit"),
@@ -100,9 +102,10 @@ _RADIAN_NAMES = ("rad", "mrad", "°", "gon", "cc")
 class Scene:
     """The tracker's surroundings and its next actions. The test writes; LMF's object tree reads.
 
-    ``targets``: SMRs by name -> (3,) [m] in M. ``hanging``: methods (and QuickRelease) that wait for ``release``.
-    ``throws``: method -> exception of its next call. ``ignored_settings``: settings that keep their value when
-    written. ``persistent``: what LMF keeps from one connect to the next.
+    ``targets``: SMRs by name -> (3,) [m] in M. ``probes``: those that are 6-D probes, by name -> quaternion (4,),
+    scalar first, in members of the result that begin with ``rotation_member``. ``hanging``: methods (and
+    QuickRelease) that wait for ``release``. ``throws``: method -> exception of its next call. ``ignored_settings``:
+    settings that keep their value when written. ``persistent``: what LMF keeps from one connect to the next.
     """
 
     targets: dict[str, np.ndarray] = field(default_factory=dict)
@@ -114,6 +117,8 @@ class Scene:
     air_sensor: bool = True
     compatible: bool = True
     level: bool = True
+    probes: dict[str, np.ndarray] = field(default_factory=dict)
+    rotation_member: str = "Value"
     hidden: set[str] = field(default_factory=set)
     hidden_in_face2: set[str] = field(default_factory=set)
     hanging: set[str] = field(default_factory=set)
@@ -318,9 +323,11 @@ class Units(Net):
 
 class Settings(Net):
     CoordinateType = _plain_enumeration("CoordinateType")
+    RotationType = _plain_enumeration("RotationType")
 
     def __init__(self) -> None:
         self._CoordinateType = E["ECoordinateType"].Spherical
+        self._RotationType = E["ERotationType"].RotationAngles
         self._units = Units()
         self.seal()
 
@@ -465,7 +472,8 @@ class Measurement(Net):
             tracker.lose_target()
             raise LmfException(301, "Measurement aborted")
         scene.measured += 1
-        return StationaryMeasurement3D(tracker)
+        turned = tracker.locked in scene.probes
+        return StationaryMeasurement6D(tracker) if turned else StationaryMeasurement3D(tracker)
 
 
 class StationaryMeasurement3D(Net):
@@ -506,6 +514,21 @@ class StationaryMeasurement3D(Net):
         self.Info.FlagsWithWarnings = getattr(E["EFlags"], scene.flags)
         self.TimeStamp = Net()
         self.TimeStamp.Ticks = 621_355_968_000_000_000 + scene.measured * 10_000_000
+
+
+class StationaryMeasurement6D(StationaryMeasurement3D):
+    """A point with the rotation of the probe that is locked, as numbers of the form that is set."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        super().__init__(tracker)
+        kind, numbers = tracker.Settings.RotationType, tracker.scene.probes[tracker.locked]
+        if kind != E["ERotationType"].Quaternion:
+            radian = _RADIANS[int(tracker.Settings.Units.AngleUnit)]
+            numbers = Rotation.from_quat(np.roll(numbers, -1)).as_euler("XYZ") / radian
+        self.Rotation = Net()
+        self.Rotation.RotationType = kind
+        for place, number in enumerate(numbers):
+            setattr(self.Rotation, f"{tracker.scene.rotation_member}{place}", ReadOnlyValue(partial(float, number)))
 
 
 class SingleShotMeasurement3D(StationaryMeasurement3D):

@@ -405,6 +405,53 @@ def test_a_probe_in_the_beam(tracker: Callable[..., LmfTracker], scene: Scene) -
         driver.measure(LEFT, 1.0)
 
 
+TURNED = np.array([0.5, -0.5, 0.1, 0.7])
+
+
+def with_probe(scene: Scene, quaternion: np.ndarray = TURNED) -> None:
+    scene.targets["T-Mac"] = scene.targets.pop("left")
+    scene.probes["T-Mac"] = quaternion
+
+
+def test_the_rotation_of_a_probe_comes_with_its_point(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
+    with_probe(scene)
+    device = tracker(Preparation("RedRingReflector15"), probes=True)
+    point = device.measure(LEFT, 1.0)
+    np.testing.assert_allclose(point.p_M, LEFT)
+    assert point.quaternion_M is not None
+    np.testing.assert_allclose(point.quaternion_M, TURNED)
+    assert point.sigma_rad == pytest.approx(0.5 * math.radians(0.01))
+    assert tree(scene).Settings.RotationType == E["ERotationType"].Quaternion
+    smr = device.measure(RIGHT, 1.0)
+    assert (smr.quaternion_M, smr.sigma_rad) == (None, None)
+
+
+def test_a_rotation_in_another_form_is_refused(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
+    with_probe(scene)
+    device = tracker(Preparation(), probes=True)
+    tree(scene).Settings.RotationType = E["ERotationType"].RotationAngles
+    with pytest.raises(TrackerError, match="rotation comes as RotationAngles; another program changed that"):
+        device.measure(LEFT, 1.0)
+
+
+@pytest.mark.parametrize("quaternion", [np.array([30.0, 10.0, 0.0, 5.0]), np.full(4, np.nan)])
+def test_a_rotation_that_is_no_unit_quaternion_is_refused(
+    tracker: Callable[..., LmfTracker], scene: Scene, quaternion: np.ndarray
+) -> None:
+    with_probe(scene, quaternion)
+    with pytest.raises(TrackerError, match="is a quaternion of length"):
+        tracker(Preparation(), probes=True).measure(LEFT, 1.0)
+
+
+def test_another_lmf_whose_rotation_has_other_members_says_which(
+    tracker: Callable[..., LmfTracker], scene: Scene
+) -> None:
+    with_probe(scene)
+    scene.rotation_member = "Parameter"
+    with pytest.raises(TrackerError, match="has no Value0, Value1, Value2, Value3 in this LMF, only Parameter0, "):
+        tracker(Preparation(), probes=True).measure(LEFT, 1.0)
+
+
 def test_no_target(tracker: Callable[..., LmfTracker], scene: Scene) -> None:
     driver = tracker()
     scene.hidden.add("left")

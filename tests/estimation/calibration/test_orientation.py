@@ -12,7 +12,7 @@ from cellapp.commands.trials.league.series import draw_rows, load_entrant
 from cellapp.estimation.calibration.arm_identification import identify_with_excess
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.quantities import measured_quantities, with_probe
+from cellapp.estimation.calibration.quantities import measured_quantities, refuse_odd_orientations, with_probe
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import (
@@ -150,6 +150,19 @@ def test_orientations_in_another_convention_are_refused_by_name(words):
     wrong = replace(readings, quaternion_M=WRONG[words](readings.quaternion_M))
     with pytest.raises(InputError, match=f"arm 'left'.*configuration 0, do not turn with the flange; .*{words}"):
         calibrate_arm(twin(), "left", wrong)
+
+
+def test_a_mirrored_frame_of_a_probe_that_hardly_turned_is_named():
+    """A probe that always faces the tracker turns so little that its mirror image is 0.2 rad off, not more."""
+    entrant = load_entrant("D6", FIXTURES, PROFILES)
+    readings = entrant.readings
+    mirrored = replace(readings, quaternion_M=readings.quaternion_M * np.array([1.0, 1.0, -1.0, -1.0]))
+    geometry = start_from_nominal(
+        nominal_arm(entrant.profile.arms["left"]), readings.q, readings.p_M, tool_unknown=True
+    )
+    refuse_odd_orientations("left", geometry, readings)
+    with pytest.raises(InputError, match=r"mirrored frame \(x against y and z\)"):
+        refuse_odd_orientations("left", geometry, mirrored)
 
 
 def test_a_single_wrong_orientation_is_left_out_by_configuration():

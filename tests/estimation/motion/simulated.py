@@ -45,6 +45,9 @@ class Arm:
     amplitude: np.ndarray = field(default_factory=lambda: np.zeros(7))
     phase: np.ndarray = field(default_factory=lambda: np.zeros(7))
     lag_s: np.ndarray = field(default_factory=lambda: np.zeros(7))
+    drag: np.ndarray = field(default_factory=lambda: np.zeros(7))
+    """Most that grease holds each joint back, nearly reached beyond ``drag_speed`` [rad/s]."""
+    drag_speed: float = 0.2
     time_constant: np.ndarray = field(default_factory=lambda: np.zeros(7))
     springs: dict[int, tuple[float, float]] = field(default_factory=dict)  # joint: natural frequency [Hz], damping
 
@@ -220,7 +223,8 @@ def record(
     when = np.arange(start_s, start_s + seconds, 1.0 / point_hz)
     fine = np.unique(np.concatenate([u, when]))
     n = q.shape[1]
-    q_fine = motion.at(fine) - motion.speed(fine) * arm.lag_s[:n]
+    speed = motion.speed(fine)
+    q_fine = motion.at(fine) - speed * arm.lag_s[:n] - arm.drag[:n] * np.tanh(speed / arm.drag_speed)
     out = lost_motion(q_fine, arm.half_play) if arm.half_play.any() else q_fine
     out = out[np.searchsorted(fine, when)]
     if arm.springs or arm.time_constant.any():

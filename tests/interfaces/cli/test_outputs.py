@@ -167,6 +167,7 @@ def test_every_command_has_its_outputs() -> None:
         "--points",
         "--problems",
         "--controllers",
+        "--bundle",
     }
 
 

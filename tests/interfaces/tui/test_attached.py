@@ -84,7 +84,7 @@ async def test_a_run_in_which_another_process_works_is_watched_and_commanded() -
             assert f"Attached to 'collect', which process {job.pid} runs in logs/day" in log_text(app)
             await until(pilot, lambda: "RUNNING" in shown_text(app), "the state")
             await until(pilot, lambda: app.record.arms["left"].activity == "moving", "what it reported before")
-            await until(pilot, lambda: "SMR at 3.400 m, 0.1 s ago · 2000 points" in shown_text(app), "its sweep")
+            await until(pilot, lambda: "SMR 3.400 m, 0.1 s ago · 2000 points" in shown_text(app), "its sweep")
             for key, state in (("p", "paused"), ("c", "running"), ("escape", "stopped"), ("c", "running")):
                 await pilot.press(key)
                 await until(pilot, lambda: app.record.state == state, f"{state} after {key}")  # noqa: B023

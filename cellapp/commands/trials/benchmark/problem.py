@@ -106,6 +106,10 @@ class Answer:
     names: Mapping[str, float] = field(default_factory=dict)
 
 
+class NotTaken(Exception):
+    """A method cannot take this kind of problem, and says why. It counts as not answered."""
+
+
 Method = Callable[[Problem], Answer]
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -32,27 +33,34 @@ class ScoredAnswer(Record):
     Attributes
     ----------
     set : str
-        Kind of the problem: clean, one, pair, triple, outside.
+        Kind of the problem: clean, one, pair, triple, outside; the name of a further cell, or of a real series.
     hidden : tuple of str
         Effects that are there and larger than the noise; those below it count neither for nor against a method.
-    exact : bool
-        Whether the names are those of the hidden effects; outside the library: whether no effect of it is named.
+    exact : bool or None
+        Whether the names are those of the hidden effects; outside the library: whether no effect of it is named. None
+        for a real series, whose truth nobody knows.
     statements : tuple of Statement
         The accepted names.
-    heldout_ratio : float
+    heldout_ratio : float or None
         Rms position error at the held-out stops over the rms length of the noise that was drawn there.
+    heldout_mm : float or None
+        Mean position error at the held-out stops.
     seconds : float
         Processor time.
+    answered : bool
+        Whether the method takes this kind of problem.
     """
 
     method: str
     problem: str
     set: str
     hidden: tuple[str, ...]
-    exact: bool
+    exact: bool | None
     statements: tuple[Statement, ...]
-    heldout_ratio: float
+    heldout_ratio: float | None
     seconds: float
+    heldout_mm: float | None = None
+    answered: bool = True
 
     @property
     def false_names(self) -> int:
@@ -63,42 +71,59 @@ class ScoredAnswer(Record):
 class SetScore(Record):
     """Scores over a set of problems.
 
-    ``exact`` and ``false_arms`` are shares of the arms, ``false_names`` names for each arm. ``brier`` is the mean
-    square of probability less truth over accepted names, None without any; ``heldout_ratio`` and ``seconds`` medians.
+    ``answered`` of ``n`` were answered. ``exact`` and ``false_arms`` are shares of the arms whose truth is known, None
+    without any, ``false_names`` names for each of them; what is not answered is not exact. ``brier`` is the mean square
+    of probability less truth over accepted names, None without any; ``heldout_ratio`` and ``seconds`` are medians,
+    ``heldout_mm`` is a mean.
     """
 
     n: int
-    exact: float
-    false_names: float
-    false_arms: float
+    exact: float | None
+    false_names: float | None
+    false_arms: float | None
     brier: float | None
-    heldout_ratio: float
-    seconds: float
+    heldout_ratio: float | None
+    seconds: float | None
+    heldout_mm: float | None = None
+    answered: int = 0
 
 
 def scored(
-    method: str, problem: str, arm: str, truth: GroundTruth, answer: Answer, measured: Array, seconds: float
+    method: str,
+    problem: str,
+    arm: str,
+    truth: GroundTruth,
+    answer: Answer | None,
+    measured: Array,
+    seconds: float,
+    cell: str = "",
 ) -> ScoredAnswer:
-    """Compare an answer with the truth; ``measured`` (m, 3) [m] are the held-out points of the arm."""
+    """Compare an answer with the truth; ``measured`` (m, 3) [m] are the held-out points of the arm.
+
+    None is no answer. ``cell`` is the set of a further cell.
+    """
     here = truth.effects if arm == truth.arm else ()
     kind = truth.kind if here and truth.kind != NONE else CLEAN
     hidden = {one.effect for one in here if one.visible_um > truth.noise_um[arm]} if kind != OUT else {UNKNOWN}
     faint = {one.effect for one in here} - hidden
-    named = {slug: p for slug, p in answer.names.items() if slug not in faint}
-    error_um = float(np.sqrt(np.mean(np.sum((answer.p_M - measured) ** 2, axis=1)))) * 1e6
+    named = {} if answer is None else {slug: p for slug, p in answer.names.items() if slug not in faint}
+    lengths = None if answer is None else np.linalg.norm(answer.p_M - measured, axis=1)
+    exact = not (set(named) - {UNKNOWN}) if kind == OUT else set(named) == hidden
     return ScoredAnswer(
         method=method,
         problem=problem,
-        set=kind,
+        set=cell or kind,
         hidden=tuple(sorted(hidden)),
-        exact=not (set(named) - {UNKNOWN}) if kind == OUT else set(named) == hidden,
+        exact=exact and answer is not None,
         statements=tuple(
             Statement(effect=slug, probability=p, true=slug in hidden)
             for slug, p in named.items()
             if slug != UNKNOWN or kind == CLEAN
         ),
-        heldout_ratio=error_um / truth.held_out_um[arm],
+        heldout_ratio=None if lengths is None else 1e6 * float(np.sqrt(np.mean(lengths**2))) / truth.held_out_um[arm],
         seconds=seconds,
+        heldout_mm=None if lengths is None else 1e3 * float(np.mean(lengths)),
+        answered=answer is not None,
     )
 
 
@@ -110,12 +135,21 @@ def by_set(answers: Sequence[ScoredAnswer]) -> Mapping[str, SetScore]:
 def set_score(answers: Sequence[ScoredAnswer]) -> SetScore:
     """Score over some answers, at least one."""
     stated = [one for answer in answers for one in answer.statements]
+    known = [one for one in answers if one.exact is not None]
+    told = [one for one in answers if one.answered]
     return SetScore(
         n=len(answers),
-        exact=float(np.mean([one.exact for one in answers])),
-        false_names=float(np.mean([one.false_names for one in answers])),
-        false_arms=float(np.mean([one.false_names > 0 for one in answers])),
-        brier=float(np.mean([(one.probability - one.true) ** 2 for one in stated])) if stated else None,
-        heldout_ratio=float(np.median([one.heldout_ratio for one in answers])),
-        seconds=float(np.median([one.seconds for one in answers])),
+        exact=_over([one.exact for one in known]),
+        false_names=_over([one.false_names for one in known]),
+        false_arms=_over([one.false_names > 0 for one in known]),
+        brier=_over([(one.probability - one.true) ** 2 for one in stated]),
+        heldout_ratio=_over([one.heldout_ratio for one in told if one.heldout_ratio is not None], np.median),
+        seconds=_over([one.seconds for one in told], np.median),
+        heldout_mm=_over([one.heldout_mm for one in told if one.heldout_mm is not None]),
+        answered=len(told),
     )
+
+
+def _over(values: Sequence[Any], of: Callable[[Any], Any] = np.mean) -> float | None:
+    """The mean of some values, or what else is asked for; None of none."""
+    return float(of(values)) if values else None

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import re
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED
-from cellapp.commands.trials.benchmark.problem import Problem
+from cellapp.commands.trials.benchmark.problem import Answer, NotTaken, Problem
+from cellapp.commands.trials.benchmark.real import REAL_ANSWERS, RealQuestion
 from cellapp.commands.trials.benchmark.scoring import ScoredAnswer, SetScore, by_set, scored, set_score
+from cellapp.commands.trials.league.series import Rows, SeriesTexts
 from cellapp.commands.trials.sealed import TRUTH_FILE, check_readings, check_seal, open_truth, seal_trials
-from cellapp.commands.trials.sealed_cases import ONE, OUT, PAIR
+from cellapp.commands.trials.sealed_cases import MIXED, ONE, OUT, PAIR
 from cellapp.commands.trials.sealed_setup import Setup
 from cellapp.commands.trials.skeleton import IN_PLACE, Work, not_computed
 from cellapp.commands.trials.visible_size import registered_model
@@ -64,13 +68,14 @@ class _Shared(Record):
 
 
 class _Question(Record):
-    """One arm of one sealed run of a kind for one method; ``folder`` is that of all kinds."""
+    """One arm of one sealed run of a kind, or of a further ``cell``, for one method; ``folder`` is that of all."""
 
     method: str
     folder: str
     kind: str
     run: str
     arm: str
+    cell: bool = False
 
 
 def _answered(shared: _Shared, asked: _Question) -> ScoredAnswer:
@@ -79,15 +84,20 @@ def _answered(shared: _Shared, asked: _Question) -> ScoredAnswer:
     problem, measured = sealed_problem(folder, asked.run, asked.arm)
     method = METHODS[asked.method]
     began_s = time.process_time()
-    with one_blas_thread():
-        answer = method(problem)
+    answer: Answer | None = None
+    try:
+        with one_blas_thread():
+            answer = method(problem)
+    except NotTaken:
+        pass
     seconds = time.process_time() - began_s
-    if answer.p_M.shape != measured.shape:
+    if answer is not None and answer.p_M.shape != measured.shape:
         raise InputError(
             f"method {asked.method}: {problem.name}: predicted shape {answer.p_M.shape}, expected {measured.shape}"
         )
     truth = next(one for one in open_truth(folder).trials if one.run == asked.run)
-    return scored(asked.method, problem.name, asked.arm, truth, answer, measured, seconds)
+    cell = asked.kind if asked.cell else ""
+    return scored(asked.method, problem.name, asked.arm, truth, answer, measured, seconds, cell)
 
 
 ANSWERS = TaskKind(
@@ -95,8 +105,25 @@ ANSWERS = TaskKind(
 )
 
 
+@dataclass(frozen=True)
+class RealProblems:
+    """Real series among the problems: their texts, and rows to learn from in so many draws."""
+
+    texts: SeriesTexts
+    rows: Rows = 300
+    draws: int = 2
+
+
 def benchmark_trials(
-    profile: Profile, folder: Path, methods: Sequence[str], n: int, seed: int | None, work: Work = IN_PLACE
+    profile: Profile,
+    folder: Path,
+    methods: Sequence[str],
+    n: int,
+    seed: int | None,
+    work: Work = IN_PLACE,
+    *,
+    cells: Sequence[Profile] = (),
+    real: RealProblems | None = None,
 ) -> BenchmarkResult:
     """Let each method answer every problem of a folder; problems that are not there yet are made first.
 
@@ -110,6 +137,9 @@ def benchmark_trials(
         Runs of each kind to make, two arms each, by laws of other shapes than the library's.
     seed : int or None
         Draws the problems; None draws a secret one.
+    cells : sequence of Profile
+        Further simulated cells, as of another make or with orientations: a set of mixed runs each, named as the cell.
+    real : RealProblems, optional
 
     Raises
     ------
@@ -120,27 +150,37 @@ def benchmark_trials(
     Cancelled
         On request.
     """
-    names, truths = _known(methods), []
-    for place, kind in enumerate(KINDS):
+    names, truths, asked = _known(methods), list[str](), list[_Question]()
+    sets = _sets(profile, cells)
+    for place, (kind, (cell, setup)) in enumerate(sets.items()):
         own = folder / kind
         if not (own / TRUTH_FILE).is_file():
-            setup = Setup(kind=kind, laws="same" if kind == OUT else "other")
             drawn = None if seed is None else seed + place
-            seal_trials(profile, own, n, setup, seed=drawn, listener=work.listener, cancel=work.cancel)
+            seal_trials(cell, own, n, setup, seed=drawn, listener=work.listener, cancel=work.cancel)
         truths.append(hashlib.sha256(check_seal(own)).hexdigest())
-    asked = [
-        _Question(method=name, folder=str(folder), kind=kind, run=run.name, arm=arm)
-        for name in names
-        for kind in KINDS
-        for run in sorted((folder / kind).glob("run-*"))
-        for arm in profile.arms
-    ]
+        asked += [
+            _Question(method="", folder=str(folder), kind=kind, run=run.name, arm=arm, cell=kind not in KINDS)
+            for run in sorted(own.glob("run-*"))
+            for arm in cell.arms
+        ]
+    questions = [one.model_copy(update={"method": name}) for name in names for one in asked]
     shared, name = _Shared(truths=tuple(truths)), "{0.method}, {0.kind}/{0.run}, arm {0.arm}"
-    gathered = work.gather(ANSWERS, "benchmark", shared, asked, name)
-    for kind in KINDS:
+    gathered = work.gather(ANSWERS, "benchmark", shared, questions, name)
+    for kind in sets:
         for truth in open_truth(folder / kind).trials:
             check_readings(folder / kind, truth)
-    return _result(folder, names, gathered.found, gathered.failed)
+    answers, failed = [*gathered.found], [*gathered.failed]
+    if real is not None:
+        drawn_rows = [
+            RealQuestion(method=method, series=series, rows=real.rows, seed=draw)
+            for method in names
+            for series in real.texts.series
+            for draw in range(real.draws)
+        ]
+        of_real = work.gather(REAL_ANSWERS, "real series", real.texts, drawn_rows, "{0.method}, {0.series}, {0.seed}")
+        answers += of_real.found
+        failed += of_real.failed
+    return _result(folder, names, answers, failed)
 
 
 def benchmark_table(result: BenchmarkResult) -> Table:
@@ -157,10 +197,12 @@ def benchmark_table(result: BenchmarkResult) -> Table:
         ("method", lambda row: row[0]),
         ("set", lambda row: row[1]),
         ("arms", lambda row: row[2].n, "d"),
+        ("answered", lambda row: row[2].answered, "d"),
         ("exact names", lambda row: row[2].exact, ".0f", "%"),
         ("with a false name", lambda row: row[2].false_arms, ".0f", "%"),
         ("Brier score", lambda row: row[2].brier, ".3f"),
         ("held-out error / noise", lambda row: row[2].heldout_ratio, ".2f"),
+        ("held-out mean", lambda row: row[2].heldout_mm, ".3f", "mm"),
         ("processor time", lambda row: row[2].seconds, ".1f", "s"),
     )
 
@@ -183,6 +225,16 @@ def refused(result: BenchmarkResult) -> str:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _sets(profile: Profile, cells: Sequence[Profile]) -> dict[str, tuple[Profile, Setup]]:
+    """Set -> its cell and conditions. Raises ``InputError`` if two cells have one name."""
+    sets = {kind: (profile, Setup(kind=kind, laws="same" if kind == OUT else "other")) for kind in KINDS}
+    for cell in cells:
+        if cell.name in sets or not re.fullmatch(r"[\w.-]+", cell.name):
+            raise InputError(f"--cells: a set cannot be called '{cell.name}', as this profile is; give it another name")
+        sets[cell.name] = cell, Setup(kind=MIXED, laws="other")
+    return sets
 
 
 def _known(methods: Sequence[str]) -> list[str]:

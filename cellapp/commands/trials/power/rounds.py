@@ -22,7 +22,7 @@ from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
 from drivers.plant import REALISTIC
 
-_FIRST = (1.0, 2.0, 4.0, 8.0)
+_FIRST = (0.5, 1.0, 2.0, 4.0)
 """Sizes of the first trials, in rms lengths of the tracker's noise."""
 _LOWEST, _HIGHEST = 0.2, 40.0
 """Range of sizes, in the same unit: 0.005 to 1 mm with a common tracker."""

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 from scipy.optimize import minimize
 
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.process.components import Component
 from cellapp.robot.kinematics.transforms import Array
 
@@ -46,6 +47,12 @@ class ProcessData:
     moment: Array
     square: float
     coordinates: float
+
+    @classmethod
+    def behind(cls, normal: NormalMatrix, flat: int, precision: Array, coordinates: int) -> ProcessData:
+        """The columns from ``flat`` on behind the first ones, whose prior precisions (flat,) are given."""
+        rest, determined = normal.behind(flat, precision)
+        return cls(rest.gram, rest.moment, rest.square, coordinates - determined)
 
     def take(self, places: NDArray[np.intp]) -> ProcessData:
         """Some of the columns."""

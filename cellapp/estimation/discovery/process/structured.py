@@ -19,6 +19,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, mean_variance, uncertainty_with_scatter
+from cellapp.estimation.discovery.normal_matrix import NormalMatrix
 from cellapp.estimation.discovery.process.components import Component, components
 from cellapp.estimation.discovery.process.evidence import (
     NEGLIGIBLE_COLUMN,
@@ -117,15 +118,9 @@ class StructuredProcess:
 
 def gathered(fit: JointFit, chosen: Sequence[Component]) -> ProcessData:
     """The Gram matrix of the components' columns behind all parameters of a fit."""
-    rows = np.concatenate([one.rows for one in chosen])
-    explained = rows @ fit.projector.basis
-    behind = fit.projected_residual
-    return ProcessData(
-        gram=rows @ rows.T - explained @ explained.T,
-        moment=rows @ behind.projected,
-        square=behind.square,
-        coordinates=len(fit.residual) - fit.projector.effective_parameters,
-    )
+    rows = np.concatenate([fit.rows, *(one.rows for one in chosen)])
+    normal = NormalMatrix.of(rows, fit.target)
+    return ProcessData.behind(normal, len(fit.rows), fit.precision, len(fit.residual))
 
 
 def fit_process(data: ArmData, fit: JointFit, needed: float) -> tuple[StructuredProcess, Excess] | None:

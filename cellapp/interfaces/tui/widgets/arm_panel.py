@@ -9,7 +9,7 @@ from textual.content import Content
 from textual.reactive import reactive
 from textual.widget import Widget
 
-from cellapp.cell.driving.details import sweep_counts
+from cellapp.cell.driving.details import sweep_words
 from cellapp.ground.progress import StopReport
 from cellapp.interfaces.tui.job_record import Activity, ArmRecord, TrackerRecord
 from cellapp.interfaces.tui.live_words import HALT_WORDS
@@ -118,6 +118,7 @@ class TrackerPanel(Widget):
 
     DEFAULT_CSS = """
     TrackerPanel { height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
+    TrackerPanel.sweep { height: 2; text-wrap: wrap; }
     """
 
     tracker: reactive[TrackerRecord] = reactive(TrackerRecord)
@@ -129,6 +130,10 @@ class TrackerPanel(Widget):
             " uncertainty; the air."
         )
 
+    def watch_tracker(self, before: TrackerRecord, now: TrackerRecord) -> None:
+        """A sweep has more to tell."""
+        self.set_class(now.sweep is not None, "sweep")
+
     def render(self) -> Content:
         """The line of the tracker."""
         return Content.assemble(("tracker", "bold"), " ", tracker_words(self.tracker))
@@ -137,8 +142,7 @@ class TrackerPanel(Widget):
 def tracker_words(tracker: TrackerRecord) -> str:
     """Arm, newest point [mm], uncertainty [mm] and air in one line; while it follows a sweep, what has come of that."""
     if tracker.sweep is not None:
-        doing = "searches the SMR" if tracker.sweep.state == "searching" else "follows its sweep"
-        return " · ".join([f"→ {tracker.sweep.arm}, {doing}", *sweep_counts(tracker.sweep)])
+        return f"→ {tracker.sweep.arm}, sweep {' · '.join(sweep_words(tracker.sweep))}"
     parts = []
     if tracker.arm is not None:
         parts.append(f"→ {tracker.arm}{', measuring' if tracker.measuring else ''}")

@@ -1,0 +1,108 @@
+"""Normal equations of a linear model with priors: gathered over parts of the readings, solved, eliminated in part.
+
+    (X^T X + P) b = X^T y
+
+X are whitened columns, P prior precisions. All of discovery that weighs columns by their Gram matrix does it here: fits
+to all readings, the evidence of free functions, and the folds of the cross-validation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import lapack
+
+from cellapp.estimation.calibration.linear import cholesky, inverse_psd, solve_psd
+from cellapp.robot.kinematics.transforms import Array
+
+_SMALLEST = 1e-300
+"""Guards divisions by a norm of zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class NormalMatrix:
+    """X^T X (p, p), X^T y (p,) and y^T y of whitened columns; y is the residual and what the values at hand predict."""
+
+    gram: Array
+    moment: Array
+    square: float
+
+    @classmethod
+    def of(cls, rows: Array, target: Array) -> NormalMatrix:
+        """Of columns X^T as rows (p, d) and y (d,)."""
+        return cls(rows @ rows.T, rows @ target, float(target @ target))
+
+    def __add__(self, other: NormalMatrix) -> NormalMatrix:
+        """With further readings."""
+        return NormalMatrix(self.gram + other.gram, self.moment + other.moment, self.square + other.square)
+
+    def __sub__(self, other: NormalMatrix) -> NormalMatrix:
+        """Without some of the readings."""
+        return NormalMatrix(self.gram - other.gram, self.moment - other.moment, self.square - other.square)
+
+    @property
+    def scale(self) -> Array:
+        """Size (p,) of each parameter whose column has unit norm."""
+        return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(self.gram), _SMALLEST)))
+
+    def with_priors(self, precision: Array, scale: Array | None = None) -> Solver:
+        """The equations with prior precisions (p,).
+
+        A part of the readings takes the ``scale`` of all: what it does not determine is then zero but for rounding.
+        """
+        scale = self.scale if scale is None else scale
+        return Solver(self, precision, scale)
+
+    def behind(self, flat: int, precision: Array) -> tuple[NormalMatrix, float]:
+        """The columns from ``flat`` on behind the first ones, whose prior precisions (flat,) are given.
+
+        Also how many parameters of the first ones the readings determine.
+        """
+        first = NormalMatrix(self.gram[:flat, :flat], self.moment[:flat], self.square).with_priors(precision)
+        inverse = first.covariance
+        cross, moment = self.gram[:flat, flat:], self.moment[:flat]
+        explained = inverse @ cross
+        behind = NormalMatrix(
+            self.gram[flat:, flat:] - cross.T @ explained,
+            self.moment[flat:] - explained.T @ moment,
+            self.square - float(moment @ inverse @ moment),
+        )
+        return behind, flat - float(np.sum(precision * np.diag(inverse)))
+
+
+@dataclass(frozen=True, eq=False)
+class Solver:
+    """Normal equations with prior precisions (p,); ``scale`` (p,) makes the parameters comparable."""
+
+    normal: NormalMatrix
+    precision: Array
+    scale: Array
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Inverse of X^T X + P."""
+        return inverse_psd(self._scaled()) * (self.scale[:, None] * self.scale)
+
+    @cached_property
+    def solution(self) -> Array:
+        """Values (p,) of all parameters under the priors."""
+        return self.solve(self.normal.moment)
+
+    def solve(self, rhs: Array) -> Array:
+        """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
+        scale = self.scale if rhs.ndim == 1 else self.scale[:, None]
+        if self._factor is None:
+            return np.asarray(scale * solve_psd(self._scaled(), scale * rhs))
+        return np.asarray(scale * lapack.dpotrs(self._factor, scale * rhs, lower=1)[0])
+
+    def _scaled(self) -> Array:
+        """X^T X + P with each parameter in its scale; not kept, as it is large."""
+        A = self.normal.gram * (self.scale[:, None] * self.scale)
+        A.flat[:: len(A) + 1] += self.precision * self.scale**2
+        return A
+
+    @cached_property
+    def _factor(self) -> Array | None:
+        return cholesky(self._scaled())

@@ -1,0 +1,144 @@
+"""Arms whose masses nobody knows: which names elastic joints get from 304 poses of a simulated LBR iiwa 14.
+
+    python -m tests.trials.unknown_masses --seeds 10
+
+Hidden are joints that stiffen with the load, masses 20 % off, and a scatter of 0.1 mm in each coordinate; nothing else.
+The profile has no masses, wrong ones (0.4 to 2 times the stated ones), or the stated ones. The tracker states no
+uncertainty, as in a table from elsewhere.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.discover.run import discover_run
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.schema import GeometryErrors, Pose
+from cellapp.ground.profile.schema import Plant as PlantSettings
+from tests.trials.kinds import rows
+from tests.twin import PROFILES
+
+app = typer.Typer(add_completion=False)
+
+STOPS = 304
+SCATTER_M = 1e-4
+STIFFNESS = np.array([6e4, 4e4, 3e4, 2e4, 1e4, 8e3, 8e3])
+KNEE_NM = (40.0, 40.0, 25.0, 15.0, 8.0, 4.0, 2.0)
+OFFSET = (0.045, 0.02, 0.06)
+CASES = ("none", "wrong", "stated")
+
+
+@dataclass(frozen=True)
+class Named:
+    """What a search accepted, and the held-out rms errors [mm]."""
+
+    names: tuple[str, ...]
+    before_mm: float
+    after_mm: float
+
+
+def arm_profile(seed: int) -> Profile:
+    """The cell of the arm, whose joints hide their elasticity."""
+    profile = load_profile(PROFILES / "panda-sockets.yaml")
+    iiwa = load_profile_type()
+    rng = np.random.default_rng([seed, 77])
+    stiff = rng.uniform(0.6, 1.4, 7) * STIFFNESS
+    hidden: dict[str, Any] = {
+        "joint_compliance": {
+            "law": "stiffening",
+            "stiffness": stiff.tolist(),
+            "soft_stiffness": (0.5 * stiff).tolist(),
+            "knee": list(KNEE_NM),
+        }
+    }
+    smr = profile.arms["left"].smr.model_copy(update={"offset": OFFSET})
+    arm = profile.arms["left"].model_copy(update={"type": iiwa, "smr": smr, "base": Pose(position=(0.0, 0.0, 0.8))})
+    plant = PlantSettings(seed=seed, geometry=GeometryErrors(mass=0.2), repeatability=2e-5, effects={"left": hidden})
+    tracker = profile.tracker.model_copy(update={"pose": Pose(position=(3.0, 0.0, 1.2))})
+    splits = profile.splits.model_copy(update={"identify": 120, "train": 100})
+    changed = {"seed": seed, "arms": {"left": arm}, "plant": plant, "tracker": tracker, "splits": splits}
+    return profile.model_copy(update=changed)
+
+
+def load_profile_type() -> Any:
+    """The published LBR iiwa 14."""
+    text = (PROFILES / "panda-sockets.yaml").read_text("utf-8").replace("panda.yaml", "lbr-iiwa14.yaml")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "iiwa.yaml"
+        path.write_text(text.replace("arms/", f"{PROFILES / 'arms'}/"), "utf-8")
+        return load_profile(path).arms["left"].type
+
+
+def measured(profile: Profile, seed: int) -> Readings:
+    """Readings at random configurations, without a stated uncertainty."""
+    plant, rng = build_plant(profile), np.random.default_rng([seed, 78])
+    low, high = 0.8 * np.array(profile.arms["left"].joint_limits).T
+    q = rng.uniform(low, high, (STOPS, len(low)))
+    p_M = plant.smr_positions("left", q, approach=np.zeros_like(q))
+    return rows(q, p_M=p_M + SCATTER_M * rng.standard_normal(p_M.shape))
+
+
+def with_masses(profile: Profile, factors: NDArray[np.float64]) -> Profile:
+    """The profile with the masses of its arm times ``factors`` (N,), and no simulated cell."""
+    arm = profile.arms["left"]
+    joints = tuple(
+        one.model_copy(update={"mass": one.mass * factor}) for one, factor in zip(arm.type.joints, factors.tolist())
+    )
+    arm = arm.model_copy(update={"type": arm.type.model_copy(update={"joints": joints})})
+    return profile.model_copy(update={"arms": {"left": arm}, "plant": None})
+
+
+def named(seed: int, case: str) -> Named:
+    """What is found of an arm."""
+    profile = arm_profile(seed)
+    its = measured(profile, seed)
+    wrong = np.random.default_rng([seed, 79]).uniform(0.4, 2.0, 7)
+    factors = {"none": np.zeros(7), "wrong": wrong, "stated": np.ones(7)}[case]
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        RunFile.create(Path(folder) / "run", with_masses(profile, factors)) as run,
+    ):
+        run.add_readings("left", its)
+        calibrate_run(run)
+        found = discover_run(run).arms["left"]
+    names = tuple(f"{one.effect} {one.law.name}".strip() for one in found.accepted)
+    return Named(names, found.heldout_mm.before, found.heldout_mm.after)
+
+
+def lines(found: Mapping[str, Sequence[Named]]) -> Iterator[str]:
+    """The table, a line for each case."""
+    yield "masses | joint_compliance alone | other or further names | held out before [mm] | after [mm]"
+    for case, its in found.items():
+        alone = sum(len(one.names) == 1 and one.names[0].startswith("joint_compliance") for one in its)
+        others = sorted({name for one in its for name in one.names if not name.startswith("joint_compliance")})
+        before, after = (float(np.median([getattr(one, key) for one in its])) for key in ("before_mm", "after_mm"))
+        yield f"{case} | {alone} of {len(its)} | {', '.join(others) or 'none'} | {before:.3f} | {after:.3f}"
+
+
+@app.command()
+def main(seeds: Annotated[int, typer.Option(min=1)] = 10) -> None:
+    """Print the table."""
+    found: dict[str, list[Named]] = {}
+    for seed in range(1, seeds + 1):
+        for case in CASES:
+            one = named(seed, case)
+            found.setdefault(case, []).append(one)
+            typer.echo(f"seed {seed}: {case}: {one}", err=True)
+    typer.echo("\n".join(lines(found)))
+
+
+if __name__ == "__main__":
+    app()
