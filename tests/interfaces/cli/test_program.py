@@ -93,7 +93,7 @@ def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:  # noqa
 
 def test_a_result_that_was_written_stays_the_only_object(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
     failed = DoctorResult(findings=(Finding(subject="arm", status="failed", text="not reached"),))
-    monkeypatch.setattr("cellapp.commands.doctor.run.examine_run", lambda profile: failed)
+    monkeypatch.setattr("cellapp.commands.doctor.run.examine_run", lambda profile, nests: failed)
     ended = call("doctor", write_profile(Path("profiles")), "--json", "-")
     assert (ended.code, ended.json["schema"]) == (1, "cellapp-doctor")
 
