@@ -32,7 +32,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.model import CellModel
 from drivers.arms.ur_settings import UrSettings
 from drivers.trackers.bridge_settings import BridgeSettings
-from tests.cell.targets.pairs import pair_targets
+from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.commands.emulated_cell import emulated
 from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin
@@ -48,11 +48,12 @@ HOSTS, CLI_HOSTS = own_arms(53), own_arms(55)
 def collected(
     profile: Profile, folder: Path, plan: PlannedStops
 ) -> tuple[dict[str, Readings], CalibrateResult, VerifyResult]:
-    """What was read, its calibration, and a cooperative target at the last stop that is measured and corrected."""
+    """What was read, its calibration, and a cooperative target at a stop with room that is measured and corrected."""
     with RunFile.create(folder, profile, lambda run: write_planned_stops(run, plan)) as run:
         collect_run(run)
         readings, calibrated = {name: run.readings(name) for name in run.arms()}, calibrate_run(run)
-        targets = pair_targets(run, CellModel.load(folder / CALIBRATION_FILE), [STOPS - 1])
+        model = CellModel.load(folder / CALIBRATION_FILE)
+        targets = pair_targets(run, model, stops_with_room(run, model, 1))
         return readings, calibrated, push_run(run, targets, verify=True, iterate=1)
 
 

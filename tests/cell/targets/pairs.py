@@ -9,7 +9,8 @@ import numpy as np
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.cell.safety.gate import clear_stops, visible_stops
+from cellapp.cell.safety.gate import CellBodies, clear_stops, visible_stops
+from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.targets import Partner, Target
 from cellapp.robot.kinematics.transforms import Array, invert, transform, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
@@ -59,9 +60,16 @@ def stops_with_room(run: RunFile, model: CellModel, count: int) -> list[int]:
     good = visible_stops(strict, q) & clear_stops(strict, q)
     for name, arm in model.arms.items():
         good &= far_from_singular(arm.geometry, q[name])
-    found: list[int] = np.flatnonzero(good)[:count].tolist()
+    found = [stop for stop in np.flatnonzero(good).tolist() if _sees_commands(strict, run, model, stop)][:count]
     assert len(found) == count, f"of {len(good)} stops only {len(found)} have room"
     return found
+
+
+def _sees_commands(cell: CellBodies, run: RunFile, model: CellModel, stop: int) -> bool:
+    """Whether the tracker also sees both SMRs where commands hold the arms: perhaps not in the posture of the plan."""
+    commands = compensate(run.profile, model, pair_targets(run, model, [stop]))
+    q = {one.arm: one.q_compensated[np.newaxis] for one in commands if one.q_compensated is not None}
+    return len(q) == len(model.arms) and bool(visible_stops(cell, q)[0])
 
 
 def _pose(arm: ArmModel, q: Array) -> Array:

@@ -11,9 +11,9 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.other_payload import open_compliance
 from cellapp.cell.targets.ranges import ConditionRanges
-from cellapp.cell.targets.targets import WorkingConditions, load_targets
+from cellapp.cell.targets.targets import Target, WorkingConditions
+from cellapp.robot.kinematics.transforms import zyx_angles
 from cellapp.robot.model import CellModel
-from tests.twin import PROFILES
 
 LOAD_KG = 2.0
 """The readings of the twin have 0.3 kg."""
@@ -22,10 +22,18 @@ LOAD_KG = 2.0
 def errors_and_parts(
     run: RunFile, model: CellModel, ranges: dict[str, ConditionRanges], load_kg: float
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """True errors (n, 3) [mm] of the left arm, whose joints give way, the uncertainty (n,) of its position, notes."""
-    every = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)
+    """True errors (n, 3) [mm] of the left arm, whose joints give way, where its planned stops were; the uncertainty
+    (n,) of its position, notes."""
+    plan = run.read_plan()
+    assert plan is not None
+    rotation_M, _ = model.arms["left"].flange(plan["left"])
     loaded = WorkingConditions(payload=load_kg)
-    targets = [one.model_copy(update={"conditions": loaded}) for one in every if one.arm == "left"]
+    targets = [
+        Target(name=f"stop-{stop}", arm="left", position=p_M, rpy=rpy, frame="tracker", conditions=loaded)
+        for stop, (p_M, rpy) in enumerate(
+            zip(model.arms["left"].predict(plan["left"]).tolist(), (zyx_angles(one)[::-1] for one in rotation_M))
+        )
+    ]
     commands = [one for one in compensate(run.profile, model, targets, ranges=ranges) if not one.refusal]
     q = np.array([one.q_compensated for one in commands])
     sides = np.array([one.side or (0,) * 6 for one in commands], dtype=float)

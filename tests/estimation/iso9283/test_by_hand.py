@@ -83,8 +83,8 @@ def test_the_pose_test_with_another_load_is_that_of_the_loaded_arm() -> None:
 
 def test_an_arm_whose_controller_does_not_know_its_load_is_not_driven(monkeypatch: pytest.MonkeyPatch) -> None:
     task = task_of(cell_of(one_arm()), "pose", also_loads=(4.0,))
-    known = SimulatedArm.tool
-    monkeypatch.setattr(SimulatedArm, "tool", lambda arm: replace(known(arm), payload_kg=0.5))
+    known = SimulatedArm.state
+    monkeypatch.setattr(SimulatedArm, "state", lambda arm: replace(known(arm), payload_kg=0.5))
     findings, _ = driven(task)
     tests = results(task, findings)["left"]
     assert tests.tests["nominal"].loads == ()
