@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from cellapp.ground.counting import counted
+
 JobState = Literal["running", "pausing", "paused", "suspended", "stopped", "aborted"]
 
 
@@ -260,6 +262,24 @@ class SweepLive:
     distance_m: float | None = None
     point_age_s: float | None = None
     trace: tuple[tuple[float, float], ...] = ()
+
+    def words(self) -> list[str]:
+        """Return share and time, lost beams, the newest point, and what came; what is needed first comes first."""
+        share = self.done_s / self.duration_s if self.duration_s else 1.0
+        age = "" if self.point_age_s is None else f", {self.point_age_s:.1f} s ago"
+        words = [f"{share:.0%}, {self.done_s:.0f} of {self.duration_s:.0f} s"]
+        if self.lost_beams:
+            searched = ", the SMR is searched" if self.state == "searching" else ""
+            words.append(counted(self.lost_beams, "lost beam") + searched)
+        if self.distance_m is not None:
+            words.append(f"SMR {self.distance_m:.3f} m{age}")
+        for count, what, missing in (
+            (self.points, "point", self.points_missing),
+            (self.samples, "sample", self.samples_missing),
+        ):
+            if self.points:
+                words.append(counted(count, what) + (f" ({missing} missing)" if missing else ""))
+        return words
 
 
 @dataclass(frozen=True)

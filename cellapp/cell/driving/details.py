@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from cellapp.cell.run import Outcome
 from cellapp.estimation.readings import Reading
-from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobState, MotionEnded, PointMeasured, SweepLive
 from drivers.arms.protocol import ArmState
 
@@ -42,26 +41,7 @@ def missed_sentence(outcome: Outcome) -> str:
 
 def sweep_sentence(live: SweepLive) -> str:
     """Return how far a sweep is, and what has come of it: "stop 3: sweep of left 62%, 10 of 16 s, SMR 3.412 m"."""
-    return f"stop {live.stop + 1}: sweep of {live.arm} {', '.join(sweep_words(live))}"
-
-
-def sweep_words(live: SweepLive) -> list[str]:
-    """Return share and time, lost beams, the newest point, and what came; what is needed first comes first."""
-    share = live.done_s / live.duration_s if live.duration_s else 1.0
-    age = "" if live.point_age_s is None else f", {live.point_age_s:.1f} s ago"
-    words = [f"{share:.0%}, {live.done_s:.0f} of {live.duration_s:.0f} s"]
-    if live.lost_beams:
-        searched = ", the SMR is searched" if live.state == "searching" else ""
-        words.append(counted(live.lost_beams, "lost beam") + searched)
-    if live.distance_m is not None:
-        words.append(f"SMR {live.distance_m:.3f} m{age}")
-    if live.points:
-        words += [_came(live.points, "point", live.points_missing), _came(live.samples, "sample", live.samples_missing)]
-    return words
-
-
-def _came(count: int, what: str, missing: int) -> str:
-    return counted(count, what) + (f" ({missing} missing)" if missing else "")
+    return f"stop {live.stop + 1}: sweep of {live.arm} {', '.join(live.words())}"
 
 
 def vectors(q: Mapping[str, NDArray[np.float64]]) -> dict[str, tuple[float, ...]]:

@@ -47,8 +47,8 @@ def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hun
     Stopped
         If nobody hangs it.
     """
-    profile = run.profile
-    before, due = profile.with_load(hung_load(run)), profile.with_load(load)
+    profile, hangs = run.profile, hung_load(run)
+    before, due = profile.with_load(hangs), profile.with_load(load)
     changes = {name: arm.payload for name, arm in due.arms.items() if arm.payload != before.arms[name].payload}
     if stated is not None:
         _check_stated(due, stated, changes)
@@ -66,7 +66,8 @@ def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hun
             )
     if changes:
         run.log("info", f"loads: {carried_words(due)}")
-    run.write_result(_HUNG, str(load))
+    if load != hangs:
+        run.write_result(_HUNG, str(load))
 
 
 def require_load(cell: Cell, profile: Profile) -> None:

@@ -127,7 +127,9 @@ def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None: 
     started: list[tuple[Path, Path]] = []
     swept: list[int | None] = []
 
-    def run_whole(profile: Path, folder: Path, *more: object, ask: object, sweeps: int | None) -> WholeRunResult:
+    def run_whole(
+        profile: Path, folder: Path, *more: object, ask: object, sweeps: int | None, hung: object
+    ) -> WholeRunResult:
         assert ask is None
         started.append((profile, folder))
         swept.append(sweeps)

@@ -8,6 +8,7 @@ from cellapp.commands.trials.power.result import ArmPower, EffectPower, PowerRes
 from cellapp.commands.view.charts import Axis, Chart, bar_chart
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Interval, Table, table_of
+from cellapp.ground.counting import counted
 
 
 def power_parts(result: PowerResult) -> Parts:
@@ -29,7 +30,7 @@ def power_sentence(result: PowerResult) -> str:
 def power_table(name: str, arm: ArmPower) -> Table:
     """Every effect of an arm; those that are named soonest first."""
     return table_of(
-        f"Arm {name}: {arm.stops} stops, noise {arm.noise_rms_mm:.3f} mm rms",
+        f"Arm {name}: {counted(arm.stops, 'stop')}, noise {arm.noise_rms_mm:.3f} mm rms",
         _ordered(arm),
         ("effect", lambda one: one.title),
         ("named from", lambda one: one.named_from and one.named_from.value_mm, ".3f", "mm rms"),

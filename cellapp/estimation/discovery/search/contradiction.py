@@ -14,6 +14,7 @@ from cellapp.estimation.discovery.cross_validation import cross_validated_gain
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms
 from cellapp.estimation.discovery.search.bounds import NEARLY, impossible_blocks, within_bounds
 from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
+from cellapp.estimation.discovery.search.review import SAME_CAUSE
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
 from cellapp.estimation.discovery.search.tuning import apply_step
@@ -57,10 +58,10 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
 
 
 def _left_over(state: SearchState, score: LawScore) -> bool:
-    """Whether a named look-alike explains more: an impossible law beside it is what it leaves over."""
+    """Whether a named look-alike explains far more: an impossible law beside it is what its own law leaves over."""
     explained = score.explained_share * state.fit.projected_residual.square
     return any(
-        explained < state.fit.removed_square(number)
+        explained < SAME_CAUSE * state.fit.removed_square(number)
         for number, term in enumerate(state.fit.terms)
         if term.is_library_effect and score.slug in EFFECTS[term.slug].look_alikes
     )

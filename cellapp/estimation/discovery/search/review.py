@@ -29,7 +29,7 @@ _AS_WELL = 0.5
 """Share of the score of what it replaces that an effect must have to stand in its place: a free part is made to fit."""
 _SAME_SHAPE = 0.999
 """Cosine from which two columns move the SMR alike."""
-_SAME_CAUSE = 0.05
+SAME_CAUSE = 0.05
 """A term that depends on the variables of another one and removes less than this share of that one's sum of squares is
 taken as the rest of an imperfect law (22 % in rms) and not as a second cause."""
 
@@ -79,7 +79,7 @@ def _rest_of_a_law(state: SearchState) -> int | None:
                 continue
             # all effects depend on the configuration: that alone is no common cause
             shared = (EFFECTS[term.slug].variables & EFFECTS[larger.slug].variables) - {DriverVariable.JOINT_ANGLE}
-            if shared and removed[number] < _SAME_CAUSE * removed[other]:
+            if shared and removed[number] < SAME_CAUSE * removed[other]:
                 return number
     return None
 

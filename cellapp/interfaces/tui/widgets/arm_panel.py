@@ -9,7 +9,6 @@ from textual.content import Content
 from textual.reactive import reactive
 from textual.widget import Widget
 
-from cellapp.cell.driving.details import sweep_words
 from cellapp.ground.progress import StopReport
 from cellapp.interfaces.tui.job_record import Activity, ArmRecord, TrackerRecord
 from cellapp.interfaces.tui.live_words import HALT_WORDS
@@ -142,7 +141,7 @@ class TrackerPanel(Widget):
 def tracker_words(tracker: TrackerRecord) -> str:
     """Arm, newest point [mm], uncertainty [mm] and air in one line; while it follows a sweep, what has come of that."""
     if tracker.sweep is not None:
-        return f"→ {tracker.sweep.arm}, sweep {' · '.join(sweep_words(tracker.sweep))}"
+        return f"→ {tracker.sweep.arm}, sweep {' · '.join(tracker.sweep.words())}"
     parts = []
     if tracker.arm is not None:
         parts.append(f"→ {tracker.arm}{', measuring' if tracker.measuring else ''}")
