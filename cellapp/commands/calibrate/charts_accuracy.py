@@ -124,37 +124,41 @@ def _outline(name: str, edges: Array, counts: NDArray[np.intp], style: int) -> S
 def stop_error_chart(name: str, held_out: HeldOutArm, floor_mm: float | None) -> Chart:
     """Position error of each held-out configuration by stage, with the noise floor."""
     title = f"Arm {name}: position error of each held-out configuration"
-    errors: dict[str, Array] = {stage: held_out.errors_mm[stage] for stage in STAGES if stage in held_out.errors_mm}
     stops = held_out.readings.configuration
-    return _stop_errors(title, "position error", stops, errors, STAGE_STYLES, STAGE_WORDS, floor_mm)
+    errors: dict[str, tuple[NDArray[np.int64], Array]] = {
+        stage: (stops, held_out.errors_mm[stage]) for stage in STAGES if stage in held_out.errors_mm
+    }
+    return _stop_errors(title, "position error", errors, STAGE_STYLES, STAGE_WORDS, floor_mm)
 
 
 def pair_stop_chart(calibrate: CalibrateResult) -> Chart:
     """Cooperative error of each held-out stop by method of the pair, with the tracker's noise."""
-    stored = pair_held_out(calibrate)
-    errors = {method: np.array(stops.cooperative_mm) for method, stops in stored.items()}
-    stops = np.array(next(iter(stored.values())).configuration if stored else [])
+    errors = {
+        method: (np.array(stops.configuration), np.array(stops.cooperative_mm))
+        for method, stops in pair_held_out(calibrate).items()
+    }
     title, floor = "Pair: cooperative error of each held-out stop", cooperative_noise_mm(calibrate)
-    return _stop_errors(title, "cooperative error", stops, errors, _METHOD_STYLES, METHOD_WORDS, floor)
+    return _stop_errors(title, "cooperative error", errors, _METHOD_STYLES, METHOD_WORDS, floor)
 
 
 def _stop_errors(
     title: str,
     label: str,
-    stops: NDArray[np.int64],
-    errors_mm: Mapping[Key, Array],
+    errors_mm: Mapping[Key, tuple[NDArray[np.int64], Array]],
     style: Mapping[Key, int],
     words: Mapping[Key, str],
     floor_mm: float | None,
 ) -> Chart:
+    """Errors over the stops that each model was judged at: one may leave out a gross error that another took."""
     x, y = Axis("configuration"), Axis(label, "mm", logarithmic=True)
-    if not errors_mm or not len(stops):
+    if not errors_mm or not all(len(stops) for stops, _ in errors_mm.values()):
         return Chart(title, x, y, (), _NO_HELD_OUT)
     drawn = tuple(
-        series(key, stops, drawable_mm(errors), "points", style=style[key]) for key, errors in errors_mm.items()
+        series(key, stops, drawable_mm(errors), "points", style=style[key])
+        for key, (stops, errors) in errors_mm.items()
     )
     first, last = next(iter(errors_mm)), list(errors_mm)[-1]
-    before, after = errors_mm[first], errors_mm[last]
+    (_, before), (stops, after) = errors_mm[first], errors_mm[last]
     worst = int(np.argmax(after))
     message = (
         f"The largest of {counted(len(stops), 'error')} is {mm(float(after[worst]))} ({words[last]}), at {stops[worst]}"

@@ -129,6 +129,8 @@ class _Search:
             if found is None:
                 break
             state, step = found
+            # what a filter of the new residuals gains is no gain of the next law
+            state = min(state, self._judged(state), key=lambda one: one.heldout_mm)
             steps.append(step)
             if step.law is Law.INERTIA:
                 state, steps = self._with_time_constants(state, steps)
@@ -139,7 +141,8 @@ class _Search:
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
         freed = final.solution if late else allow_for_missing(final.problem, final.solution)
         fit = motion_fit(final.problem, freed)
-        effects = tuple(effect_of(final, law, steps) for law in dict.fromkeys(step.law for step in steps))
+        entered = [effect_of(final, law, steps) for law in dict.fromkeys(step.law for step in steps)]
+        effects = tuple(one for one in entered if one.joints)  # beside all others a law may show at no joint
         laws_at_rest = [law for law in dict.fromkeys(step.law for step in steps) if law in AT_REST]
         at_rest = [term for law in laws_at_rest for term in shown(final, law, steps)]
         places = [*range(final.problem.layout.geometric), *places_of(final, at_rest)]
