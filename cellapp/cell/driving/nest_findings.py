@@ -54,8 +54,8 @@ def reference_nest_findings(path: Path, cell: CellBodies | None, homes: Mapping[
     except InputError as error:
         yield Finding(subject, "failed", str(error))
         return
+    at = {} if cell is None else {arm: predicted_smr(cell, arm, q[None]) for arm, q in homes.items()}
     for (name, tie), sentence in zip(ties.items(), tie_sentences(first, ties, {}), strict=True):
-        at = {} if cell is None else {arm: predicted_smr(cell, arm, q[None]) for arm, q in homes.items()}
         known_mm = {arm: 1e3 * float(tie.uncertainty(p_M)[0]) for arm, p_M in at.items()}
         words = "".join(f"; a coordinate of arm {arm} at home to {mm:.3f} mm" for arm, mm in known_mm.items())
         loose = max(known_mm.values(), default=0.0) > _LOOSE_MM
