@@ -22,6 +22,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.progress import Detail, Listener, MotionBegun, MotionEnded, Progress
+from cellapp.robot.kinematics.transforms import Array
 
 RungName = Literal["simulation", "one-arm", "ten-stops", "both-arms"]
 
@@ -140,7 +141,8 @@ class _Driver:
         for name, error in errors.items():
             raise HardwareError(f"arm {name}: {error}") from error
         stops = [stop for stop in self.work.stops if stop not in forbidden][: self.rung.stops]
-        self.found.refused |= {stop: why for stop, why in forbidden.items() if self.rung.stops is None}
+        if self.rung.stops is None:
+            self.found.refused |= forbidden
         if stops:
             self.mover.confirm_first(self._targets(stops[0]), confirm)
         for number, stop in enumerate(stops):
@@ -168,7 +170,7 @@ class _Driver:
             self.mover.go_home(self.arms)
             self.mover.move(self._targets(stop))
 
-    def _targets(self, stop: int) -> dict[str, np.ndarray]:
+    def _targets(self, stop: int) -> dict[str, Array]:
         return {name: q for name, q in self.work.targets(stop).items() if name in self.arms}
 
     def _note(self, detail: Detail) -> None:
