@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -113,11 +113,10 @@ def _query(arm: Arm) -> tuple[ControllerIdentity, tuple[str, ...]]:
         warnings = arm.warnings()
     except ArmError as error:
         raise HardwareError(str(error)) from error
-    identity = ControllerIdentity(found.model, found.serial, found.software, found.dh_checksum)
+    rows = None
     if found.dh_rows is not None and found.dh_checksum:
         rows = tuple((theta, d, a, alpha) for theta, d, a, alpha in found.dh_rows.tolist())
-        identity = replace(identity, dh_rows=rows)
-    return identity, warnings
+    return ControllerIdentity(found.model, found.serial, found.software, found.dh_checksum, rows), warnings
 
 
 def _compare(name: str, before: ControllerIdentity, now: ControllerIdentity) -> list[str]:
