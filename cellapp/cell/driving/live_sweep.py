@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import asdict, astuple, dataclass, field, replace
 
 import numpy as np
 
@@ -17,6 +17,19 @@ from drivers.trackers.protocol import Packet, Track
 
 _TRACE_S = 0.1
 """Time between two points of the trace [s]: the noise of a point is some 0.3 mm/s of speed then."""
+
+
+@dataclass(frozen=True)
+class _Counts:
+    """Points and samples that have come, and that did not, as in ``SweepLive``."""
+
+    points: int = 0
+    points_missing: int = 0
+    samples: int = 0
+    samples_missing: int = 0
+
+    def __add__(self, other: _Counts) -> _Counts:
+        return _Counts(*map(sum, zip(astuple(self), astuple(other), strict=True)))
 
 
 @dataclass
@@ -52,8 +65,8 @@ class LiveSweep:
     tell: Callable[[SweepLive], None]
     _packets: deque[Packet] = field(default_factory=deque)
     _part: _Part | None = None
-    _counts: Array = field(default_factory=lambda: np.zeros(4))
-    """Of the parts that have ended: points and samples, each with those that did not come."""
+    _ended: _Counts = _Counts()
+    """Of the parts that have ended."""
     _began_s: float | None = None
     _last: tuple[float, Array] | None = None
     """Stamp [s] and place [m] of the newest point of the trace."""
@@ -73,16 +86,17 @@ class LiveSweep:
         part = self._part
         assert part is not None
         self._take(part)
-        missing = max(round((part.latest_s - part.first_s) / self.interval_s) + 1 - part.points, 0)
+        points = counts_so_far(part.points, part.first_s, part.latest_s, self.interval_s)
         age_s = None if self._arrived_s is None else max(part.clock.now_s() - self._arrived_s, 0.0)
-        counts = self._counts + np.array([part.points, missing, *part.arm.recorded()])
-        self._say(counts, state="moving", done_s=part.reached_s(), point_age_s=age_s)
+        now = replace(self.so_far, state="moving", done_s=part.reached_s(), point_age_s=age_s)
+        self._say(now, self._ended + _Counts(*points, *part.arm.recorded()))
 
     def end(self, joints: JointRecord, track: Track, reached_s: float | None) -> None:
         """A part was recorded: up to ``reached_s`` of the motion, where the beam broke, or to its end."""
         if self._part is not None:
             self._take(self._part)
-        self._end([len(track.p_M), track.missing(self.interval_s), len(joints.time_s), joints.missing], reached_s)
+        counts = _Counts(len(track.p_M), track.missing(self.interval_s), len(joints.time_s), joints.missing)
+        self._end(counts, reached_s)
 
     def calculated(self, record: SweepRecord) -> None:
         """The whole sweep was recorded at once; points without the beam are NaN."""
@@ -91,19 +105,20 @@ class LiveSweep:
         self.so_far = replace(self.so_far, lost_beams=int(np.sum(np.diff(seen.astype(int)) < 0)))
         joints_s = record.joint_time_s
         samples = counts_so_far(len(joints_s), joints_s[0], joints_s[-1], float(np.median(np.diff(joints_s))))
-        self._end([int(seen.sum()), int((~seen).sum()), *samples], None)
+        self._end(_Counts(int(seen.sum()), int((~seen).sum()), *samples), None)
 
-    def _end(self, counts: Sequence[int], reached_s: float | None) -> None:
+    def _end(self, counts: _Counts, reached_s: float | None) -> None:
         """Tell what a part has brought that was recorded as far as ``end`` says."""
         broken = reached_s is not None
-        self._counts = self._counts + np.array(counts)
-        self._say(
-            self._counts,
+        self._ended += counts
+        now = replace(
+            self.so_far,
             state="searching" if broken else "done",
             done_s=self.so_far.duration_s if reached_s is None else reached_s,
             lost_beams=self.so_far.lost_beams + broken,
             point_age_s=None,
         )
+        self._say(now, self._ended)
 
     def _take(self, part: _Part) -> None:
         """Count what has come since the last look."""
@@ -131,10 +146,8 @@ class LiveSweep:
                 self._trace.append((round(at_s - 0.5 * since_s - began_s, 3), round(speed, 2)))
             self._last = at_s, place
 
-    def _say(self, counts: Array, **new: object) -> None:
-        numbers = zip(
-            ("points", "points_missing", "samples", "samples_missing"), counts.astype(int).tolist(), strict=True
-        )
+    def _say(self, now: SweepLive, counts: _Counts) -> None:
+        """Tell how far the sweep is, with what has come and what is new of the trace."""
         trace, self._trace = tuple(self._trace), []
-        self.so_far = replace(self.so_far, **dict(numbers), **new, trace=trace)  # type: ignore[arg-type]
+        self.so_far = replace(now, **asdict(counts), trace=trace)
         self.tell(self.so_far)
