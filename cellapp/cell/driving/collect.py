@@ -25,6 +25,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, ignore
 from drivers.arms.protocol import ArmError
 from drivers.plant import Plant
@@ -71,26 +72,22 @@ def collect_run(
     work = work_again(run, again) if again is not None else remaining_work(run, resume=resume)
     if not work.stops and not (again is None and sweeps_left(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
-    before, notes, session = replaced_counts(run), list[str](), _Session(run, listener, control, accept_drift, confirm)
+    before = replaced_counts(run)
+    sessions = _Sessions(run, listener, control, accept_drift, confirm, opened, watch_clearance)
     for load in work.loads or (0,):
-        change_load(run, load, payload, hung)
+        profile = change_load(run, load, payload, hung)
         payload = None  # it was said of the first one
-        part = work if run.profile.loads == 1 else _left_of(run, work).with_load(load)
-        outcome = session.collect(part, load, opened, notes, watch_clearance=watch_clearance)
-    result = _collected(run, outcome, notes, session.standard_error_mm)
+        left = work if work.again or run.profile.loads == 1 else remaining_work(run, resume=True)
+        outcome = sessions.collect(profile, left.with_load(load))
+    result = _collected(run, outcome, sessions.notes, sessions.standard_error_mm)
     if not work.again:
         return result
     replaced = sum(replaced_counts(run).values()) - sum(before.values())
     return result.model_copy(update={"replaced": replaced, "notes": (*result.notes, *_held_out_notes(run, work))})
 
 
-def _left_of(run: RunFile, work: Work) -> Work:
-    """What is left of the work now."""
-    return work if work.again else remaining_work(run, resume=True)
-
-
 @dataclass
-class _Session:
+class _Sessions:
     """Sessions of a run one after the other, each with its load; a simulated cell stays as the last one left it."""
 
     run: RunFile
@@ -98,21 +95,22 @@ class _Session:
     control: JobControl
     accept_drift: bool
     confirm: Confirm | None
+    opened: Opened | None
+    watch_clearance: bool
+    notes: list[str] = field(default_factory=list)
     standard_error_mm: Mapping[str, float] = field(default_factory=dict)
     plant: Plant | None = None
     began_s: float | None = None
     ended_s: float = math.inf
     """When the last session ended, on the clock of its cell."""
 
-    def collect(
-        self, work: Work, load: int, opened: Opened | None, notes: list[str], *, watch_clearance: bool = False
-    ) -> End:
-        """Collect the stops of a load. Raises as ``collect_run`` does."""
-        run, control, profile = self.run, self.control, self.run.profile.with_load(load)
+    def collect(self, profile: Profile, work: Work) -> End:
+        """Collect stops with the load of the profile. Raises as ``collect_run`` does."""
+        run, control, notes, opened = self.run, self.control, self.notes, self.opened
         bodies = cell_bodies(profile)
         if opened is None and self.plant is not None:
             opened = partial(open_cell, plant=self.plant, control=control)
-        with opening(profile, control, opened, watch_clearance=watch_clearance) as cell:
+        with opening(profile, control, opened, watch_clearance=self.watch_clearance) as cell:
             self.plant = None if cell.person is None else cell.person.plant
             if run.profile.loads > 1:
                 require_load(cell, profile)

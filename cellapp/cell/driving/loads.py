@@ -35,10 +35,10 @@ def hung_load(run: RunFile) -> int:
         raise InputError(f"{run.path}: the document '{_HUNG}' is damaged; restore the run from a copy") from None
 
 
-def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hung: Hung | None) -> None:
+def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hung: Hung | None) -> Profile:
     """Have a load hung, with the cell closed; the run keeps that it hangs. A simulated cell needs nobody.
 
-    ``stated`` is what a person says that arms carry [kg]; without it ``hung`` is asked.
+    ``stated`` is what a person says that arms carry [kg]; without it ``hung`` is asked. Returned is the cell with it.
 
     Raises
     ------
@@ -65,9 +65,11 @@ def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hun
                 f" {answer}'"
             )
     if changes:
-        run.log("info", f"loads: {carried_words(due)}")
+        carried = ", ".join(f"{name} {arm.payload.mass:g} kg" for name, arm in due.arms.items())
+        run.log("info", f"loads: {carried}")
     if load != hangs:
         run.write_result(_HUNG, str(load))
+    return due
 
 
 def require_load(cell: Cell, profile: Profile) -> None:
@@ -86,11 +88,6 @@ def require_load(cell: Cell, profile: Profile) -> None:
             raise HardwareError(
                 f"arm {name}: not moved with {arm.payload.mass:g} kg: {doubt}; set it, then continue with --resume"
             )
-
-
-def carried_words(profile: Profile) -> str:
-    """What the arms of a profile carry."""
-    return ", ".join(f"{name} {arm.payload.mass:g} kg" for name, arm in profile.arms.items())
 
 
 def other_loads(planned: Profile, profile: Profile) -> dict[str, str]:
