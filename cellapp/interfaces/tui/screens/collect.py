@@ -423,12 +423,12 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
             return
         chosen = self.query_one(CollectedStops).chosen
         stops = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace, chosen)
-        states = {name: (record.sweep, record.state is None) if name == "sweep" else () for name in _PLOTS}
+        states = dict.fromkeys(_PLOTS, stops) | {"sweep": (*stops, record.sweep, record.state is None)}
         oldest_first = (*(name for name in _PLOTS if name not in self._plotted), *self._plotted)
-        for name in (name for name in oldest_first if self._plotted.get(name) != (*stops, *states[name])):
+        for name in (name for name in oldest_first if self._plotted.get(name) != states[name]):
             self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
             self._plotted.pop(name, None)
-            self._plotted[name] = (*stops, *states[name])  # now the newest
+            self._plotted[name] = states[name]  # now the newest
             if record.state is not None:
                 self._plot_waits = True
                 self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
