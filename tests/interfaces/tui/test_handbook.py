@@ -63,6 +63,10 @@ async def test_a_link_is_followed_by_a_click_and_pages_elsewhere_are_only_named(
         await until(pilot, lambda: label(contents) == "friction_windup", "the cursor at that effect")
         await handbook.action_follow("https://example.org")
         await until(pilot, lambda: "https://example.org is not a part" in shown_text(app), "the address")
+        handbook.query_one("#words", Input).value = "friction_windup"
+        await until(pilot, lambda: len(contents.root.children) != len(PARTS), "what was found")
+        await handbook.action_follow("effects.md#friction_windup")
+        await until(pilot, lambda: label(contents) == "effects: friction_windup", "the cursor at what was found")
         handbook.query_one("#words", Input).value = "nosuchword"
         await pilot.pause()
         assert len(contents.root.children) == len(PARTS), "nothing found: all parts"

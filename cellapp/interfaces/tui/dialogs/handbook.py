@@ -198,7 +198,8 @@ class Handbook(Question[None]):
 
     async def _go(self, place: Section) -> None:
         await self._show(place)
-        for node in (chapter for part in self._contents.root.children for chapter in part.children):
+        tops = self._contents.root.children  # parts, or what was found
+        for node in (one for top in tops for one in (top, *top.children)):
             if (at := _node_of(node, place)) is not None:
                 node.expand()
                 self.call_after_refresh(self._contents.move_cursor, at)  # the tree has the new lines then
