@@ -113,7 +113,7 @@ def offer_rehearsal(screen: DayScreen) -> None:
     """Ask for the step of a rehearsal of the profile that is open, then drive it and show what happened."""
     profile = screen.workspace.profile_path
     if profile is None:
-        screen.say("No profile is open: choose one in the list of the screen Cell.", "warning")
+        screen.say(screen.state.no_profile, "warning")
     else:
         _offer(screen, REHEARSE, {"profile": profile})
 
