@@ -316,7 +316,7 @@ class JobRecord:
                 self.arms[name] = replace(arm, report=detail)
             case MeasurementBegun(stop=stop):
                 self.arms[name] = replace(arm, activity="measuring", stop=stop)
-                self.tracker = replace(self.tracker, arm=name, measuring=True)
+                self.tracker = replace(self.tracker, arm=name, measuring=True, sweep=None)
             case PointMissed(stop=stop, reason=reason):
                 self.arms[name] = replace(arm, activity="not measured", stop=stop, reason=reason)
                 self.tracker = replace(self.tracker, arm=name, measuring=False)

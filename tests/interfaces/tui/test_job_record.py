@@ -20,6 +20,7 @@ from cellapp.ground.progress import (
     StateChange,
     StopReport,
     Suspicion,
+    SweepLive,
 )
 from cellapp.interfaces.tui.job_record import MOST_LINES, ArmRecord, JobRecord, level_of
 
@@ -61,6 +62,15 @@ def test_a_missed_point_keeps_its_reason_until_the_next_motion() -> None:
     assert record.arms["left"] == ArmRecord("not measured", 4, "the beam was broken")
     record.add(Progress("collect", 3, 9, detail=MotionBegun(5, {"left": Q0}, {"left": Q1}, 2.5)))
     assert record.arms["left"].reason == ""
+
+
+def test_a_sweep_that_was_given_up_is_followed_no_more_when_the_next_stop_is_measured() -> None:
+    searched = SweepLive(3, "left", "sweep-4", 16.0, "searching", 4.0)
+    record = record_of(searched)
+    assert record.tracker.sweep is searched
+    record.add(Progress("collect", 4, 9, detail=MeasurementBegun(4, "right")))
+    assert (record.tracker.sweep, record.tracker.arm) == (None, "right")
+    assert record.sweep is searched
 
 
 def test_the_air_is_that_of_the_weather_station_until_a_point_says_otherwise() -> None:
