@@ -76,20 +76,19 @@ class PathDriver:
         CellStopped
             As ``Mover.follow``, and if an SMR whose beam broke is not found again.
         """
-        streaming = None if start_M is None else stream_of(self.cell.tracker)
+        if start_M is None or (streaming := stream_of(self.cell.tracker)) is None:
+            begin()
+            began_s = self.cell.clock.now_s()
+            return TrackedPath(None, self._follow(name, trajectory), began_s)
+        follower = self.cell.arms[name]
+        assert isinstance(follower, PathFollower)
         for lost_beams in range(MOST_RUNS):
             begin()
-            if streaming is None or start_M is None:
-                began_s = self.cell.clock.now_s()
-                arm = self.mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
-                return TrackedPath(None, arm, began_s)
-            follower = self.cell.arms[name]
-            assert isinstance(follower, PathFollower)
             beam = Beam(follower, self.reaction)
             streaming.start_track(start_M, interval_s, beam.lost)
             began_s = self.cell.clock.now_s()
             try:
-                arm = self.mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
+                arm = self._follow(name, trajectory)
             except BaseException:
                 with suppress(TrackerError):  # why the arm did not come to the end is to be reported
                     streaming.end_track()
@@ -103,6 +102,9 @@ class PathDriver:
             f"arm {name}: the beam broke each of the {counted(MOST_RUNS, 'time')} that this path was driven; it is not"
             " measured. Look for what crosses the beam along it"
         )
+
+    def _follow(self, name: str, trajectory: Trajectory) -> FollowedPath:
+        return self.mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
 
     def _find_again(self, name: str) -> None:
         """Measure the SMR where the arm rests, or stop the cell."""
