@@ -43,7 +43,7 @@ class JointRecord:
 
 
 def counts_so_far(count: int, began_s: float, latest_s: float, period_s: float) -> tuple[int, int]:
-    """How many samples have come, and how many did not by the stamps of the first and of the newest one [s]."""
+    """How many samples, or points, have come, and how many did not by the stamps of the first and newest one [s]."""
     return count, max(round((latest_s - began_s) / period_s) + 1 - count, 0)
 
 
