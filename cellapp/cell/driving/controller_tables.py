@@ -93,13 +93,13 @@ def _finding(name: str, arm: Arm, table: FactoryTable) -> Finding:
     return Finding(subject, "ok", text)
 
 
-def controller_files(tables: Mapping[str, FactoryTable], profile: Profile) -> dict[str, str]:
-    """Name and text of a file of each arm's calibration."""
+def controller_files(profile: Profile, own: Mapping[str, tuple[Sequence[Sequence[float]], str]]) -> dict[str, str]:
+    """Name and text of a file of each arm's calibration; ``own`` are its deltas (N, 4) and checksum by arm."""
     return {
         CONTROLLER_FILE.format(arm=name): controller_file_text(
-            table.deltas.tolist(),
-            table.checksum,
+            deltas,
+            checksum,
             (f"What the controller of arm {name} of {profile.name} adds to the published rows of its arm.",),
         )
-        for name, table in tables.items()
+        for name, (deltas, checksum) in own.items()
     }

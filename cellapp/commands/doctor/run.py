@@ -43,10 +43,10 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
         raise InputError("--run: only with --bundle")
     if request.controllers is None:
         return result
-    tables = factory_tables(profile, _reports(result))
-    if not tables:
+    if not result.controllers:
         raise InputError("--controllers: no controller reports a calibration of its own; nothing was written")
-    files = {request.controllers / name: text for name, text in controller_files(tables, profile).items()}
+    own = {name: (its.deltas, its.checksum) for name, its in result.controllers.items()}
+    files = {request.controllers / name: text for name, text in controller_files(profile, own).items()}
     written = (*(result.written or ()), *write_new(files, work.outputs))
     return result.model_copy(update={"written": written})
 
