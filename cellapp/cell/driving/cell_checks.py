@@ -98,9 +98,12 @@ def _millimetres(point: Sequence[float]) -> str:
 def known_payload(arm: Arm, load_kg: float) -> str:
     """Why an arm is not driven with a load: its controller has another; empty if it agrees, or reports none.
 
-    Raises ``ArmError`` if the controller does not answer.
+    Raises ``HardwareError`` if the controller does not answer.
     """
-    known_kg = arm.state().payload_kg
+    try:
+        known_kg = arm.state().payload_kg
+    except ArmError as error:
+        raise HardwareError(str(error)) from error
     if known_kg is None or abs(known_kg - load_kg) <= PAYLOAD_SLACK_KG:
         return ""
     return (

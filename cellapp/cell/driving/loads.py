@@ -17,7 +17,6 @@ from cellapp.cell.run import RunFile
 from cellapp.ground.control import Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from drivers.arms.protocol import ArmError
 
 Hung = Callable[[str], bool]
 """Tells a person what to hang and returns whether it hangs; False where nobody is there."""
@@ -80,11 +79,7 @@ def require_load(cell: Cell, profile: Profile) -> None:
     for name, arm in profile.arms.items():
         if cell.person is not None:
             cell.person.hang(name, arm.payload.mass, np.array(arm.payload.center_of_mass))
-        try:
-            doubt = known_payload(cell.arms[name], arm.payload.mass)
-        except ArmError as error:
-            raise HardwareError(str(error)) from error
-        if doubt:
+        if doubt := known_payload(cell.arms[name], arm.payload.mass):
             raise HardwareError(
                 f"arm {name}: not moved with {arm.payload.mass:g} kg: {doubt}; set it, then continue with --resume"
             )

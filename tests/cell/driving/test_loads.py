@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell_checks import known_payload
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.loads import hung_load
 from cellapp.cell.planning.method import make_stops
@@ -25,6 +26,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.collection import Collection, Reference
 from cellapp.ground.profile.schema import Payload
 from drivers.arms.protocol import ArmState
+from drivers.arms.simulated import SimulatedArm
 from tests.twin import small_twin
 
 pytestmark = pytest.mark.fast
@@ -140,6 +142,15 @@ def test_a_controller_that_reports_another_payload_is_not_driven(run: RunFile, m
         collect_run(run, opened=forgetful)
     assert moved == [0]
     assert run.stops_done() == {0, 1, 2}
+
+
+def test_a_controller_that_does_not_answer_after_a_load_was_hung_is_a_fault_in_words() -> None:
+    with open_cell(loaded(HEAVY)) as cell:
+        left = cell.arms["left"]
+        assert isinstance(left, SimulatedArm)
+        left.cut_link()
+        with pytest.raises(HardwareError, match="arm left"):
+            known_payload(left, 5.0)
 
 
 def test_a_stop_measured_again_needs_its_own_load(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
