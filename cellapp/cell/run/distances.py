@@ -48,16 +48,15 @@ def read_distances_csv(path: Path, profile: Profile, readings: Mapping[str, Read
     problems = Problems(table.place)
     rows = _checked_rows(table, problems, readings)
     problems.check()
+    lines = {(one.point_a, one.point_b): line for line, one in rows.items()}
     found = {}
     for arm, its in readings.items():
         own = tuple(one for one in rows.values() if one.point_a in (its.point or ()))
         found[arm] = its = replace(its, distances=own)
         if not own:
             continue
-        lines = {(one.point_a, one.point_b): line for line, one in rows.items()}
         for pair, text in wrong_distances(published_arm(profile, arm, its), its):
             problems.add(lines[pair], "distance_m", text)
-    lines = {(one.point_a, one.point_b): line for line, one in rows.items()}
     between = [
         one
         for one in rows.values()
