@@ -50,9 +50,9 @@ def missing_rungs(log: RehearsalLog) -> tuple[RungName, ...]:
 
 def missing_sentence(run: RunFile) -> str:
     """Which rungs a run of real arms has not behind it, as a sentence; empty where none is missing or arms are none."""
-    path = noted_profile(run)
     if not run.profile.moves_hardware:
         return ""
+    path = noted_profile(run)
     try:
         missing = tuple(RUNGS) if path is None else missing_rungs(read_log(path, run.profile))
     except InputError as error:
