@@ -108,6 +108,9 @@ def _checked_rows(table: CsvTable, problems: Problems, readings: Mapping[str, Re
             continue
         if a == b:
             problems.add(line, "point_b", f"'{short(b)}' is both points; a distance has two")
+        elif len(readings) > 2 and set(arms_of[a]).isdisjoint(arms_of[b]):
+            text = "points of different arms; with more than two arms, distances are within one arm"
+            problems.add(line, "point_b", f"'{a}' and '{b}' are {text}")
         elif (first := seen.setdefault(frozenset((a, b)), line)) != line:
             problems.add(line, "point_a", f"the distance is in line {first} already; give the mean of both")
         values = [
