@@ -11,9 +11,9 @@ import pytest
 from cellapp.cell.driving.rehearsal import RUNGS
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.profile_file import note_profile
+from cellapp.cell.run.profile_file import note_profile, rehearsals_path
 from cellapp.commands.record import Work
-from cellapp.commands.rehearse.record_file import missing_sentence, read_log, record_path
+from cellapp.commands.rehearse.record_file import missing_sentence, read_log
 from cellapp.commands.rehearse.request import RehearseRequest
 from cellapp.commands.rehearse.result import RehearseResult
 from cellapp.commands.rehearse.run import run as rehearse
@@ -87,7 +87,7 @@ def test_collect_says_what_is_missing_of_real_arms_only(tmp_path: Path) -> None:
     with RunFile.create(tmp_path / "real", on_real_arms(profile)) as run:
         assert missing_sentence(run).startswith(f"not rehearsed with these arms: {', '.join(RUNGS)}; ")
         note_profile(run, path)
-        record_path(path).write_text("{}")
+        rehearsals_path(path).write_text("{}")
         assert "rehearsals.json" in missing_sentence(run)
 
 

@@ -70,7 +70,7 @@ def bounds(bench: Bench, found: Discovery) -> dict[str, float]:
     angles = np.linalg.norm(rotation_vectors(model.orientation(q) @ measured.swapaxes(1, 2)), axis=1) * 1e3
     free = np.full((len(q), 3, 3), np.nan)
     stated = predicted_turns(
-        model, q, q, MeasurementConditions(), free, free, [None] * len(q), np.zeros(6), ConditionRanges()
+        model, q, q, MeasurementConditions(), free, [None] * len(q), np.zeros(6), ConditionRanges()
     )
     within = np.array([one.within_mrad for one in stated if one is not None])
     return {

@@ -25,9 +25,9 @@ def ur_rows(export: ArmExport) -> Array:
     InputError
         If the arm's published table is not that of a UR arm.
     """
-    rows = np.column_stack([published_rows(export.arm), np.zeros(len(export.arm.type.joints))])
+    rows = published_rows(export.arm)
     if len(rows) == len(_ALPHA):
-        expected = np.zeros((6, 5))
+        expected = np.zeros((6, 4))
         expected[_D, 1], expected[_A, 2], expected[:, 3] = rows[_D, 1], rows[_A, 2], _ALPHA
     if len(rows) != len(_ALPHA) or not np.allclose(rows, expected, rtol=0.0, atol=_ROUNDING):
         raise InputError(

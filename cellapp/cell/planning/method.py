@@ -79,11 +79,12 @@ def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None
     Blocks are in random order and each covers the workspace, so that every load does. Reserves have the last one.
     """
     before = 0 if kept is None else len(kept)
-    first = 0 if kept is None or not before else int(kept.load[-1])
-    left, n = profile.loads - first, len(stops) - before - (0 if before else len(profile.plan.reserves(len(stops))))
+    first = int(stops.load[before - 1]) if before else 0
+    reserves = 0 if before else len(profile.plan.reserves(len(stops)))
+    left, n = profile.loads - first, len(stops) - before - reserves
     if n < left:
         raise InputError(f"plan: {counted(n, 'stop is', 'stops are')} too few for {left} loads; ask for more stops")
-    load = first + np.minimum(np.arange(len(stops) - before) * left // max(n, 1), left - 1)
+    load = first + np.minimum(np.arange(len(stops) - before) * left // n, left - 1)
     return replace(stops, load=np.concatenate([stops.load[:before], load]))
 
 

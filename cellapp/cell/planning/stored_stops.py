@@ -3,8 +3,7 @@
 The table ``plan`` holds the joint positions, the document of ``stop_conditions`` approach and dwell. The document
 ``planned_stops`` holds the rest: ``{"legs": {stop: [{arm: [q1, ...]}, ...]}, "block": [...], "repeat_of": {stop: stop},
 "frozen": [stop, ...], "load": [...]}``, stops from 0, ``block`` and ``load`` for each stop, without loads the profile's
-payload. Runs without it have straight ways in one block. All
-three are written in one transaction.
+payload. Runs without it have straight ways in one block. All three are written in one transaction.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from cellapp.cell.planning.design_records import PlanDesignResult
@@ -130,14 +130,13 @@ def conditions_of(stops: PlannedStops, proposed: Collection[int] = ()) -> dict[i
 def _with_stored(stops: PlannedStops, stored: _Stored, loads: int) -> PlannedStops:
     """The stops with what the document says of them. Raises ``ValueError`` if it does not fit them.
 
-    Stops that were appended without it are in the last block.
+    Stops that were appended without it are in the last block and have the last load.
     """
     n = len(stops)
     numbers = [*stored.legs, *stored.repeat_of, *stored.repeat_of.values(), *stored.frozen]
     if max(len(stored.block), len(stored.load)) > n or any(not 0 <= stop < n for stop in numbers):
         raise ValueError(f"it tells of more stops than the {n} that are planned")
     legs = [stored.legs.get(stop, ()) for stop in range(n)]
-    more = (stored.block[-1] if stored.block else 0,) * (n - len(stored.block))
     if not all(0 <= load < loads for load in stored.load):
         raise ValueError(f"it tells of load {max(stored.load)}, the profile has 0 to {loads - 1}")
     frozen = np.zeros(n, dtype=np.bool_)
@@ -145,13 +144,17 @@ def _with_stored(stops: PlannedStops, stored: _Stored, loads: int) -> PlannedSto
     return replace(
         stops,
         legs=tuple(tuple(_checked_leg(stops.q, leg, stop) for leg in of_stop) for stop, of_stop in enumerate(legs)),
-        block=np.array((*stored.block, *more), dtype=np.intp),
+        block=_continued(stored.block, n),
         repeat_of=np.array([stored.repeat_of.get(stop, -1) for stop in range(n)], dtype=np.intp),
         frozen=frozen,
-        load=np.array(
-            (*stored.load, *(stored.load[-1] if stored.load else 0,) * (n - len(stored.load))), dtype=np.intp
-        ),
+        load=_continued(stored.load, n),
     )
+
+
+def _continued(values: tuple[int, ...], n: int) -> NDArray[np.intp]:
+    """The values of the first stops, the last of them for the other ones (n,); zero without any."""
+    last = values[-1] if values else 0
+    return np.array((*values, *(last,) * (n - len(values))), dtype=np.intp)
 
 
 def _checked_leg(plan: Mapping[str, Array], leg: Mapping[str, tuple[float, ...]], stop: int) -> Configuration:

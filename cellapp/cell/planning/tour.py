@@ -81,7 +81,7 @@ def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: Can
     ----------
     task : TourTask
     steps : int
-        Number of steps; each tries ``_TRIES_AT_ONCE`` moves.
+        Number of steps; each tries at most ``_TRIES_AT_ONCE`` moves.
     rng : numpy.random.Generator
     cancel : CancelToken
     """

@@ -48,16 +48,15 @@ def read_distances_csv(path: Path, profile: Profile, readings: Mapping[str, Read
     problems = Problems(table.place)
     rows = _checked_rows(table, problems, readings)
     problems.check()
+    lines = {(one.point_a, one.point_b): line for line, one in rows.items()}
     found = {}
     for arm, its in readings.items():
         own = tuple(one for one in rows.values() if one.point_a in (its.point or ()))
         found[arm] = its = replace(its, distances=own)
         if not own:
             continue
-        lines = {(one.point_a, one.point_b): line for line, one in rows.items()}
         for pair, text in wrong_distances(published_arm(profile, arm, its), its):
             problems.add(lines[pair], "distance_m", text)
-    lines = {(one.point_a, one.point_b): line for line, one in rows.items()}
     between = [
         one
         for one in rows.values()
@@ -109,6 +108,9 @@ def _checked_rows(table: CsvTable, problems: Problems, readings: Mapping[str, Re
             continue
         if a == b:
             problems.add(line, "point_b", f"'{short(b)}' is both points; a distance has two")
+        elif len(readings) > 2 and set(arms_of[a]).isdisjoint(arms_of[b]):
+            text = "points of different arms; with more than two arms, distances are within one arm"
+            problems.add(line, "point_b", f"'{a}' and '{b}' are {text}")
         elif (first := seen.setdefault(frozenset((a, b)), line)) != line:
             problems.add(line, "point_a", f"the distance is in line {first} already; give the mean of both")
         values = [

@@ -10,6 +10,11 @@ _STORED = "profile file"
 """Name of the stored result."""
 
 
+def rehearsals_path(profile: Path) -> Path:
+    """The file beside a profile that records its rehearsals."""
+    return profile.with_name(f"{profile.stem}.rehearsals.json")
+
+
 def note_profile(run: RunFile, path: Path) -> None:
     """Keep in a run where its profile's file is."""
     run.write_result(_STORED, str(path.resolve()))

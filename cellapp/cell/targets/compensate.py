@@ -204,7 +204,6 @@ def _of_arm(
         found.q,
         chosen.nominal[name][rows],
         conditions,
-        goal.rotation_M[rows],
         goal.nominal_rotation_M[rows],
         turn_tolerances,
         home,

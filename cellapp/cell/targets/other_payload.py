@@ -54,12 +54,20 @@ def open_compliance(arm: ArmModel, readings: Readings) -> Array | None:
 
 
 def payload_covariance(
-    arm: ArmModel, q: Array, conditions: MeasurementConditions, measured_kg: tuple[float, float], compliance: Array
+    arm: ArmModel,
+    q: Array,
+    conditions: MeasurementConditions,
+    measured_kg: tuple[float, float] | None,
+    compliance: Array | None,
 ) -> Array:
     """Covariance (n, 3, 3) [m^2] that payloads beyond the ``measured_kg`` ones add at ``q`` (n, N) [rad].
 
-    Where ``conditions`` have a measured orientation, that of the rotation [rad^2].
+    Where ``conditions`` have a measured orientation, that of the rotation [rad^2]. Readings without payloads had the
+    arm's usual one; without a ``compliance`` nothing is known to add.
     """
+    if compliance is None:
+        return np.zeros((len(q), 3, 3))
+    measured_kg = measured_kg or (arm.bodies.payload_mass, arm.bodies.payload_mass)
     asked = arm.context(q, conditions=conditions)
     near = replace(conditions, payload_kg=np.clip(asked.payload_kg, *measured_kg))
     torque = asked.torques - arm.context(q, conditions=near).torques

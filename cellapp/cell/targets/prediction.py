@@ -124,10 +124,7 @@ def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges
     inside = ranges.nearest_measured(q)
     parameters, effects, network = _of_model(arm, q, conditions)
     nothing = np.zeros_like(parameters)
-    loaded = nothing
-    if ranges.compliance is not None:
-        measured_kg = ranges.payload_kg or (arm.bodies.payload_mass, arm.bodies.payload_mass)
-        loaded = payload_covariance(arm, q, conditions, measured_kg, ranges.compliance)
+    loaded = payload_covariance(arm, q, conditions, ranges.payload_kg, ranges.compliance)
     beyond = np.flatnonzero(np.any(inside != q, axis=1))
     if not len(beyond):
         return Spread(parameters, effects, network, loaded, nothing)

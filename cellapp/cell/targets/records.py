@@ -291,43 +291,37 @@ def _no_better(subject: str, errors: ArmVerification) -> list[str]:
 
 
 def _out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
-    out = [one for one in measured if one.verdict == "out" or _beyond(one)]
-    named = [f"{one.name} ({one.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)" for one in out]
-    verdicts, of_out = ([one.verdict for one in some] for some in (measured, out))
-    return _named_out(f"{what} with a tolerance", named, verdicts, of_out)
+    out = [
+        (f"{one.name} ({one.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)", one.verdict)
+        for one in measured
+        if one.verdict == "out" or _beyond(one)
+    ]
+    return _named_out(f"{what} with a tolerance", out, [one.verdict for one in measured])
 
 
 def _turned_out_of_tolerance(measured: Sequence[MeasuredTarget]) -> list[str]:
     """The same of the flange's rotation."""
-    judged = [
-        (one.name, one.orientation, one.orientation.final_mrad, one.orientation_tolerance_mrad)
-        for one in measured
-        if one.orientation is not None
-    ]
+    turned = [(one, one.orientation) for one in measured if one.orientation is not None]
     out = [
-        (f"{name} ({angle:.3f} mrad, tolerance {limit:g} mrad)", turn.verdict)
-        for name, turn, angle, limit in judged
-        if angle is not None and limit is not None and (turn.verdict == "out" or angle > limit)
+        (f"{one.name} ({angle:.3f} mrad, tolerance {limit:g} mrad)", turn.verdict)
+        for one, turn in turned
+        if (angle := turn.final_mrad) is not None
+        and (limit := one.orientation_tolerance_mrad) is not None
+        and (turn.verdict == "out" or angle > limit)
     ]
-    return _named_out(
-        "targets with a tolerance of orientation",
-        [words for words, _ in out],
-        [turn.verdict for _, turn, _, _ in judged],
-        [verdict for _, verdict in out],
-    )
+    return _named_out("targets with a tolerance of orientation", out, [turn.verdict for _, turn in turned])
 
 
-def _named_out(
-    what: str, out: Sequence[str], judged: Sequence[ToleranceVerdict], verdicts: Sequence[ToleranceVerdict]
-) -> list[str]:
+def _named_out(what: str, out: Sequence[tuple[str, ToleranceVerdict]], judged: Sequence[ToleranceVerdict]) -> list[str]:
     """What is out of tolerance, each in words with its verdict, among all that was judged; empty if nothing is."""
     if not out:
         return []
+    named = [words for words, _ in out[:_MOST_NAMED]]
     more = [f"{len(out) - _MOST_NAMED} more"] if len(out) > _MOST_NAMED else []
-    undecided = sum(verdict != "out" for verdict in verdicts)
+    undecided = sum(verdict != "out" for _, verdict in out)
     proven = f" ({undecided} of these not proven with the uncertainty)" if undecided else ""
     total = sum(verdict != "" for verdict in judged)
-    return [f"{len(out)} of {total} {what} are out of it: {', '.join([*out[:_MOST_NAMED], *more])}{proven}"]
+    return [f"{len(out)} of {total} {what} are out of it: {', '.join([*named, *more])}{proven}"]
 
 
 def _beyond(one: MeasuredTarget | MeasuredPair) -> bool:

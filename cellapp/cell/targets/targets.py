@@ -32,10 +32,10 @@ from cellapp.ground.profile import CellPoint, Profile
 from drivers.quantities import Angle, ArmLength, Length, Mass, Temperature, Time, Turn
 from drivers.settings import Section
 
-_LOOSEST_RAD = 0.02
-"""The same of orientations: what is beyond was meant in mrad or degrees."""
 _LOOSEST_M = 0.01
 """Arms that are not calibrated do better: what is beyond was meant in millimetres, as 0.1 without a unit."""
+_LOOSEST_RAD = 0.02
+"""The same of orientations: what is beyond was meant in mrad or degrees."""
 _FARTHEST_M = 10.0
 """No arm reaches farther from a base: what is beyond was meant in millimetres."""
 _DIGEST = 16
@@ -45,22 +45,18 @@ _POINT: TypeAdapter[tuple[float, ...]] = TypeAdapter(CellPoint)
 _THREE = ("origin", "x", "xy")
 
 
-def _tolerance(value: float) -> float:
-    if not 0.0 < value <= _LOOSEST_M:
-        raise ValueError(
-            f"expected a tolerance above 0 and at most {_LOOSEST_M * 1e3:g} mm, got {value:g} m;"
-            f" a plain number is metres, write '{value:g} mm' for mm"
-        )
-    return value
+def _tolerance(loosest: float, unit: str, words: str) -> AfterValidator:
+    """The check of a tolerance in an SI unit of which people say thousandths; ``words`` are how the unit is called."""
 
+    def check(value: float) -> float:
+        if not 0.0 < value <= loosest:
+            raise ValueError(
+                f"expected a tolerance above 0 and at most {loosest * 1e3:g} m{unit}, got {value:g} {unit};"
+                f" a plain number is {words}, write '{value:g} m{unit}' for m{unit}"
+            )
+        return value
 
-def _turn_tolerance(value: float) -> float:
-    if not 0.0 < value <= _LOOSEST_RAD:
-        raise ValueError(
-            f"expected a tolerance above 0 and at most {_LOOSEST_RAD * 1e3:g} mrad, got {value:g} rad;"
-            f" a plain number is rad, write '{value:g} mrad' for mrad"
-        )
-    return value
+    return AfterValidator(check)
 
 
 class FramePoint(Section):
@@ -174,11 +170,11 @@ class Target(Section):
     rpy: tuple[Turn, Turn, Turn] | None = None
     frame: str = "base"
     work_frame: WorkFrame | None = None
-    tolerance: Annotated[Length, AfterValidator(_tolerance)] | None = None
+    tolerance: Annotated[Length, _tolerance(_LOOSEST_M, "m", "metres")] | None = None
     approach: tuple[Literal[-1, 0, 1], ...] | None = None
     conditions: WorkingConditions = WorkingConditions()
     partner: Partner | None = None
-    orientation_tolerance: Annotated[Angle, AfterValidator(_turn_tolerance)] | None = None
+    orientation_tolerance: Annotated[Angle, _tolerance(_LOOSEST_RAD, "rad", "rad")] | None = None
 
     _rotation = model_validator(mode="before")(with_rpy)
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.cell.targets.other_payload import payload_covariance
 from cellapp.cell.targets.prediction import AT_ONCE
@@ -25,7 +24,6 @@ def predicted_turns(
     q: Array,
     q_nominal: Array,
     conditions: MeasurementConditions,
-    wanted_M: Array,
     nominal_M: Array,
     tolerances_mrad: Sequence[float | None],
     home: Array,
@@ -33,69 +31,59 @@ def predicted_turns(
 ) -> list[PredictedTurn | None]:
     """Predictions for n commands ``q`` (n, N) [rad]; None for all where the model knows nothing of orientations.
 
-    ``q_nominal`` (n, N) are the commands of the published geometry, ``wanted_M`` (n, 3, 3) the flange rotations of the
-    targets in the tracker frame by the calibrated base and ``nominal_M`` by the nominal one, NaN where any will do. The
-    other arguments are as in ``prediction.predictions``.
+    ``q_nominal`` (n, N) are the commands of the published geometry, ``nominal_M`` (n, 3, 3) the flange rotations of the
+    targets in the tracker frame by the nominal base, NaN where any will do. The other arguments are as in
+    ``prediction.predictions``.
     """
-    if not len(q) or arm.posterior is None or arm.posterior.noise_rad is None:
+    if arm.posterior is None or arm.posterior.noise_rad is None:
         return [None] * len(q)
-    if len(q) > AT_ONCE:
-        parts = [slice(begin, begin + AT_ONCE) for begin in range(0, len(q), AT_ONCE)]
-        return [
-            one
-            for part in parts
-            for one in predicted_turns(
-                arm,
-                q[part],
-                q_nominal[part],
-                conditions.take(np.arange(len(q))[part]),
-                wanted_M[part],
-                nominal_M[part],
-                tolerances_mrad[part],
-                home,
-                ranges,
-            )
-        ]
-    came = from_home(conditions, q, home)
-    here = replace(came, R_M_S=arm.orientation(q, came))
-    model = _covariance(arm, q, here)
-    if ranges.compliance is not None:
-        measured_kg = ranges.payload_kg or (arm.bodies.payload_mass, arm.bodies.payload_mass)
-        model = model + payload_covariance(arm, q, here, measured_kg, ranges.compliance)
-    unknown = unknown_conditions(arm, q, replace(conditions, R_M_S=here.R_M_S), ranges)
-    true = model + sum((one.covariance for one in unknown), np.zeros_like(model))
-    measured = true + arm.posterior.noise_rad**2 * np.eye(3)
-    low, high = length_bounds(true)[0] * 1e3, length_bounds(measured)[1] * 1e3
-    free: NDArray[np.bool_] = np.isnan(wanted_M[:, 0, 0])
-    return [
-        PredictedTurn(
-            nominal_mrad=None if free[k] else float(angle),
-            uncertainty_mrad=_component_mrad(measured[k]),
-            model_mrad=_component_mrad(model[k]),
-            noise_mrad=arm.posterior.noise_rad * 1e3,
-            within_mrad=float(high[k]),
-            verdict=predicted_verdict(float(low[k]), float(high[k]), None if free[k] else tolerance),
-        )
-        for k, (angle, tolerance) in enumerate(
-            zip(_off_mrad(arm, q_nominal, conditions, nominal_M, free), tolerances_mrad, strict=True)
-        )
-    ]
+    found: list[PredictedTurn | None] = []
+    for begin in range(0, len(q), AT_ONCE):
+        rows = np.arange(begin, min(begin + AT_ONCE, len(q)))
+        here, stated = q[rows], conditions.take(rows)
+        came = from_home(stated, here, home)
+        turned = arm.orientation(here, came)
+        model = _covariance(arm, here, replace(came, R_M_S=turned), ranges)
+        unknown = unknown_conditions(arm, here, replace(stated, R_M_S=turned), ranges)
+        true = model + sum((one.covariance for one in unknown), np.zeros_like(model))
+        off = _off_mrad(arm, q_nominal[rows], stated, nominal_M[rows])
+        found += _judged(model, true, arm.posterior.noise_rad, off, tolerances_mrad[begin : begin + AT_ONCE])
+    return found
 
 
-def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
+def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
     """Covariances (n, 3, 3) [rad^2] of the orientations that a model with draws predicts at ``q`` (n, N) [rad]."""
     assert arm.posterior is not None
     moved = arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=conditions))
-    return np.asarray(np.einsum("sna,snb->nab", moved, moved, optimize=True) / len(moved))
+    covariance = np.einsum("sna,snb->nab", moved, moved, optimize=True) / len(moved)
+    return np.asarray(covariance + payload_covariance(arm, q, conditions, ranges.payload_kg, ranges.compliance))
 
 
-def _off_mrad(
-    arm: ArmModel, q: Array, conditions: MeasurementConditions, wanted_M: Array, free: NDArray[np.bool_]
-) -> Array:
-    """Angles (n,) [mrad] by which the model has the flange off the wanted rotation; zero where any is wanted."""
+def _off_mrad(arm: ArmModel, q: Array, conditions: MeasurementConditions, wanted_M: Array) -> list[float | None]:
+    """Angles [mrad] by which the model has the flange off the n wanted rotations; None where any is wanted."""
+    free = np.isnan(wanted_M[:, 0, 0])
     wanted = np.where(free[:, None, None], np.eye(3), wanted_M)
-    off = rotation_vectors(arm.flange(q, conditions)[0] @ wanted.swapaxes(1, 2))
-    return np.where(free, 0.0, np.linalg.norm(off, axis=1) * 1e3)
+    off = np.linalg.norm(rotation_vectors(arm.flange(q, conditions)[0] @ wanted.swapaxes(1, 2)), axis=1) * 1e3
+    return [None if any_will_do else angle for any_will_do, angle in zip(free.tolist(), off.tolist(), strict=True)]
+
+
+def _judged(
+    model: Array, true: Array, noise_rad: float, off_mrad: Sequence[float | None], tolerances: Sequence[float | None]
+) -> list[PredictedTurn | None]:
+    """Predictions from covariances (n, 3, 3) [rad^2] by the model alone and under any plausible conditions."""
+    measured = true + noise_rad**2 * np.eye(3)
+    low, high = length_bounds(true)[0] * 1e3, length_bounds(measured)[1] * 1e3
+    return [
+        PredictedTurn(
+            nominal_mrad=off,
+            uncertainty_mrad=_component_mrad(measured[k]),
+            model_mrad=_component_mrad(model[k]),
+            noise_mrad=noise_rad * 1e3,
+            within_mrad=float(high[k]),
+            verdict=predicted_verdict(float(low[k]), float(high[k]), None if off is None else tolerance),
+        )
+        for k, (off, tolerance) in enumerate(zip(off_mrad, tolerances, strict=True))
+    ]
 
 
 def _component_mrad(covariance: Array) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.result import (
@@ -51,7 +52,6 @@ _UNCERTAINTY = (
     " of both arms. A contribution that is not given leaves the uncertainty unknown."
 )
 _STAGE_WORDS: Mapping[StageName, str] = {"verify": "verification", "iso9283": "test by ISO 9283"}
-_VERIFIED, _HELD_OUT = "verified targets", "predicted, held out"
 _ERROR_COLUMNS = (
     Column("error"),
     Column("from"),
@@ -194,12 +194,7 @@ def turn_tables(result: CertificateResult) -> list[Table]:
     """The same of the flange's rotation [mrad], where a probe measured it."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in result.arms.items():
-        errors = arm.errors
-        for row in (
-            _error_row(f"Arm {name}, orientation", _VERIFIED, errors.found_mrad, errors.left_mrad),
-            _error_row(f"Arm {name}, orientation", _HELD_OUT, errors.predicted_found_mrad, errors.predicted_left_mrad),
-        ):
-            rows += [] if row is None else [row]
+        rows += _error_rows(f"Arm {name}, orientation", arm.errors, "_mrad")
     return [Table("Errors of orientation as found and as left [mrad]", _ERROR_COLUMNS, tuple(rows))] if rows else []
 
 
@@ -282,10 +277,13 @@ def instruments_table(result: CertificateResult) -> Table:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _error_rows(what: str, errors: CertifiedErrors) -> list[tuple[Cell, ...]]:
-    measured = _error_row(what, _VERIFIED, errors.found, errors.left)
-    predicted = _error_row(what, _HELD_OUT, errors.predicted_found, errors.predicted_left)
-    return [row for row in (measured, predicted) if row is not None]
+def _error_rows(what: str, errors: CertifiedErrors, unit: Literal["", "_mrad"] = "") -> list[tuple[Cell, ...]]:
+    """What was measured and what is predicted: of positions, or of the flange's rotation."""
+    rows = (
+        _error_row(what, source, getattr(errors, f"{kind}found{unit}"), getattr(errors, f"{kind}left{unit}"))
+        for source, kind in (("verified targets", ""), ("predicted, held out", "predicted_"))
+    )
+    return [row for row in rows if row is not None]
 
 
 def _error_row(

@@ -39,6 +39,7 @@ _YES_NO = {True: "yes", False: "no", None: ""}
 _TARGET: tuple[Field, ...] = (("target", "name"), ("arm", "arm"))
 _BOUND: Field = ("95 % bound", "within_mm", MM)
 _TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.tolerance_mm), "g")
+_TURN_TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.orientation_tolerance_mrad), "g")
 _NUMBERED: tuple[Field, ...] = (("number", lambda row: str(row[0])), ("target", lambda row: row[1].name))
 """Of rows of a number and what was measured, as the next ones."""
 _ERRORS: tuple[Field, ...] = (
@@ -96,17 +97,16 @@ def turn_tables(result: CompensateResult) -> list[Table]:
 
     Empty where no orientation was measured.
     """
-    known = [(target, target.orientation) for target in result.targets if target.orientation is not None]
+    known = [target for target in result.targets if target.orientation is not None]
     table = table_of(
         "Predicted: rotation of the flange [mrad]",
-        most_urgent(known, lambda row: row[1].within_mrad / (row[0].orientation_tolerance_mrad or math.inf)),
-        ("target", lambda row: row[0].name),
-        ("arm", lambda row: row[0].arm),
-        ("before", lambda row: row[1].nominal_mrad, MM),
-        ("standard uncertainty", lambda row: row[1].uncertainty_mrad, MM),
-        ("95 % bound", lambda row: row[1].within_mrad, MM),
-        ("tolerance", lambda row: shown_tolerance(row[0].orientation_tolerance_mrad), "g"),
-        ("tolerance met", lambda row: row[1].verdict),
+        most_urgent(known, _turn_urgency),
+        *_TARGET,
+        ("before", "orientation.nominal_mrad", MM),
+        ("standard uncertainty", "orientation.uncertainty_mrad", MM),
+        ("95 % bound", "orientation.within_mrad", MM),
+        _TURN_TOLERANCE,
+        ("tolerance met", "orientation.verdict"),
         count=len(known),
     )
     return [without_empty(table)] if known else []
@@ -175,18 +175,17 @@ def measured_tables(verify: VerifyResult) -> list[Table]:
 
 def measured_turn_tables(verify: VerifyResult) -> list[Table]:
     """Targets at which a probe measured the rotation of the flange; empty without any."""
-    measured = [(target, target.orientation) for target in verify.targets if target.orientation is not None]
+    measured = [target for target in verify.targets if target.orientation is not None]
     table = table_of(
         "Measured: rotation of the flange, angle from the target [mrad]",
-        most_urgent(measured, lambda row: row[1].final_mrad or 0.0),
-        ("target", lambda row: row[0].name),
-        ("arm", lambda row: row[0].arm),
-        ("before", lambda row: row[1].nominal_mrad, MM),
-        ("after", lambda row: row[1].final_mrad, MM),
-        ("95 % bound", lambda row: row[1].within_mrad, MM),
-        ("tolerance", lambda row: shown_tolerance(row[0].orientation_tolerance_mrad), "g"),
-        ("U", lambda row: row[1].expanded_mrad if row[1].verdict else None, MM),
-        ("met", lambda row: row[1].verdict),
+        most_urgent(measured, lambda target: (target.orientation and target.orientation.final_mrad) or 0.0),
+        *_TARGET,
+        ("before", "orientation.nominal_mrad", MM),
+        ("after", "orientation.final_mrad", MM),
+        ("95 % bound", "orientation.within_mrad", MM),
+        _TURN_TOLERANCE,
+        ("U", lambda target: target.orientation.expanded_mrad if target.orientation.verdict else None, MM),
+        ("met", "orientation.verdict"),
         count=len(measured),
     )
     return [without_empty(table)] if measured else []
@@ -247,6 +246,12 @@ def _prediction_urgency(target: TargetCommand) -> float:
     if target.refusal:
         return math.inf
     return (target.within_mm or target.uncertainty_mm or 0.0) / (target.tolerance_mm or math.inf)
+
+
+def _turn_urgency(target: TargetCommand) -> float:
+    """The bound of the flange's rotation as a share of its tolerance."""
+    within = 0.0 if target.orientation is None else target.orientation.within_mrad
+    return within / (target.orientation_tolerance_mrad or math.inf)
 
 
 def verification_tables(result: VerifyResult) -> list[Table]:

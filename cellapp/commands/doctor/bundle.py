@@ -16,9 +16,9 @@ from pathlib import Path
 from cellapp.cell.driving.examination import LONGEST_PROBE_S
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.profile_file import rehearsals_path
 from cellapp.commands.doctor.redaction import REDACTED, redacted
 from cellapp.commands.doctor.result import DoctorResult
-from cellapp.commands.rehearse.record_file import record_path
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.version import __version__
@@ -67,10 +67,7 @@ def bundle(path: Path, profile: Profile, result: DoctorResult, run: Path | None,
         timings[f"excerpt {name}_s"] = time.monotonic() - began_s
         if states:
             parts[f"rtde-{name}.jsonl"] = "\n".join(json.dumps(state) for state in states) + "\n"
-    if record_path(path).is_file():
-        parts[record_path(path).name] = _end_of(record_path(path))
-    if _ERROR_LOG.is_file():
-        parts[_ERROR_LOG.name] = _end_of(_ERROR_LOG)
+    parts |= {file.name: _end_of(file) for file in (rehearsals_path(path), _ERROR_LOG) if file.is_file()}
     if run is not None:
         parts |= _of_run(run)
     parts["timings.json"] = json.dumps(timings, indent=1)

@@ -31,6 +31,8 @@ from drivers.trackers.settings import TrackerSettings
 
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
     """Check all that the profile names, and write what the controllers report of themselves where that is asked for."""
+    if request.run_folder is not None and request.bundle is None:
+        raise InputError("--run: only with --bundle")
     profile = load_profile(request.profile)
     began_s = time.monotonic()
     result = examine_run(profile, request.reference_nests)
@@ -39,8 +41,6 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
         folder = request.run_folder or newest_run(profile)
         work.outputs.write(request.bundle, bundle(request.profile, profile, result, folder, seconds))
         result = result.model_copy(update={"written": (request.bundle,)})
-    elif request.run_folder is not None:
-        raise InputError("--run: only with --bundle")
     if request.controllers is None:
         return result
     if not result.controllers:

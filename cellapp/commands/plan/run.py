@@ -191,7 +191,8 @@ def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
 
 def planned_stops(run: RunFile) -> StopsResult:
     """Every planned stop, whether it was measured, and the sweeps about them."""
-    plan, done = run.read_plan(), run.stops_done()
+    stops, done = read_planned_stops(run), run.stops_done()
+    plan = stops.q
     count = max((len(q) for q in plan.values()), default=0)
     return StopsResult(
         run=str(run.folder),
@@ -204,7 +205,7 @@ def planned_stops(run: RunFile) -> StopsResult:
             for stop in range(count)
         ),
         sweeps=planned_sweeps(run),
-        loads=planned_loads(run.profile, read_planned_stops(run)),
+        loads=planned_loads(run.profile, stops),
     )
 
 

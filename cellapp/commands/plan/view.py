@@ -45,8 +45,7 @@ def view(
     design = result.design
     told: tuple[Table | str, ...] = () if design is None else (*design_tables(design), *design_sentences(design))
     swept: tuple[Table | str, ...] = (*sweep_tables(result.sweeps), *sweep_sentences(result.sweeps))
-    swept = (*load_sentences(result.loads), *swept)
-    return View((*plan_tables(result), *planned, *told, *swept))
+    return View((*plan_tables(result), *planned, *told, *load_sentences(result.loads), *swept))
 
 
 def plan_tables(stops: StopsResult) -> list[Table]:

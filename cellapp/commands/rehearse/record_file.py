@@ -7,16 +7,11 @@ from pathlib import Path
 
 from cellapp.cell.driving.rehearsal import RUNGS, RungName
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.profile_file import noted_profile
+from cellapp.cell.run.profile_file import noted_profile, rehearsals_path
 from cellapp.commands.rehearse.result import RehearsalLog
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile import Profile
-
-
-def record_path(profile: Path) -> Path:
-    """The file beside a profile."""
-    return profile.with_name(f"{profile.stem}.rehearsals.json")
 
 
 def arms_hash(profile: Profile) -> str:
@@ -28,7 +23,7 @@ def arms_hash(profile: Profile) -> str:
 def read_log(path: Path, profile: Profile) -> RehearsalLog:
     """The rungs on record for these arms; none without a file, or of other arms. Raises ``InputError``."""
     new = RehearsalLog(arms=arms_hash(profile), rungs={})
-    file = record_path(path)
+    file = rehearsals_path(path)
     if not file.is_file():
         return new
     try:
@@ -40,7 +35,7 @@ def read_log(path: Path, profile: Profile) -> RehearsalLog:
 
 def write_log(path: Path, log: RehearsalLog) -> None:
     """Write the file beside the profile."""
-    RENEWED.write_text(record_path(path), log.to_json(indent=1) + "\n")
+    RENEWED.write_text(rehearsals_path(path), log.to_json(indent=1) + "\n")
 
 
 def missing_rungs(log: RehearsalLog) -> tuple[RungName, ...]:
@@ -50,9 +45,9 @@ def missing_rungs(log: RehearsalLog) -> tuple[RungName, ...]:
 
 def missing_sentence(run: RunFile) -> str:
     """Which rungs a run of real arms has not behind it, as a sentence; empty where none is missing or arms are none."""
-    path = noted_profile(run)
     if not run.profile.moves_hardware:
         return ""
+    path = noted_profile(run)
     try:
         missing = tuple(RUNGS) if path is None else missing_rungs(read_log(path, run.profile))
     except InputError as error:

@@ -31,7 +31,8 @@ def run(request: RehearseRequest, work: Work) -> RehearseResult:
     missing = missing_rungs(log)
     name = request.rung or (missing[0] if missing else "both-arms")
     arms = _arms(profile, name, request.arm)
-    if missing and (before := [one for one in missing if list(RUNGS).index(one) < list(RUNGS).index(name)]):
+    rungs = list(RUNGS)
+    if before := [one for one in missing if rungs.index(one) < rungs.index(name)]:
         work.say(f"rehearse: not passed yet before '{name}': {', '.join(before)}")
     folder = request.run_folder or path.with_name(f"{path.stem}-rehearsal")
     with _planned(folder, profile, work) as opened:

@@ -165,3 +165,17 @@ def test_a_distance_between_two_arms_that_is_ten_times_too_long_is_named_by_row(
     wrong = written(tmp_path / "wrong.csv", [known | {"distance_m": "0.5"}])
     with pytest.raises(InputError, match=r"wrong\.csv:2: distance_m: 0\.5 m from 'of left' to 'of right', but the pub"):
         import_csv(both, path, tmp_path / "again", distances=wrong)
+
+
+def test_a_distance_between_arms_of_a_cell_of_three_is_refused(profile: Profile, tmp_path: Path) -> None:
+    both, rows = of_both_arms(profile, {"left": {"front_0": "of left"}, "right": {"front_1": "of right"}})
+    three = both.model_copy(update={"arms": {**both.arms, "third": both.arms["left"]}})
+    rows += [
+        row | {"arm": "third", "configuration": str(2000 + k)} for k, row in enumerate(rows) if row["arm"] == "left"
+    ]
+    known = {"point_a": "of left", "point_b": "of right", "distance_m": "0.05", "sigma_m": "0.00005"}
+    between = known | {"point_a": "back-high_0"}
+    path, distances = written(tmp_path / "readings.csv", rows), written(tmp_path / "known.csv", [known, between])
+    with pytest.raises(InputError, match=r"known\.csv:2: point_b: .*different arms; with more than two") as caught:
+        import_csv(three, path, tmp_path / "run", distances=distances)
+    assert len(str(caught.value).splitlines()) == 1
