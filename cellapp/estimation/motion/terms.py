@@ -118,8 +118,13 @@ class JointTerm:
 
     @property
     def start(self) -> float:
-        """Value at which a fit begins; about it lies the prior of a frequency or a damping."""
+        """Value at which a fit begins."""
         return self.shape[self.part] if self.shape else 0.0
+
+    @property
+    def prior_mean(self) -> float:
+        """Centre of its prior: the shape of a frequency or a damping, no effect of all others."""
+        return self.start if self.part else 0.0
 
     @property
     def prior_sd(self) -> float:
