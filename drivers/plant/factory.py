@@ -59,20 +59,14 @@ def rows_of_axes(mechanism: Mechanism, nominal: Array) -> Array:
     origin = origin + z * (z @ (mechanism.frames[0][:3, 3] - origin))
     rows = np.zeros((len(directions), 4))
     for i, row in enumerate(nominal):
-        last = i + 1 == len(directions)
-        z_next = z if last else directions[i + 1]
-        point = flange[:3, 3] if last else mechanism.points[i + 1]
-        normal, foot, foot_next = _common_normal(z, origin, z_next, point, row, x)
+        if i + 1 < len(directions):
+            z_next = directions[i + 1]
+            normal, foot, foot_next = _common_normal(z, origin, z_next, mechanism.points[i + 1], row, x)
+        else:  # no axis follows: the flange's x decides, as it is published
+            z_next, normal = z, _square(flange[:3, 0], z)
+            foot = foot_next = origin + z * (z @ (flange[:3, 3] - origin))
         theta = np.arctan2(z @ np.cross(x, normal), x @ normal)
         alpha = np.arctan2(normal @ np.cross(z, z_next), z @ z_next)
-        if last:  # no axis follows: the flange's x decides, as it is published
-            towards = _square(flange[:3, 0], z)
-            theta, alpha, foot = (
-                np.arctan2(z @ np.cross(x, towards), x @ towards),
-                0.0,
-                origin + z * (z @ (point - origin)),
-            )
-            normal, foot_next = towards, foot
         rows[i] = theta, z @ (foot - origin), normal @ (foot_next - foot), alpha
         x, z, origin = normal, z_next, foot_next
     rows[:, 0] += mechanism.zeros

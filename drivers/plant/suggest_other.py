@@ -290,7 +290,7 @@ def suggest_other_law(
 ) -> dict[str, Any]:
     """Draw parameters of one effect of ``REALISTIC`` by a law of another shape; as ``suggest`` in all else.
 
-    Of those outside the catalogue some have one: a field in space of short length.
+    Outside the catalogue there is a field in space of short length; couplings and crosstalk are those of ``suggest``.
 
     Raises ``ValueError`` for a slug that has no such law or a duration that is not positive.
     """

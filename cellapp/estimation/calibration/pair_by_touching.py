@@ -21,7 +21,15 @@ from cellapp.estimation.calibration.inter_base_transform import PairIdentificati
 from cellapp.estimation.readings import Distance, Readings
 from cellapp.estimation.sockets.contacts import Contacts
 from cellapp.robot.kinematics.chain import JointAngles, jacobian
-from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, transform, zyx_angles
+from cellapp.robot.kinematics.transforms import (
+    Array,
+    apply,
+    register,
+    rotation_from_vector,
+    transform,
+    twist_columns,
+    zyx_angles,
+)
 from cellapp.robot.model import ArmModel
 
 _MOST_STEPS = 50
@@ -178,9 +186,6 @@ class _Problem:
         rotated = p_L @ R.T
         off = p_R - rotated - T[:3, 3]
         length = np.maximum(np.linalg.norm(off, axis=1), 1e-12)
-        turned = np.zeros((len(p_L), 3, 6))
-        turned[:, range(3), range(3)] = 1.0
-        turned[:, :, 3:] = -_cross_matrices(rotated)
         along = off[n:] / length[n:, None]
         select = np.zeros((3 * n + m, 3 * (n + m)))
         select[: 3 * n, : 3 * n] = np.eye(3 * n)
@@ -188,7 +193,7 @@ class _Problem:
             select[3 * n + k, 3 * (n + k) : 3 * (n + k) + 3] = along[k]
         known = np.array([one.distance_m for one in self.crossing])
         r = np.concatenate([off[:n].ravel(), length[n:] - known])
-        A = select @ turned.reshape(-1, 6)
+        A = select @ twist_columns(rotated).reshape(-1, 6)
         block = np.kron(np.eye(n + m), R)
         of_ends = _taken(self.right.covariance, rows_R) + block @ _taken(self.left.covariance, rows_L) @ block.T
         S = select @ of_ends @ select.T
@@ -213,10 +218,3 @@ def _taken(covariance: Array, rows: Sequence[int]) -> Array:
     """Covariance of some of the points."""
     places = (3 * np.asarray(rows)[:, None] + np.arange(3)).ravel()
     return np.asarray(covariance[np.ix_(places, places)])
-
-
-def _cross_matrices(vectors: Array) -> Array:
-    """Matrices (n, 3, 3) with ``matrix @ x = vector x x``."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

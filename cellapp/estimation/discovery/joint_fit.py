@@ -306,7 +306,7 @@ def mean_variance(sigma: Array) -> float:
 
 def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
     """Fit terms with weights of their own; effects are evaluated at the geometry that this finds, or very near it."""
-    here, near = _reweighted(data, terms)
+    here, near = reweighted(data, terms)
     fit = fit_terms(here, terms, near)
     if sum(fit.identification.steps) <= _SAME_COLUMNS:
         return here.beginning_at(fit.model), fit
@@ -314,17 +314,12 @@ def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
     return here, fit_terms(here, terms, fit.identification)
 
 
-def reweighted(data: ArmData, terms: ModelTerms) -> ArmData:
+def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identification | None]:
     """Return the data with weights that include the scatter of a model with ``terms`` beyond the stated uncertainty.
 
     The estimate begins from the weights of the data. Where no uncertainty is stated, all of the scatter is estimated.
-    With smooth terms the scatter is the one that maximised their evidence.
+    With smooth terms the scatter is the one that maximised their evidence. Also the last fit that this took, if any.
     """
-    return _reweighted(data, terms)[0]
-
-
-def _reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identification | None]:
-    """``reweighted``, and the last fit that it made."""
     smooth, found = smoothness_of(terms), None
     if smooth is not None:
         return replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter)), None

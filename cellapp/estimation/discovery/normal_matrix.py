@@ -2,8 +2,8 @@
 
     (X^T X + P) b = X^T y
 
-X are whitened columns, P prior precisions. All of discovery that weighs columns by their Gram matrix does it here: fits
-to all readings, the evidence of free functions, and the folds of the cross-validation.
+X are whitened columns, P prior precisions. Fits to all readings, the evidence of free functions and the folds of the
+cross-validation take them from here.
 """
 
 from __future__ import annotations

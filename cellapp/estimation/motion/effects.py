@@ -141,15 +141,15 @@ class _Search:
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
         freed = final.solution if late else allow_for_missing(final.problem, final.solution)
         fit = motion_fit(final.problem, freed)
-        entered = [effect_of(final, law, steps) for law in dict.fromkeys(step.law for step in steps)]
-        effects = tuple(one for one in entered if one.joints)  # beside all others a law may show at no joint
-        laws_at_rest = [law for law in dict.fromkeys(step.law for step in steps) if law in AT_REST]
-        at_rest = [term for law in laws_at_rest for term in shown(final, law, steps)]
+        entered = list(dict.fromkeys(step.law for step in steps))
+        named = [effect_of(final, law, steps) for law in entered]
+        effects = tuple(one for one in named if one.joints)  # beside all others a law may show at no joint
+        at_rest = [term for law in entered if law in AT_REST for term in shown(final, law, steps)]
         places = [*range(final.problem.layout.geometric), *places_of(final, at_rest)]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
         lost = {joint for one in effects if one.slug in (Law.PLAY.value, Law.WINDUP.value) for joint in one.joints}
         drawn = loops(final.problem, final.solution, sorted(lost))
-        moving = [law for law in dict.fromkeys(step.law for step in steps) if law not in AT_REST]
+        moving = [law for law in entered if law not in AT_REST]
         aside = tuple(pair for law in moving for pair in with_values(final, shown(final, law, steps)))
         return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, drawn, aside)
 
@@ -216,9 +216,12 @@ class _Search:
     def _vibration(self, state: State, steps: list[Step]) -> tuple[State, Step] | None:
         """The vibration of a joint that is least likely to be chance."""
         taken = {term.joint for term in terms_of(Law.VIBRATION, steps)}
+        joints = state.problem.layout.parameters.joints
+        if len(taken) == joints:
+            return None
         power, terms = strongest_vibration(state.problem, state.solution, sorted(taken))
-        tried = len(FREQUENCIES) * state.problem.layout.parameters.joints
-        if len(taken) == state.problem.layout.parameters.joints or power < math.log(tried / _CHANCE):
+        tried = len(FREQUENCIES) * joints
+        if power < math.log(tried / _CHANCE):
             return None
         self.told(f"vibration of joint {terms[0].joint + 1}")
         step = Step(Law.VIBRATION, terms, 0.0, 1.0, state.heldout_mm, math.nan)

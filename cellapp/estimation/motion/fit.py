@@ -97,7 +97,7 @@ class Problem:
         return replace(
             self,
             layout=layout,
-            mean=np.insert(self.mean, at, [term.start * bool(term.part) for term in added]),
+            mean=np.insert(self.mean, at, [term.prior_mean for term in added]),
             precision=np.insert(self.precision, at, precisions),
         )
 
@@ -106,7 +106,7 @@ class Problem:
         mean, precision = self.mean.copy(), self.precision.copy()
         for place, term in enumerate(terms, start=self.layout.geometric):
             if term.shape:
-                mean[place], precision[place] = term.start * bool(term.part), 1.0 / term.prior_sd**2
+                mean[place], precision[place] = term.prior_mean, 1.0 / term.prior_sd**2
         return replace(self, layout=replace(self.layout, terms=terms), mean=mean, precision=precision)
 
     def without_terms(self) -> Problem:

@@ -28,6 +28,8 @@ _STEP_S = 2e-3
 """Step of the grid: a hundredth of the period of 5 Hz, 12 steps of 40 Hz."""
 _SHARE = 0.05
 """Steps of frequency and damping for derivatives: shares of the width of a resonance, and of the damping."""
+_MOST_KEPT = 60
+"""Answers that are kept of one path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +130,6 @@ def _filtered(
     t = _STEP_S * np.arange(len(q))
     speed = (q[1] - q[0]) / _STEP_S - 0.5 * bend * _STEP_S if len(q) > 1 else 0.0
     return np.asarray(lfilter(b, a, q - q[0] - t * (speed + 0.5 * bend * t)) + ramp * speed - bend)
-
-
-_MOST_KEPT = 60
-"""Answers that are kept of one path."""
 
 
 def even_grid(runs: list[tuple[float, float]], margin_s: float) -> tuple[Array, Array, NDArray[np.intp]]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
@@ -118,8 +119,13 @@ class JointTerm:
 
     @property
     def start(self) -> float:
-        """Value at which a fit begins; about it lies the prior of a frequency or a damping."""
+        """Value at which a fit begins."""
         return self.shape[self.part] if self.shape else 0.0
+
+    @property
+    def prior_mean(self) -> float:
+        """Centre of its prior: the shape of a frequency or a damping, no effect of all others."""
+        return self.start if self.part else 0.0
 
     @property
     def prior_sd(self) -> float:
@@ -144,8 +150,10 @@ class JointTerm:
             return np.asarray(-state.direction[:, j])
         if self.law is Law.LAG:
             return np.asarray(-state.qd[:, j])
-        if self.law in (Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION):
-            return self._in_motion(state)
+        if self.law is Law.INERTIA:
+            return np.asarray(-state.qdd[:, j])
+        if self.law in (Law.TIME_CONSTANT, Law.VIBRATION):
+            return self._of_course(state)
         if self.law is Law.LINE:
             return np.asarray((np.sin if self.sine else np.cos)(self.cycles * state.q[:, j]))
         if self.law is Law.WINDUP:
@@ -162,12 +170,11 @@ class JointTerm:
             value -= self.shape[self.part]
         return np.asarray(value * self.offset(state))
 
-    def _in_motion(self, state: JointState) -> Array:
+    def _of_course(self, state: JointState) -> Array:
+        """The same of laws that depend on the whole course of a motion."""
         if state.course is None:
             return np.zeros(len(state.q))
         (path, time_s), j = state.course, self.joint
-        if self.law is Law.INERTIA:
-            return -path.even.at(path.even.qdd[:, j], time_s)
         if self.law is Law.TIME_CONSTANT:
             return path.even.at(path.even.lagging(j, self.shape[0])[1], time_s)
         gain, frequency, damping = self.shape
@@ -186,13 +193,18 @@ class JointState:
     torque: Array
     course: tuple[JointPath, Array] | None = None
 
+    @cached_property
+    def qdd(self) -> Array:
+        """Accelerations (n, N) [rad/s^2]; zero at rest."""
+        if self.course is None:
+            return np.zeros_like(self.q)
+        path, time_s = self.course
+        return np.stack([path.even.at(row, time_s) for row in path.even.qdd.T], axis=1)
+
     def quantity(self, name: str) -> Array:
         """What laws of plug-ins take, (n, N), by their name for it."""
         if name == "qdd":
-            if self.course is None:
-                return np.zeros_like(self.q)
-            path, time_s = self.course
-            return np.stack([path.even.at(row, time_s) for row in path.even.qdd.T], axis=1)
+            return self.qdd
         return {"q": self.q, "qd": self.qd, "tau": self.torque, "approach": self.direction}[name]
 
     def offsets(self, terms: tuple[JointTerm, ...], values: Array) -> Array:

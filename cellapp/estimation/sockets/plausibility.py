@@ -16,7 +16,7 @@ import numpy as np
 from cellapp.estimation.readings import Distance, Readings
 from cellapp.estimation.sockets.contacts import Contacts, gauge_errors
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
-from cellapp.robot.kinematics.transforms import Array, register
+from cellapp.robot.kinematics.transforms import Array, apply, register
 
 _ROUNDS = 25
 """Rounds of the robust fit of the ball; its weights settle to a few per cent."""
@@ -100,7 +100,7 @@ def wrong_between_arms(
         return
     T = np.asarray(register(first, second))
     places = [_centres(one, its) for one, its in zip(geometries, readings, strict=True)]
-    places[1] = {name: T[:3, :3] @ at + T[:3, 3] for name, at in places[1].items()}
+    places[1] = {name: apply(T, at) for name, at in places[1].items()}
     for one in known:
         ends = [next(place[point] for place in places if point in place) for point in (one.point_a, one.point_b)]
         computed = float(np.linalg.norm(ends[0] - ends[1]))
@@ -128,8 +128,7 @@ def _common_centres(geometries: Sequence[Geometry], readings: Sequence[Readings]
 
 def _misfit_m(first: Array, second: Array) -> float:
     """Rms distance of points (C, 3) [m] after the second ones are laid onto the first."""
-    T = np.asarray(register(first, second))
-    return float(np.sqrt(np.mean(np.sum((second @ T[:3, :3].T + T[:3, 3] - first) ** 2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum((apply(register(first, second), second) - first) ** 2, axis=1))))
 
 
 def wrong_distances(geometry: Geometry, readings: Readings) -> Iterator[tuple[tuple[str, str], str]]:

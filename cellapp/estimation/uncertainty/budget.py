@@ -102,17 +102,22 @@ def distance_budget(position: Sequence[UncertaintyContribution]) -> tuple[Uncert
     )
 
 
-def combined_mm(contributions: Iterable[UncertaintyContribution]) -> float | None:
-    """Combined standard uncertainty [mm]; None where a contribution was not given, as the sum would be too small."""
-    values = [one.standard_mm for one in contributions]
+def combined(standard: Iterable[float | None]) -> float | None:
+    """Combined standard uncertainty, in any unit; None where a contribution was not given: it would be too small."""
+    values = list(standard)
     known = [value for value in values if value is not None]
     return math.hypot(*known) if known and len(known) == len(values) else None
 
 
+def combined_mm(contributions: Iterable[UncertaintyContribution]) -> float | None:
+    """Combined standard uncertainty [mm]; None as in ``combined``."""
+    return combined(one.standard_mm for one in contributions)
+
+
 def expanded_mm(contributions: Iterable[UncertaintyContribution]) -> float | None:
-    """Expanded uncertainty [mm], k = 2; None as in ``combined_mm``."""
-    combined = combined_mm(contributions)
-    return None if combined is None else COVERAGE * combined
+    """Expanded uncertainty [mm], k = 2; None as in ``combined``."""
+    standard_mm = combined_mm(contributions)
+    return None if standard_mm is None else COVERAGE * standard_mm
 
 
 def not_given(contributions: Iterable[UncertaintyContribution]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from cellapp.estimation.uncertainty.budget import COVERAGE
+from cellapp.estimation.uncertainty.budget import COVERAGE, combined
 from cellapp.estimation.uncertainty.records import TurnContribution
 from cellapp.ground.profile import Profile
 
@@ -48,6 +48,5 @@ def turn_budget(
 
 def expanded_mrad(contributions: Sequence[TurnContribution]) -> float | None:
     """Expanded uncertainty [mrad], k = 2; None where a contribution was not given."""
-    values = [one.standard_mrad for one in contributions]
-    known = [value for value in values if value is not None]
-    return COVERAGE * math.hypot(*known) if known and len(known) == len(values) else None
+    standard_mrad = combined(one.standard_mrad for one in contributions)
+    return None if standard_mrad is None else COVERAGE * standard_mrad

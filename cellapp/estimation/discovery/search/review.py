@@ -136,16 +136,19 @@ def _contained(problem: SearchProblem, state: SearchState, number: int) -> list[
     fit, term = state.fit, state.fit.terms[number]
     if not term.is_library_effect:
         return []
-    target, size = fit.residual_without(number).residual, fit.layout.parameters(number).start + len(term.names)
+    target, own = fit.residual_without(number).residual, fit.layout.parameters(number)
+    of_law = slice(own.start, own.start + len(term.names))
     found = []
     for slug in EFFECTS[term.slug].look_alikes:
-        own = [] if slug in state.slugs else fit.candidates(state.data, [slug])
+        laws = [] if slug in state.slugs else fit.candidates(state.data, [slug])
+        if not laws:
+            continue
         of_shape, free = np.zeros((2, fit.layout.total), dtype=bool)
-        of_shape[size - len(term.names) : size] = _shared_columns(fit.law_rows(number), own)
-        free[size : fit.layout.parameters(number).stop] = True
+        of_shape[of_law] = _shared_columns(fit.law_rows(number), laws)
+        free[of_law.stop : own.stop] = True
         for replaced in (of_shape, free):
-            if own and replaced.any() and not replaced[size - len(term.names) : size].all():
-                found += _in_place_of(problem, fit, replaced, target, own)
+            if replaced.any() and not replaced[of_law].all():
+                found += _in_place_of(problem, fit, replaced, target, laws)
     return list({one.effect: one for one in found}.values())
 
 

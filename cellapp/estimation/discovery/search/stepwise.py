@@ -67,7 +67,7 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     """
     progress = _SearchProgress(report)
     settings = data.profile.discovery
-    weighed = reweighted(data, ())
+    weighed, _ = reweighted(data, ())
     fit = fit_terms(weighed, ())
     start = SearchState(weighed.at(fit.model), fit)
     if len(fit.residual) - fit.projector.effective_parameters < LEAST_FREEDOM:
