@@ -59,7 +59,9 @@ EFFECTS: dict[str, Any] = {
 }
 OFFSET = (0.045, 0.020, 0.060)
 NESTS = {"B": {"offset": (-0.055, 0.020, 0.060)}, "C": {"offset": (-0.005, 0.110, 0.060)}}
-PROBE = {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}
+PROBE: dict[str, Any] = {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}
+KINDS: dict[str, dict[str, Any]] = {"one SMR": {}, "three SMRs": {"nests": NESTS}, "6-D probe": {"probe": PROBE}}
+"""What the tracker measures, and the keys of the SMR for it."""
 FURTHER_M = 0.2
 SEATING_M = 2e-5
 GAUGE_M = 0.3
@@ -206,8 +208,7 @@ def simulated(seed: int, stops: int, *, discover: bool) -> Iterator[tuple[str, E
     """Each kind with its errors, of one arm."""
     bench = Bench(seed, stops)
     truth = bench.truth()
-    kinds: dict[str, dict[str, Any]] = {"one SMR": {}, "three SMRs": {"nests": NESTS}, "6-D probe": {"probe": PROBE}}
-    for kind, smr in kinds.items():
+    for kind, smr in KINDS.items():
         profile = bench.profile(**smr)
         yield kind, truth.errors(calibrated(profile, bench.measured(profile), discover=discover))
     profile = bench.profile()
