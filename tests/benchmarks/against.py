@@ -1,7 +1,7 @@
 """Processor time and memory of a command over those of an earlier version: ratios, which other computers give as well.
 
-    git worktree add --detach /tmp/earlier COMMIT
-    python -m tests.benchmarks.against [--turns N] /tmp/earlier plan profiles/twin.yaml
+    git worktree add --detach ../earlier COMMIT
+    python -m tests.benchmarks.against [--turns N] ../earlier plan profiles/twin.yaml
 
 Both versions run the command in turns, each in a process of its own, in its own source tree, with the profile there;
 ``--run DIR`` is added to ``plan`` and ``run``. Other processes make processor time longer, too (caches, two threads of

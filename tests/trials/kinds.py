@@ -59,7 +59,9 @@ EFFECTS: dict[str, Any] = {
 }
 OFFSET = (0.045, 0.020, 0.060)
 NESTS = {"B": {"offset": (-0.055, 0.020, 0.060)}, "C": {"offset": (-0.005, 0.110, 0.060)}}
-PROBE = {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}
+PROBE: dict[str, Any] = {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}
+KINDS: dict[str, dict[str, Any]] = {"one SMR": {}, "three SMRs": {"nests": NESTS}, "6-D probe": {"probe": PROBE}}
+"""What the tracker measures, and the keys of the SMR for it."""
 FURTHER_M = 0.2
 SEATING_M = 2e-5
 GAUGE_M = 0.3
@@ -206,8 +208,7 @@ def simulated(seed: int, stops: int, *, discover: bool) -> Iterator[tuple[str, E
     """Each kind with its errors, of one arm."""
     bench = Bench(seed, stops)
     truth = bench.truth()
-    kinds: dict[str, dict[str, Any]] = {"one SMR": {}, "three SMRs": {"nests": NESTS}, "6-D probe": {"probe": PROBE}}
-    for kind, smr in kinds.items():
+    for kind, smr in KINDS.items():
         profile = bench.profile(**smr)
         yield kind, truth.errors(calibrated(profile, bench.measured(profile), discover=discover))
     profile = bench.profile()
@@ -286,7 +287,7 @@ def nests_of_poses(measured: Readings, rng: np.random.Generator) -> Readings:
 
 def led_arms(profile: Profile, folder: Path, *, discover: bool) -> Iterator[tuple[str, Errors]]:
     """Real arms led into sockets: each from its own touches, and the others from those of the arm with most."""
-    models: dict[str, tuple[int, ArmModel, Readings]] = {}
+    models: dict[str, tuple[ArmModel, Readings]] = {}
     (name,) = profile.arms
     for known in sorted(folder.glob("*-distances.csv")):
         path = known.with_name(known.name.replace("-distances", ""))
@@ -295,15 +296,14 @@ def led_arms(profile: Profile, folder: Path, *, discover: bool) -> Iterator[tupl
             import_csv(profile, path, Path(place) / "run", distances=known) as run,
         ):
             arm, its = fitted(run, discover=discover).arms[name], run.readings(name)
-            if its.split is None:
-                continue
-        models[path.stem] = (len(its), arm, its)
+        models[path.stem] = arm, its
         yield f"sockets only, {path.stem}", at_held_out(arm, its)
-    first = max(models, key=lambda one: models[one][0])
-    for other, (_, _, its) in models.items():
+    first = max(models, key=lambda one: len(models[one][1]))
+    earlier, _ = models[first]
+    for other, (_, its) in models.items():
         if other != first:
-            earlier = models[first][1]
-            touched = its.take(its.in_split("identify")[:: max(len(its.in_split("identify")) // TOUCHES, 1)])
+            learned = its.in_split("identify")
+            touched = its.take(learned[:: max(len(learned) // TOUCHES, 1)])
             ball = with_ball(earlier.geometry, touched, unknown=True)
             yield f"{other} after a calibration of {first}", at_held_out(replace(earlier, geometry=ball), its)
 

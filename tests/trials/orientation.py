@@ -20,7 +20,6 @@ import numpy as np
 import typer
 from scipy.spatial.transform import Rotation
 
-from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.run.nests import has_nests, nest_stops
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.turn_prediction import predicted_turns
@@ -31,9 +30,9 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import rotation_vectors
-from tests.trials.kinds import EFFECTS, NESTS, PROBE, Bench
+from cellapp.robot.model import ArmModel
+from tests.trials.kinds import EFFECTS, KINDS, PROBE, Bench, Truth
 
-KINDS: dict[str, dict[str, Any]] = {"one SMR": {}, "three SMRs": {"nests": NESTS}, "6-D probe": {"probe": PROBE}}
 _TWO_SIDED_95 = 1.959964
 
 
@@ -51,22 +50,19 @@ def trial(seed: int, kind: str, stops: int) -> dict[str, Any]:
     profile = bench.profile(**KINDS[kind])
     found = found_in(profile, bench.measured(profile))
     names = sorted({one.effect for one in found.result.accepted})
-    errors = bench.truth().errors(found.model)
-    held = bounds(bench, found) if kind == "6-D probe" else {}
-    return {"seed": seed, "kind": kind, "names": names, **vars(errors), **held}
+    truth = bench.truth()
+    held = bounds(seed, truth, found.model) if kind == "6-D probe" else {}
+    return {"seed": seed, "kind": kind, "names": names, **vars(truth.errors(found.model)), **held}
 
 
-def bounds(bench: Bench, found: Discovery) -> dict[str, float]:
+def bounds(seed: int, truth: Truth, model: ArmModel) -> dict[str, float]:
     """Shares of true components and of measured angles within what is stated."""
-    model, q = found.model, bench.q(300, 9)
-    at_rest = np.zeros_like(q)
-    true = build_plant(bench.profile(probe=PROBE)).probe_rotations("left", q, approach=at_rest)
-    conditions = MeasurementConditions(approach=at_rest, R_M_S=true)
+    q, R_M_S = truth.q, truth.R_M_F
+    conditions = MeasurementConditions(approach=np.zeros_like(q), R_M_S=R_M_S)
     off = model.predict(q, conditions=conditions)
     sd = model.uncertainty(q, conditions)
-    sigma = float(str(PROBE["sigma"]))
-    noise = Rotation.from_rotvec(sigma * np.random.default_rng([bench.seed, 31]).standard_normal((300, 3)))
-    measured = noise.as_matrix() @ true
+    noise = Rotation.from_rotvec(PROBE["sigma"] * np.random.default_rng([seed, 31]).standard_normal((len(q), 3)))
+    measured = noise.as_matrix() @ R_M_S
     angles = np.linalg.norm(rotation_vectors(model.orientation(q) @ measured.swapaxes(1, 2)), axis=1) * 1e3
     free = np.full((len(q), 3, 3), np.nan)
     stated = predicted_turns(

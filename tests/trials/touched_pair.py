@@ -27,12 +27,11 @@ from cellapp.robot.kinematics.transforms import apply, invert, register
 from cellapp.robot.model import CellModel
 from drivers.plant import Plant
 from drivers.plant.sockets import touches
-from tests.trials.kinds import Array, rows
+from tests.trials.kinds import SEATING_M, Array, rows
 from tests.twin import small_twin
 
 app = typer.Typer(add_completion=False)
 
-SEATING_M = 2e-5
 TOUCHES = 20
 OWN_B = np.array([[0.4, 0.3, 0.2], [-0.4, 0.3, 0.4], [0.3, -0.5, 0.3], [0.2, 0.4, 0.6]])
 """Sockets of one arm alone, in its base [m]; the last is held out."""

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
+from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
@@ -53,7 +54,8 @@ class Named:
 def arm_profile(seed: int) -> Profile:
     """The cell of the arm, whose joints hide their elasticity."""
     profile = load_profile(PROFILES / "panda-sockets.yaml")
-    iiwa = load_profile_type()
+    path = PROFILES / "arms" / "lbr-iiwa14.yaml"
+    iiwa = arm_type_of_text(path.read_text("utf-8"), path)
     rng = np.random.default_rng([seed, 77])
     stiff = rng.uniform(0.6, 1.4, 7) * STIFFNESS
     hidden: dict[str, Any] = {
@@ -71,15 +73,6 @@ def arm_profile(seed: int) -> Profile:
     splits = profile.splits.model_copy(update={"identify": 120, "train": 100})
     changed = {"seed": seed, "arms": {"left": arm}, "plant": plant, "tracker": tracker, "splits": splits}
     return profile.model_copy(update=changed)
-
-
-def load_profile_type() -> Any:
-    """The published LBR iiwa 14."""
-    text = (PROFILES / "panda-sockets.yaml").read_text("utf-8").replace("panda.yaml", "lbr-iiwa14.yaml")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "iiwa.yaml"
-        path.write_text(text.replace("arms/", f"{PROFILES / 'arms'}/"), "utf-8")
-        return load_profile(path).arms["left"].type
 
 
 def measured(profile: Profile, seed: int) -> Readings:

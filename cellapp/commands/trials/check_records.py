@@ -46,8 +46,14 @@ class CheckedChange(Record):
         return self.verdict not in ("valid", "cannot say")
 
 
+def exact_interval(k: int, n: int) -> tuple[float, float]:
+    """95 % interval of a probability of which k of n cases are hits (Clopper, Pearson, Biometrika 26 (1934) 404)."""
+    low = float(betaincinv(k, n - k + 1, 0.025)) if k else 0.0
+    return low, float(betaincinv(k + 1, n - k, 0.975)) if k < n else 1.0
+
+
 class Share(Record):
-    """A share of n checks with its 95 % interval (Clopper, Pearson, Biometrika 26 (1934) 404)."""
+    """A share of n checks with its exact 95 % interval."""
 
     n: int
     count: int
@@ -58,8 +64,7 @@ class Share(Record):
     def of(cls, facts: Sequence[bool]) -> Share:
         """Of how many facts are true."""
         n, k = len(facts), sum(facts)
-        low = float(betaincinv(k, n - k + 1, 0.025)) if k else 0.0
-        high = float(betaincinv(k + 1, n - k, 0.975)) if k < n else 1.0
+        low, high = exact_interval(k, n)
         return cls(n=n, count=k, low=low, high=high)
 
     @property

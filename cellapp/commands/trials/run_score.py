@@ -46,7 +46,8 @@ def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
     """Compare what was found in one run with what was hidden in it."""
     noise_um = truth.noise_um.get(truth.arm, 0.0)
     hidden = tuple(HiddenEffect.like(one, visible=one.visible_um > noise_um) for one in truth.effects)
-    names = frozenset(_library_name(truth, effect.effect) for effect in hidden)
+    called = [_library_name(truth, effect.effect) for effect in hidden]
+    names = frozenset(called)
     expected = None if truth.expected is None else DescribedTerm.model_validate(truth.expected.model_dump())
     here = arms.get(truth.arm)
     return ScoredRun.like(
@@ -57,7 +58,7 @@ def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
         outcome=None if here is None else _outcome(names, frozenset(here.accepted)),
         in_answer_set=None if here is None else names <= {slug for answers in here.answer_sets for slug in answers},
         description="" if here is None or expected is None else _description(expected, here.described),
-        second_names=() if here is None else _second_names(truth, hidden, expected, here),
+        second_names=() if here is None else _second_names(called, hidden, expected, here),
         says_convention=None if here is None or truth.kind != FLIP else _says_convention(here),
         arms=arms,
     )
@@ -119,11 +120,13 @@ def _says_convention(found: ArmFindings) -> bool:
 
 
 def _second_names(
-    truth: GroundTruth, hidden: Sequence[HiddenEffect], expected: DescribedTerm | None, found: ArmFindings
+    called: Sequence[str], hidden: Sequence[HiddenEffect], expected: DescribedTerm | None, found: ArmFindings
 ) -> tuple[SecondName, ...]:
-    """What was accepted beyond as many effects as were hidden; one for each name that is missing counts as wrong."""
-    names = [_library_name(truth, effect.effect) for effect in hidden]
-    wanted = Counter([UNKNOWN] if expected is not None else names)
+    """What was accepted beyond as many effects as were hidden; one for each name that is missing counts as wrong.
+
+    ``called`` are the names that the hidden effects should get.
+    """
+    wanted = Counter([UNKNOWN] if expected is not None else called)
     terms = iter(found.described)
     beyond: list[tuple[str, frozenset[DriverVariable]]] = []
     for slug in found.accepted:

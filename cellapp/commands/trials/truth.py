@@ -13,10 +13,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from scipy.special import betaincinv
 
+from cellapp.commands.trials.check_records import exact_interval
 from cellapp.commands.trials.judge import judge_trials, source_digest
-from cellapp.commands.trials.judge_records import ArmFindings, ScoredRun
+from cellapp.commands.trials.judge_records import ScoredRun
 from cellapp.commands.trials.posteriors import ACCEPTED, posterior_scores
 from cellapp.commands.trials.sealed import TRUTH_FILE, seal_trials
 from cellapp.commands.trials.sealed_cases import MIXED, NONE, ONE, OUT, PAIR
@@ -34,7 +34,6 @@ BLOCK = 25
 """Runs of a block."""
 FEW_STOPS = (25, 40, 60, 80)
 """Stops of the blocks of the set ``few`` in turn: 10 to 20 of them are held out, 15, 30, 45 and 60 are learned from."""
-CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ SETS: Mapping[str, TrialSet] = {
 
 
 class Share(Record):
-    """How many of some cases, and the exact interval of the share (Clopper, Pearson, Biometrika 26 (1934) 404)."""
+    """How many of some cases, and the exact 95 % interval of the share."""
 
     hits: int
     n: int
@@ -68,11 +67,10 @@ class Share(Record):
     @classmethod
     def of(cls, hits: Sequence[bool]) -> Share | None:
         """Of cases that are hits or not; None without any."""
-        k, n, tail = sum(hits), len(hits), 0.5 * (1.0 - CONFIDENCE)
-        if not n:
+        if not hits:
             return None
-        low = float(betaincinv(k, n - k + 1, tail)) if k else 0.0
-        return cls(hits=k, n=n, low=low, high=float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0)
+        low, high = exact_interval(sum(hits), len(hits))
+        return cls(hits=sum(hits), n=len(hits), low=low, high=high)
 
 
 class TruthScore(Record):
@@ -210,7 +208,7 @@ def truth_score(runs: Sequence[ScoredRun], wanted: int) -> TruthScore:
         false_unknown=Share.of([arm.unknown and not arm.names for arm in empty]),
         exact=Share.of([run.outcome == "named" for run in known]),
         second_names=Share.of([bool(run.second_names) for run in known]),
-        outside=Share.of([not _arm(run).names for run in outside]),
+        outside=Share.of([not run.arms[run.arm].names for run in outside]),
         names=0 if accepted is None else accepted.n,
         brier=None if accepted is None else accepted.brier,
     )
@@ -284,10 +282,6 @@ def _blocks(sizes: Mapping[str, int], seed: int) -> list[_Block]:
             runs = min(BLOCK, sizes[name] - number * BLOCK)
             found.append(((number + 0.5) / count, _Block(name, number, runs, one.setup.model_copy(update=few), drawn)))
     return [block for _, block in sorted(found, key=lambda pair: pair[0])]
-
-
-def _arm(run: ScoredRun) -> ArmFindings:
-    return run.arms[run.arm]
 
 
 def _counts(share: Share | None) -> str:

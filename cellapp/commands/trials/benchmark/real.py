@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellapp.commands.trials.benchmark.methods.registry import METHODS
-from cellapp.commands.trials.benchmark.problem import NotTaken, Problem
+from cellapp.commands.trials.benchmark.methods.registry import answer_of
+from cellapp.commands.trials.benchmark.problem import Problem
 from cellapp.commands.trials.benchmark.scoring import ScoredAnswer
 from cellapp.commands.trials.league.series import SERIES, Entrant, Rows, SeriesTexts, draw_rows, parse_entrants
 from cellapp.estimation.calibration.measurement_conditions import measurement_conditions
 from cellapp.ground.results import Record
 from cellapp.ground.scale.task import TaskKind
-from cellapp.ground.threads import one_blas_thread
 
 REAL = "real"
 """First word of their sets."""
@@ -39,13 +37,7 @@ def _answered(entrants: Mapping[str, Entrant], asked: RealQuestion) -> ScoredAns
     name = f"{REAL}/{asked.series}/{asked.seed}"
     problem = Problem.of(name, entrant.profile, entrant.arm, own, measurement_conditions(own))
     measured = own.p_M[own.in_split("validate")]
-    began_s, error_mm = time.process_time(), None
-    try:
-        with one_blas_thread():
-            answer = METHODS[asked.method](problem)
-        error_mm = 1e3 * float(np.mean(np.linalg.norm(answer.p_M - measured, axis=1)))
-    except NotTaken:
-        pass
+    answer, seconds = answer_of(asked.method, problem)
     return ScoredAnswer(
         method=asked.method,
         problem=name,
@@ -54,9 +46,9 @@ def _answered(entrants: Mapping[str, Entrant], asked: RealQuestion) -> ScoredAns
         exact=None,
         statements=(),
         heldout_ratio=None,
-        seconds=time.process_time() - began_s,
-        heldout_mm=error_mm,
-        answered=error_mm is not None,
+        seconds=seconds,
+        heldout_mm=None if answer is None else 1e3 * float(np.mean(np.linalg.norm(answer.p_M - measured, axis=1))),
+        answered=answer is not None,
     )
 
 

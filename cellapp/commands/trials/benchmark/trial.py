@@ -5,15 +5,14 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import re
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED
-from cellapp.commands.trials.benchmark.problem import Answer, NotTaken, Problem
+from cellapp.commands.trials.benchmark.methods.registry import METHODS, NEEDED, answer_of
+from cellapp.commands.trials.benchmark.problem import Problem
 from cellapp.commands.trials.benchmark.real import REAL_ANSWERS, RealQuestion
 from cellapp.commands.trials.benchmark.scoring import ScoredAnswer, SetScore, by_set, scored, set_score
 from cellapp.commands.trials.league.series import Rows, SeriesTexts
@@ -28,7 +27,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Record, Result
 from cellapp.ground.scale.task import TaskKind, as_given
-from cellapp.ground.threads import one_blas_thread
 from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.transforms import Array
 
@@ -68,35 +66,22 @@ class _Shared(Record):
 
 
 class _Question(Record):
-    """One arm of one sealed run of a kind, or of a further ``cell``, for one method; ``folder`` is that of all."""
+    """One arm of one sealed run for one method; ``folder`` is that of all sets, ``kind`` the set in it."""
 
     method: str
     folder: str
     kind: str
     run: str
     arm: str
-    cell: bool = False
 
 
 def _answered(shared: _Shared, asked: _Question) -> ScoredAnswer:
     """Let the method answer, then open the truth."""
     folder = Path(asked.folder) / asked.kind
     problem, measured = sealed_problem(folder, asked.run, asked.arm)
-    method = METHODS[asked.method]
-    began_s = time.process_time()
-    answer: Answer | None = None
-    try:
-        with one_blas_thread():
-            answer = method(problem)
-    except NotTaken:
-        pass
-    seconds = time.process_time() - began_s
-    if answer is not None and answer.p_M.shape != measured.shape:
-        raise InputError(
-            f"method {asked.method}: {problem.name}: predicted shape {answer.p_M.shape}, expected {measured.shape}"
-        )
+    answer, seconds = answer_of(asked.method, problem)
     truth = next(one for one in open_truth(folder).trials if one.run == asked.run)
-    cell = asked.kind if asked.cell else ""
+    cell = "" if asked.kind in KINDS else asked.kind
     return scored(asked.method, problem.name, asked.arm, truth, answer, measured, seconds, cell)
 
 
@@ -150,22 +135,22 @@ def benchmark_trials(
     Cancelled
         On request.
     """
-    names, truths, asked = _known(methods), list[str](), list[_Question]()
-    sets = _sets(profile, cells)
+    names, sets, truths = _known(methods), _sets(profile, cells), list[str]()
     for place, (kind, (cell, setup)) in enumerate(sets.items()):
         own = folder / kind
         if not (own / TRUTH_FILE).is_file():
             drawn = None if seed is None else seed + place
             seal_trials(cell, own, n, setup, seed=drawn, listener=work.listener, cancel=work.cancel)
         truths.append(hashlib.sha256(check_seal(own)).hexdigest())
-        asked += [
-            _Question(method="", folder=str(folder), kind=kind, run=run.name, arm=arm, cell=kind not in KINDS)
-            for run in sorted(own.glob("run-*"))
-            for arm in cell.arms
-        ]
-    questions = [one.model_copy(update={"method": name}) for name in names for one in asked]
+    asked = [
+        _Question(method=method, folder=str(folder), kind=kind, run=run.name, arm=arm)
+        for method in names
+        for kind, (cell, _) in sets.items()
+        for run in sorted((folder / kind).glob("run-*"))
+        for arm in cell.arms
+    ]
     shared, name = _Shared(truths=tuple(truths)), "{0.method}, {0.kind}/{0.run}, arm {0.arm}"
-    gathered = work.gather(ANSWERS, "benchmark", shared, questions, name)
+    gathered = work.gather(ANSWERS, "benchmark", shared, asked, name)
     for kind in sets:
         for truth in open_truth(folder / kind).trials:
             check_readings(folder / kind, truth)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cellapp.commands.trials.power.result import ArmPower, EffectPower, PowerResult
+from cellapp.commands.trials.power.result import SHARE, ArmPower, EffectPower, NamedSize, PowerResult
 from cellapp.commands.view.charts import Axis, Chart, bar_chart
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Interval, Table, table_of
@@ -46,11 +46,11 @@ def power_table(name: str, arm: ArmPower) -> Table:
 
 def power_chart(name: str, arm: ArmPower) -> Chart:
     """A bar for each effect that is named from some size on."""
-    shown = [one for one in _ordered(arm) if one.named_from is not None]
-    bars = {one.title: (one.named_from.value_mm, _words(one)) for one in shown if one.named_from is not None}
-    least = ", ".join(f"{title} from {text}" for title, (_, text) in list(bars.items())[:1]) or "no effect"
+    shown = {one.title: one.named_from for one in _ordered(arm) if one.named_from is not None}
+    bars = {title: (size.value_mm, _words(size)) for title, size in shown.items()}
+    least = next((f"{title} from {text}" for title, (_, text) in bars.items()), "no effect")
     return bar_chart(
-        f"Arm {name}: size from which an effect is named in 95 % of the runs",
+        f"Arm {name}: size from which an effect is named in {100 * SHARE:.0f} % of the runs",
         bars,
         Axis("rms displacement of the SMR", "mm"),
         f"Named at the smallest size: {least}. {len(arm.effects) - len(bars)} effects were not shown to be named.",
@@ -76,8 +76,6 @@ def _value(one: EffectPower) -> str:
     return "" if size is None else f"{size.value:.3g} {size.unit}"
 
 
-def _words(one: EffectPower) -> str:
-    assert one.named_from is not None
-    high = one.named_from.high_mm
-    until = "and more" if high is None else f"to {high:.3f}"
-    return f"{one.named_from.value_mm:.3f} ({one.named_from.low_mm:.3f} {until}) mm"
+def _words(size: NamedSize) -> str:
+    until = "and more" if size.high_mm is None else f"to {size.high_mm:.3f}"
+    return f"{size.value_mm:.3f} ({size.low_mm:.3f} {until}) mm"

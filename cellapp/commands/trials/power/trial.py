@@ -149,13 +149,12 @@ def naming_trial(cell: TrialCell, asked: NamingTrial) -> NamingTrial:
     """Hide the effect, measure, calibrate and search; the trial with what was found."""
     rng = np.random.default_rng([asked.seed, 0xB0E2])
     name = asked.arm
-    without = with_hidden(cell.simulated, {}, int(rng.integers(2**31)))
-    assert without.plant is not None
-    plant = build_plant(without)
+    true_arms = int(rng.integers(2**31))
+    plant = build_plant(with_hidden(cell.simulated, {}, true_arms))
     config = next(arm for arm in plant.config.arms if arm.name == name)
     duration_s = float(cell.readings[name].time_s[-1])
     law: Mapping[str, Any] = suggest_other_law(asked.effect, rng, config, duration_s)
-    hidden = build_plant(with_hidden(cell.simulated, {name: {asked.effect: law}}, without.plant.seed))
+    hidden = build_plant(with_hidden(cell.simulated, {name: {asked.effect: law}}, true_arms))
     measured = _measured(cell, name, plant, hidden, 1e-3 * asked.size_mm, rng)
     return asked if measured is None else _searched(cell, asked, *measured)
 
@@ -216,11 +215,10 @@ def _searched(cell: TrialCell, asked: NamingTrial, readings: Readings, visible: 
     """The trial with what calibration and search accept."""
     name = asked.arm
     profile = cell.profile.model_copy(update={"seed": asked.seed})
-    everything = {**cell.readings, name: readings}
-    splits, _ = profile_splits(profile, everything)
+    splits, _ = profile_splits(profile, cell.readings)  # of the stops, whatever was measured there
     own = replace(readings, split=splits[name])
     model = calibrate_arm(profile, name, own)[0].model
-    conditions = conditions_of_arms({**cell.models, name: model}, {**everything, name: own})[name]
+    conditions = conditions_of_arms({**cell.models, name: model}, {**cell.readings, name: own})[name]
     accepted = discover_arm(profile, name, model, own, conditions=conditions).result.accepted
     named = next((one for one in accepted if one.effect == asked.effect), None)
     return asked.model_copy(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import cast
 
@@ -13,7 +14,9 @@ from cellapp.commands.trials.benchmark.methods.relevance import ard
 from cellapp.commands.trials.benchmark.methods.search_of_effects import search_of_effects
 from cellapp.commands.trials.benchmark.methods.sparse_regression import sparse_regression
 from cellapp.commands.trials.benchmark.methods.symbolic_regression import symbolic_regression
-from cellapp.commands.trials.benchmark.problem import Method
+from cellapp.commands.trials.benchmark.problem import Answer, Method, NotTaken, Problem
+from cellapp.ground.errors import InputError
+from cellapp.ground.threads import one_blas_thread
 from drivers.plugins import Registry
 
 
@@ -43,3 +46,24 @@ METHODS: Registry[Method] = Registry(
     {name: method for name, (method, _) in _BUILT_IN.items()},
     _method,
 )
+
+
+def answer_of(method: str, problem: Problem) -> tuple[Answer | None, float]:
+    """What a method answers, None if it does not take the problem, and its processor time [s].
+
+    Raises
+    ------
+    InputError
+        If it does not predict a point for each held-out stop.
+    """
+    of_problem, answer = METHODS[method], None
+    began_s = time.process_time()
+    try:
+        with one_blas_thread():
+            answer = of_problem(problem)
+    except NotTaken:
+        pass
+    seconds, expected = time.process_time() - began_s, problem.held_out.p_M.shape
+    if answer is not None and answer.p_M.shape != expected:
+        raise InputError(f"method {method}: {problem.name}: predicted shape {answer.p_M.shape}, expected {expected}")
+    return answer, seconds
