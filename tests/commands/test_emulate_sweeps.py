@@ -13,7 +13,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.iso9283.alignment import published_cell
 from cellapp.cell.driving.moving_cell import moving_cell
-from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver, TrackedPath
+from cellapp.cell.driving.tracked_path import INTERVAL_S, MOST_RUNS, PathDriver, TrackedPath
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweeps, read_sweeps
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import read_recordings_of, recording_states
@@ -28,6 +28,7 @@ from cellapp.robot.model.nominal import nominal_arm
 from drivers.arms.ur_settings import UrSettings
 from drivers.plant.sweep import recorder_of
 from drivers.trackers.bridge_settings import BridgeSettings
+from drivers.trackers.protocol import TargetLost
 from tests.commands.emulated_cell import emulated
 from tests.loopback import own_arms
 from tests.twin import small_twin
@@ -120,7 +121,11 @@ def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
     poses = [{"position": [-0.1, -0.75, 0.55], "rpy": ["90 deg", 0, 0]}, {"position": [0.1, -0.75, 0.55]}]
     spec = PathSpec.model_validate({"name": "line", "arm": ARM, "tolerance": 1e-3, "speed": 0.1, "poses": poses})
     plan = plan_path(profile, model, spec, 0.008)
-    assert (plan.refusal, plan.path is None, plan.trajectory is None) == ("", False, False)
+    path, trajectory = plan.path, plan.trajectory
+    assert plan.refusal == ""
+    assert path is not None
+    assert trajectory is not None
+    start_M = path.positions(np.zeros(1))[0]
 
     def driven(_: int) -> list[TrackedPath]:
         found: list[TrackedPath] = []
@@ -130,11 +135,17 @@ def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
             moving.mover.speed = 1.0
 
             def begin() -> None:
-                moving.mover.move({ARM: plan.trajectory.q[0]})  # type: ignore[union-attr]
+                moving.mover.move({ARM: trajectory.q[0]})
 
-            while not any(one.lost_beams for one in found) and len(found) < MOST_DRIVEN:
-                start_M = plan.path.positions(np.zeros(1))[0]  # type: ignore[union-attr]
-                found.append(driver.drive(ARM, plan.trajectory, begin, start_M))  # type: ignore[arg-type]
+            for _ in range(MOST_DRIVEN):
+                try:
+                    found.append(driver.drive(ARM, trajectory, begin, start_M))
+                except TargetLost as error:  # by chance the beam breaks in one drive after the other
+                    if f"each of the {MOST_RUNS} times" not in str(error):
+                        raise
+                    continue
+                if found[-1].lost_beams:
+                    break
         return found
 
     with emulated(profile, HOSTS, 1.0, LOST_PER_MIN) as port:
@@ -142,10 +153,8 @@ def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
         tracker = profile.tracker.model_copy(update={"driver": driver})
         at_port = profile.model_copy(update={"tracker": tracker})
         found = patiently(driven)
-    assert plan.trajectory is not None
-    assert plan.path is not None
     assert found[-1].lost_beams > 0
     for one in found:
         assert one.track is not None
-        assert len(one.track.p_M) >= plan.trajectory.duration_s / INTERVAL_S - 10
-        assert plan.path.distances(one.track.p_M).max() < 0.02, "as far as nominal arms are off"
+        assert len(one.track.p_M) >= trajectory.duration_s / INTERVAL_S - 10
+        assert path.distances(one.track.p_M).max() < 0.02, "as far as nominal arms are off"
