@@ -29,6 +29,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.scale.gather import Gathered
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
+from tests.commands.quiet_work import quiet_work
 from tests.twin import PROFILES
 
 
@@ -206,6 +207,6 @@ def test_a_run_keeps_it_and_its_report_shows_it(
 def test_a_run_without_a_plan_and_too_few_trials_are_refused(tmp_path: Path) -> None:
     RunFile.create(tmp_path / "run", twin()).close()
     with pytest.raises(InputError, match="plan"):
-        run_power(PowerRequest(folder=tmp_path / "run"), Work())  # type: ignore[arg-type]
+        run_power(PowerRequest(folder=tmp_path / "run"), quiet_work())
     with pytest.raises(InputError, match="--trials"):
         VERB.asked({"folder": tmp_path, "trials": 3})
