@@ -30,12 +30,12 @@ from cellapp.ground.scale.gather import Gathered
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
 from tests.commands.quiet_work import quiet_work
-from tests.twin import PROFILES
+from tests.twin import PROFILES, whole_twin
 
 
-def twin(name: str = "twin", stops: int = 60) -> Profile:
-    """A profile with few random stops whose search sets its threshold from few simulations."""
-    profile = load_profile(PROFILES / f"{name}.yaml")
+def twin(stops: int = 60) -> Profile:
+    """The twin with few random stops whose search sets its threshold from few simulations."""
+    profile = whole_twin()
     quarter = stops // 4
     splits = {"identify": quarter, "train": stops - 2 * quarter, "validate_": quarter, "pair_identify": quarter,
               "pair_validate": quarter}  # fmt: skip
