@@ -25,7 +25,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.collection import Collection, Reference
 from cellapp.ground.profile.schema import Payload
 from drivers.arms.protocol import ArmState
-from tests.twin import small_twin
+from tests.twin import small_twin, with_arm
 
 pytestmark = pytest.mark.fast
 STOPS = 6
@@ -33,9 +33,7 @@ HEAVY = Payload(mass=5.0, center_of_mass=(0.0, 0.0, 0.06))
 
 
 def loaded(*payloads: Payload, stops: int = STOPS) -> Profile:
-    profile = small_twin(stops, plan={"method": "random", "repeats": 0})
-    left = profile.arms["left"].model_copy(update={"payloads": payloads})
-    return profile.model_copy(update={"arms": {**profile.arms, "left": left}})
+    return with_arm(small_twin(stops, plan={"method": "random", "repeats": 0}), "left", payloads=payloads)
 
 
 @pytest.fixture(scope="module")

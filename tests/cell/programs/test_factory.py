@@ -28,7 +28,7 @@ from cellapp.robot.model.nominal import controller_rows, published_rows
 from drivers.plant.factory import factory_calibration
 from tests.cell.programs.test_truth import FACTOR, Array, Cell, cell_of, corrected, errors, waypoint
 from tests.made_once import made_once
-from tests.twin import small_twin
+from tests.twin import small_twin, with_arm
 
 _CHAIN = ("deltaTheta", "d", "a", "alpha")
 
@@ -44,8 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert own is not None
         text = controller_file_text((own.rows - published_rows(left)).tolist(), own.checksum, ("a comment",))
         table = ControllerTable.model_validate(controller_table(text, Path("left.conf")))
-        twin = twin.model_copy(update={"arms": {**twin.arms, "left": left.model_copy(update={"factory": table})}})
-        with new_planned_run(twin, folder) as run:
+        with new_planned_run(with_arm(twin, "left", factory=table), folder) as run:
             collect_run(run)
             calibrate_run(run)
 
