@@ -27,9 +27,8 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.arms.ur_settings import UrSettings
 from drivers.plant.sweep import recorder_of
-from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.protocol import TargetLost
-from tests.commands.emulated_cell import emulated
+from tests.commands.emulated_cell import behind_bridge, emulated
 from tests.loopback import own_arms
 from tests.twin import small_twin
 
@@ -44,8 +43,7 @@ T = TypeVar("T")
 
 def served_cell() -> Profile:
     """The twin behind emulated devices."""
-    twin = small_twin(1, plan={"method": "random"})
-    driver = BridgeSettings(url="socket://127.0.0.1:50960")
+    twin = behind_bridge(small_twin(1, plan={"method": "random"}))
     return twin.model_copy(
         update={
             "arms": {
@@ -54,7 +52,6 @@ def served_cell() -> Profile:
                 )
                 for number, (name, arm) in enumerate(twin.arms.items())
             },
-            "tracker": twin.tracker.model_copy(update={"driver": driver}),
             "collection": twin.collection.model_copy(update={"motion_rate": RATE_HZ}),
         }
     )
@@ -98,9 +95,7 @@ def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.M
         profile = run.profile
         clocks = recorder_of(build_plant(profile))
         with emulated(profile, HOSTS, 1.0) as port:
-            driver = BridgeSettings(url=f"socket://127.0.0.1:{port}")
-            tracker = profile.tracker.model_copy(update={"driver": driver})
-            monkeypatch.setattr(run, "profile", profile.model_copy(update={"tracker": tracker}))
+            monkeypatch.setattr(run, "profile", behind_bridge(profile, f"socket://127.0.0.1:{port}"))
             assert patiently(lambda attempt: collect_run(run, resume=attempt > 0)).stops == 1
         assert [state.arm for state in recording_states(run) if state.reached_s is None] == [ARM]
         (recording,) = read_recordings_of(run, ARM)
@@ -149,9 +144,7 @@ def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
         return found
 
     with emulated(profile, HOSTS, 1.0, LOST_PER_MIN) as port:
-        driver = BridgeSettings(url=f"socket://127.0.0.1:{port}")
-        tracker = profile.tracker.model_copy(update={"driver": driver})
-        at_port = profile.model_copy(update={"tracker": tracker})
+        at_port = behind_bridge(profile, f"socket://127.0.0.1:{port}")
         found = patiently(driven)
     assert found[-1].lost_beams > 0
     for one in found:
