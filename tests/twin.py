@@ -78,6 +78,11 @@ def plant_of(cell: Cell) -> Plant:
     return cell.clock.plant
 
 
+def with_arm(profile: Profile, name: str, **changes: Any) -> Profile:
+    """The profile with keys of one arm changed."""
+    return profile.model_copy(update={"arms": {**profile.arms, name: profile.arms[name].model_copy(update=changes)}})
+
+
 def with_arms(profile: Profile, **changes: Any) -> Profile:
     """The profile with the same keys changed in both arms."""
     arms = {name: arm.model_copy(update=changes) for name, arm in profile.arms.items()}

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
+from typing import Any
 
 import pytest
 
@@ -15,8 +16,15 @@ from cellapp.commands.emulate.result import EmulatedTracker
 from cellapp.commands.emulate.run import emulate, emulated_arms
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
+from drivers.trackers.bridge_settings import BridgeSettings
 
 PATIENT_S = 60.0
+
+
+def behind_bridge(profile: Profile, url: str = "socket://127.0.0.1:50960", **settings: Any) -> Profile:
+    """The profile with its tracker behind a bridge."""
+    driver = BridgeSettings(url=url, **settings)
+    return profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"driver": driver})})
 
 
 def _serve(

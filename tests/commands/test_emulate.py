@@ -31,11 +31,10 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import CellModel
 from drivers.arms.ur_settings import UrSettings
-from drivers.trackers.bridge_settings import BridgeSettings
 from tests.cell.targets.pairs import pair_targets, stops_with_room
-from tests.commands.emulated_cell import emulated
+from tests.commands.emulated_cell import behind_bridge, emulated
 from tests.loopback import free_port, own_address, own_arms
-from tests.twin import PROFILES, small_twin
+from tests.twin import PROFILES, small_twin, with_arm
 
 PATIENT_S = 60.0
 PACE = 200.0
@@ -67,32 +66,19 @@ def shells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Future[None]]:
 def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(
     tmp_path: Path, shells: Future[None]
 ) -> None:
-    twin = small_twin(STOPS)
     # the right one has an e-Series controller: 500 Hz, remote control, other dashboard
-    right = twin.arms["right"].model_copy(
-        update={"type": load_profile(PROFILES / "ur10e-ur5e.yaml").arms["right"].type}
-    )
-    twin = twin.model_copy(
-        update={
-            "arms": {**twin.arms, "right": right},
-            "network": twin.network.model_copy(update={"kind": "none"}),
-        }
-    )
+    e_series = load_profile(PROFILES / "ur10e-ur5e.yaml").arms["right"].type
+    twin = with_arm(small_twin(STOPS), "right", type=e_series)
+    twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
     plan, _ = make_stops(twin)
     direct, its, verified = collected(twin, tmp_path / "direct", plan)
-    served = twin.model_copy(
-        update={"tracker": twin.tracker.model_copy(update={"driver": BridgeSettings(url="socket://127.0.0.1:50960")})}
-    )
-    with emulated(served, HOSTS, PACE) as port:
+    with emulated(behind_bridge(twin), HOSTS, PACE) as port:
         arms = {
             name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name], settle_time=SETTLE_S, watchdog_hz=2.0)})
             for name, arm in twin.arms.items()
         }
-        bridge = BridgeSettings(url=f"socket://127.0.0.1:{port}")
-        tracker = twin.tracker.model_copy(update={"driver": bridge})
-        wired, ours, over_wire = collected(
-            twin.model_copy(update={"arms": arms, "tracker": tracker}), tmp_path / "wired", plan
-        )
+        at_port = behind_bridge(twin, f"socket://127.0.0.1:{port}")
+        wired, ours, over_wire = collected(at_port.model_copy(update={"arms": arms}), tmp_path / "wired", plan)
     assert list(wired) == list(direct) == ["left", "right"]
     for name in direct:
         assert len(wired[name].q) == STOPS

@@ -13,7 +13,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.iso9283.alignment import published_cell
 from cellapp.cell.driving.moving_cell import moving_cell
-from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver, TrackedPath
+from cellapp.cell.driving.tracked_path import INTERVAL_S, MOST_RUNS, PathDriver, TrackedPath
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweeps, read_sweeps
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import read_recordings_of, recording_states
@@ -27,8 +27,8 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.arms.ur_settings import UrSettings
 from drivers.plant.sweep import recorder_of
-from drivers.trackers.bridge_settings import BridgeSettings
-from tests.commands.emulated_cell import emulated
+from drivers.trackers.protocol import TargetLost
+from tests.commands.emulated_cell import behind_bridge, emulated
 from tests.loopback import own_arms
 from tests.twin import small_twin
 
@@ -43,8 +43,7 @@ T = TypeVar("T")
 
 def served_cell() -> Profile:
     """The twin behind emulated devices."""
-    twin = small_twin(1, plan={"method": "random"})
-    driver = BridgeSettings(url="socket://127.0.0.1:50960")
+    twin = behind_bridge(small_twin(1, plan={"method": "random"}))
     return twin.model_copy(
         update={
             "arms": {
@@ -53,7 +52,6 @@ def served_cell() -> Profile:
                 )
                 for number, (name, arm) in enumerate(twin.arms.items())
             },
-            "tracker": twin.tracker.model_copy(update={"driver": driver}),
             "collection": twin.collection.model_copy(update={"motion_rate": RATE_HZ}),
         }
     )
@@ -97,9 +95,7 @@ def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.M
         profile = run.profile
         clocks = recorder_of(build_plant(profile))
         with emulated(profile, HOSTS, 1.0) as port:
-            driver = BridgeSettings(url=f"socket://127.0.0.1:{port}")
-            tracker = profile.tracker.model_copy(update={"driver": driver})
-            monkeypatch.setattr(run, "profile", profile.model_copy(update={"tracker": tracker}))
+            monkeypatch.setattr(run, "profile", behind_bridge(profile, f"socket://127.0.0.1:{port}"))
             assert patiently(lambda attempt: collect_run(run, resume=attempt > 0)).stops == 1
         assert [state.arm for state in recording_states(run) if state.reached_s is None] == [ARM]
         (recording,) = read_recordings_of(run, ARM)
@@ -120,7 +116,11 @@ def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
     poses = [{"position": [-0.1, -0.75, 0.55], "rpy": ["90 deg", 0, 0]}, {"position": [0.1, -0.75, 0.55]}]
     spec = PathSpec.model_validate({"name": "line", "arm": ARM, "tolerance": 1e-3, "speed": 0.1, "poses": poses})
     plan = plan_path(profile, model, spec, 0.008)
-    assert (plan.refusal, plan.path is None, plan.trajectory is None) == ("", False, False)
+    path, trajectory = plan.path, plan.trajectory
+    assert plan.refusal == ""
+    assert path is not None
+    assert trajectory is not None
+    start_M = path.positions(np.zeros(1))[0]
 
     def driven(_: int) -> list[TrackedPath]:
         found: list[TrackedPath] = []
@@ -130,22 +130,24 @@ def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
             moving.mover.speed = 1.0
 
             def begin() -> None:
-                moving.mover.move({ARM: plan.trajectory.q[0]})  # type: ignore[union-attr]
+                moving.mover.move({ARM: trajectory.q[0]})
 
-            while not any(one.lost_beams for one in found) and len(found) < MOST_DRIVEN:
-                start_M = plan.path.positions(np.zeros(1))[0]  # type: ignore[union-attr]
-                found.append(driver.drive(ARM, plan.trajectory, begin, start_M))  # type: ignore[arg-type]
+            for _ in range(MOST_DRIVEN):
+                try:
+                    found.append(driver.drive(ARM, trajectory, begin, start_M))
+                except TargetLost as error:  # by chance the beam breaks in one drive after the other
+                    if f"each of the {MOST_RUNS} times" not in str(error):
+                        raise
+                    continue
+                if found[-1].lost_beams:
+                    break
         return found
 
     with emulated(profile, HOSTS, 1.0, LOST_PER_MIN) as port:
-        driver = BridgeSettings(url=f"socket://127.0.0.1:{port}")
-        tracker = profile.tracker.model_copy(update={"driver": driver})
-        at_port = profile.model_copy(update={"tracker": tracker})
+        at_port = behind_bridge(profile, f"socket://127.0.0.1:{port}")
         found = patiently(driven)
-    assert plan.trajectory is not None
-    assert plan.path is not None
     assert found[-1].lost_beams > 0
     for one in found:
         assert one.track is not None
-        assert len(one.track.p_M) >= plan.trajectory.duration_s / INTERVAL_S - 10
-        assert plan.path.distances(one.track.p_M).max() < 0.02, "as far as nominal arms are off"
+        assert len(one.track.p_M) >= trajectory.duration_s / INTERVAL_S - 10
+        assert path.distances(one.track.p_M).max() < 0.02, "as far as nominal arms are off"

@@ -29,12 +29,13 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.scale.gather import Gathered
 from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
-from tests.twin import PROFILES
+from tests.commands.quiet_work import quiet_work
+from tests.twin import PROFILES, whole_twin
 
 
-def twin(name: str = "twin", stops: int = 60) -> Profile:
-    """A profile with few random stops whose search sets its threshold from few simulations."""
-    profile = load_profile(PROFILES / f"{name}.yaml")
+def twin(stops: int = 60) -> Profile:
+    """The twin with few random stops whose search sets its threshold from few simulations."""
+    profile = whole_twin()
     quarter = stops // 4
     splits = {"identify": quarter, "train": stops - 2 * quarter, "validate_": quarter, "pair_identify": quarter,
               "pair_validate": quarter}  # fmt: skip
@@ -206,6 +207,6 @@ def test_a_run_keeps_it_and_its_report_shows_it(
 def test_a_run_without_a_plan_and_too_few_trials_are_refused(tmp_path: Path) -> None:
     RunFile.create(tmp_path / "run", twin()).close()
     with pytest.raises(InputError, match="plan"):
-        run_power(PowerRequest(folder=tmp_path / "run"), Work())  # type: ignore[arg-type]
+        run_power(PowerRequest(folder=tmp_path / "run"), quiet_work())
     with pytest.raises(InputError, match="--trials"):
         VERB.asked({"folder": tmp_path, "trials": 3})

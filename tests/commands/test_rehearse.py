@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,28 +13,23 @@ from cellapp.cell.driving.rehearsal import RUNGS
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.profile_file import note_profile, rehearsals_path
-from cellapp.commands.record import Work
 from cellapp.commands.rehearse.record_file import missing_sentence, read_log
 from cellapp.commands.rehearse.request import RehearseRequest
 from cellapp.commands.rehearse.result import RehearseResult
 from cellapp.commands.rehearse.run import run as rehearse
 from cellapp.commands.rehearse.view import view
-from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import ignore
+from cellapp.ground.progress import ignore_words
 from drivers.arms.ur_settings import UrSettings
 from tests.commands.emulated_cell import emulated
+from tests.commands.quiet_work import quiet_work
 from tests.commands.test_emulate import CLI_HOSTS, PACE, wire_profile
 
-HOSTS = CLI_HOSTS
 
-
-def one_rung(path: Path, said: list[str] | None = None, **asked: Any) -> RehearseResult:
-    work = Work(ignore, JobControl(), lambda _: None, NEW_ONLY, say=(said if said is not None else []).append)
+def one_rung(path: Path, say: Callable[[str], None] = ignore_words, **asked: Any) -> RehearseResult:
     request = RehearseRequest(profile=path, run_folder=path.parent / "rehearsal", **asked)
-    result = rehearse(request, work)
+    result = rehearse(request, quiet_work(say))
     assert RehearseResult.from_json(result.to_json(), "test") == result
     return result
 
@@ -50,9 +46,9 @@ def on_real_arms(profile: Profile) -> Profile:
 def test_the_rungs_are_climbed_one_by_one(tmp_path: Path) -> None:
     path, said = wire_profile(tmp_path), list[str]()
     profile = load_profile(path)
-    with emulated(profile, HOSTS, PACE, simulation=True):
+    with emulated(profile, CLI_HOSTS, PACE, simulation=True):
         whole = one_rung(path)
-        too_early = one_rung(path, said, rung="one-arm")
+        too_early = one_rung(path, said.append, rung="one-arm")
     assert (whole.rung, whole.ended, whole.arms) == ("simulation", "", ("left", "right"))
     assert len(whole.visited) + len(whole.refused) == profile.plan.stops - len(
         profile.plan.reserves(profile.plan.stops)
@@ -65,10 +61,10 @@ def test_the_rungs_are_climbed_one_by_one(tmp_path: Path) -> None:
     assert view(too_early).failed == (too_early.ended,)
     assert not too_early.visited
     assert said == []
-    with emulated(profile, HOSTS, PACE):
+    with emulated(profile, CLI_HOSTS, PACE):
         refused = one_rung(path, rung="simulation")
         assert "it drives the real arm" in refused.ended
-        first = one_rung(path, said, rung="one-arm", arm="right")
+        first = one_rung(path, said.append, rung="one-arm", arm="right")
         assert (first.arms, len(first.visited), first.missing[0]) == (("right",), 1, "simulation")
         assert said == ["rehearse: not passed yet before 'one-arm': simulation"]
     slow = next(one for one in first.motions if one.stop is not None)

@@ -8,6 +8,7 @@ import os
 import sys
 import threading
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,18 +30,14 @@ from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.bridge_token import read_token
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused
+from tests.commands.emulated_cell import behind_bridge
 from tests.commands.free_ports import on_free_ports
 from tests.trials.bridge import ALL_FAULTS, bridge_trial
 from tests.twin import PROFILES, small_twin, write_profile
 
 PATIENT_S = 30.0
 TOKEN = "correct horse battery staple"
-
-
-def behind(profile: Profile, url: str, **settings) -> Profile:
-    """The profile with its tracker behind a bridge."""
-    driver = BridgeSettings(url=url, timeout=2.0, **settings)
-    return profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"driver": driver})})
+behind = partial(behind_bridge, timeout=2.0)
 
 
 @pytest.fixture

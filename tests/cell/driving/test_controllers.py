@@ -27,7 +27,7 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from tests.loopback import own_address
-from tests.twin import small_twin
+from tests.twin import small_twin, with_arm
 
 pytestmark = pytest.mark.fast
 
@@ -96,13 +96,11 @@ def test_a_changed_checksum_is_refused_by_name_and_noted_where_one_insists(run: 
 
 
 def test_another_calibration_than_that_of_the_profile_is_refused(run: RunFile, cell: Cell, tmp_path: Path) -> None:
-    arm = run.profile.arms["left"]
-    rows = published_rows(arm)
+    rows = published_rows(run.profile.arms["left"])
     deltas = np.zeros_like(rows)
     deltas[1:3, 1], deltas[1, 3] = (439.2, -439.2), 1e-3  # the lengths of axes that are nearly parallel cancel
     table = ControllerTable(**dict(zip(_DELTAS, deltas.T.tolist(), strict=True)), checksum="0000000a")
-    arms = {**run.profile.arms, "left": arm.model_copy(update={"factory": table})}
-    with RunFile.create(tmp_path / "own", run.profile.model_copy(update={"arms": arms})) as own:
+    with RunFile.create(tmp_path / "own", with_arm(run.profile, "left", factory=table)) as own:
         with pytest.raises(HardwareError, match=r"arm left: its controller has another .*arms\.left\.factory"):
             check_controllers(own, cell)
         left(cell).says = replace(Known.says, dh_rows=rows + deltas)

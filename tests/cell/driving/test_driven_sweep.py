@@ -31,11 +31,11 @@ from drivers.arms.protocol import ArmError
 from drivers.arms.simulated import SimulatedArm
 from drivers.arms.ur_settings import UrSettings
 from drivers.clock import SimulatedClock
-from drivers.plant import Plant
 from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import StreamLimits
 from drivers.trackers.simulated import SimulatedTracker
-from tests.twin import small_twin
+from tests.crossed_beam import crossed_beam
+from tests.twin import plant_of, small_twin
 
 CLOCK = Imperfections(clock_offset_s=321.0, clock_rate=20e-6, packet_jitter_s=0.04)
 PERIOD_S = 4.0
@@ -88,11 +88,6 @@ def driven_cell(errors: Imperfections = CLOCK, prepare: Callable[[Cell], Any] = 
     return opened
 
 
-def plant_of(cell: Cell) -> Plant:
-    assert isinstance(cell.clock, SimulatedClock)
-    return cell.clock.plant
-
-
 def sweeps_in(heard: Sequence[Progress], arm: str) -> list[SweepLive]:
     """What those who look on heard of the sweeps of an arm."""
     return [one.detail for one in heard if isinstance(one.detail, SweepLive) and one.detail.arm == arm]
@@ -123,8 +118,9 @@ def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path
         assert len(set(shares)) > 2 * (PERIOD_S - 1.0)
         assert (told[-1].done_s, told[-1].points_missing, told[-1].samples_missing) == (PERIOD_S, 0, 0)
         assert (told[-1].points, told[-1].samples) == (len(recording.points.p_M), len(recording.joints.q))
-        moved = [one for one in told if one.point_age_s is not None]
-        assert all(0.0 <= one.point_age_s <= 0.1 for one in moved)  # type: ignore[operator]  # packets are late by 40 ms
+        ages_s = [one.point_age_s for one in told if one.point_age_s is not None]
+        assert ages_s
+        assert all(0.0 <= age_s <= 0.1 for age_s in ages_s)  # packets are late by 40 ms
         trace = np.array([place for one in told for place in one.trace])
         np.testing.assert_array_less(0.085, np.diff(trace[:, 0]))
         way_m = float(np.linalg.norm(np.diff(recording.points.p_M[::10], axis=0), axis=1).sum())
@@ -139,31 +135,15 @@ def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path
         assert recording_states(run) == states
 
 
-def test_a_lost_beam_slows_the_arm_down_and_the_rest_is_a_recording_of_its_own(planned: Path, tmp_path: Path) -> None:
-    broken: list[float] = []
-
-    def prepare(cell: Cell) -> None:
-        arm = cell.arms["left"]
-        assert isinstance(arm, SimulatedArm)
-        tracker, start, plant = cell.tracker, arm.start_path, plant_of(cell)
-        assert isinstance(tracker, SimulatedTracker)
-
-        def crossed() -> None:
-            tracker.covered.add("left")
-            plant.schedule.at(plant.clock_s + 1.5, tracker.covered.clear)
-            broken.append(plant.clock_s)
-
-        def started(q: Any, period_s: float) -> None:
-            if not broken:
-                plant.schedule.at(plant.clock_s + 2.0, crossed)
-            start(q, period_s)
-
-        arm.start_path = started  # type: ignore[method-assign]
-
+def test_a_lost_beam_slows_the_arm_down_and_the_rest_is_a_recording_of_its_own(
+    planned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cells: list[Cell] = []
+    crossed = crossed_beam(monkeypatch, cells, "left", 2.0)
     heard: list[Progress] = []
     with copied(planned, tmp_path) as run:
-        collect_run(run, heard.append, opened=driven_cell(CLOCK, prepare))
-        assert len(broken) == 1
+        collect_run(run, heard.append, opened=driven_cell(CLOCK, cells.append))
+        assert len(crossed) == 1
         told = sweeps_in(heard, "left")
         searching = next(place for place, one in enumerate(told) if one.state == "searching")
         assert {one.lost_beams for one in told[:searching]} == {0}

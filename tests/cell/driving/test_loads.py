@@ -14,7 +14,7 @@ import pytest
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.cell_checks import known_payload
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.loads import hung_load
+from cellapp.cell.driving.loads import Hung, hung_load
 from cellapp.cell.planning.method import make_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.stored_stops import read_planned_stops, write_planned_stops
@@ -27,7 +27,7 @@ from cellapp.ground.profile.collection import Collection, Reference
 from cellapp.ground.profile.schema import Payload
 from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
-from tests.twin import small_twin
+from tests.twin import small_twin, with_arm
 
 pytestmark = pytest.mark.fast
 STOPS = 6
@@ -35,9 +35,7 @@ HEAVY = Payload(mass=5.0, center_of_mass=(0.0, 0.0, 0.06))
 
 
 def loaded(*payloads: Payload, stops: int = STOPS) -> Profile:
-    profile = small_twin(stops, plan={"method": "random", "repeats": 0})
-    left = profile.arms["left"].model_copy(update={"payloads": payloads})
-    return profile.model_copy(update={"arms": {**profile.arms, "left": left}})
+    return with_arm(small_twin(stops, plan={"method": "random", "repeats": 0}), "left", payloads=payloads)
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +52,19 @@ def run(planned: tuple[Profile, PlannedStops], tmp_path: Path) -> Iterator[RunFi
         yield run
 
 
-def by_person(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def by_person(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loads of this cell are changed by a person."""
     monkeypatch.setattr(Profile, "cell_kind", "real")
+
+
+def answers(asked: list[str], *, hangs: bool) -> Hung:
+    """A person who is asked to hang a load."""
+
+    def hung(words: str) -> bool:
+        asked.append(words)
+        return hangs
+
+    return hung
 
 
 def test_stops_are_divided_among_loads_and_kept_ones_keep_theirs() -> None:
@@ -89,7 +97,7 @@ def test_a_simulated_cell_hangs_its_loads_and_every_reading_says_which(run: RunF
 
 
 def test_nothing_moves_before_a_person_has_hung_the_load(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    by_person(run, monkeypatch)
+    by_person(monkeypatch)
     opened = list[float]()
     asked = list[str]()
 
@@ -99,12 +107,8 @@ def test_nothing_moves_before_a_person_has_hung_the_load(run: RunFile, monkeypat
         with open_cell(profile, **options) as cell:
             yield cell
 
-    def refuses(words: str) -> bool:
-        asked.append(words)
-        return False
-
     with pytest.raises(Stopped, match=r"hang 5 kg.*--resume --payload left=5"):
-        collect_run(run, opened=watched, hung=refuses)
+        collect_run(run, opened=watched, hung=answers(asked, hangs=False))
     assert opened == [run.profile.arms["left"].payload.mass]
     assert run.stops_done() == {0, 1, 2}
     assert len(asked) == 1
@@ -122,25 +126,28 @@ def test_nothing_moves_before_a_person_has_hung_the_load(run: RunFile, monkeypat
 
 
 def test_a_controller_that_reports_another_payload_is_not_driven(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    moved = list[int]()
+    heavy = list[float]()
+    moved = list[str]()
 
     @contextmanager
     def forgetful(profile: Profile, **options: Any) -> Iterator[Cell]:
         with open_cell(profile, **options) as cell:
-            heavy, state, move = profile.arms["left"].payload.mass > 1.0, cell.arms["left"].state, 0
+            left, mass = cell.arms["left"], profile.arms["left"].payload.mass
+            state = left.state
 
             def says() -> ArmState:
                 return replace(state(), payload_kg=0.3)
 
-            if heavy:
-                moved.append(move)
-                monkeypatch.setattr(cell.arms["left"], "state", says)
-                monkeypatch.setattr(cell.arms["left"], "start_move", lambda *way: moved.append(1))
+            if mass > 1.0:
+                heavy.append(mass)
+                monkeypatch.setattr(left, "state", says)
+                monkeypatch.setattr(left, "start_move", lambda *way: moved.append("left"))
             yield cell
 
     with pytest.raises(HardwareError, match=r"arm left: not moved with 5 kg: .* set to 0.300 kg"):
         collect_run(run, opened=forgetful)
-    assert moved == [0]
+    assert heavy == [5.0]
+    assert moved == []
     assert run.stops_done() == {0, 1, 2}
 
 
@@ -155,9 +162,9 @@ def test_a_controller_that_does_not_answer_after_a_load_was_hung_is_a_fault_in_w
 
 def test_a_stop_measured_again_needs_its_own_load(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
     collect_run(run)
-    by_person(run, monkeypatch)
+    by_person(monkeypatch)
     asked = list[str]()
-    collect_run(run, again=[1, 4], hung=lambda words: not asked.append(words))  # type: ignore[func-returns-value]
+    collect_run(run, again=[1, 4], hung=answers(asked, hangs=True))
     first = run.profile.arms["left"].payload.mass
     assert [f"hang {kg:g} kg" in words for kg, words in zip((first, 5.0), asked, strict=True)] == [True, True]
     left = run.readings("left").payload_kg

@@ -11,7 +11,7 @@ from cellapp.cell.driving.examination import examine
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.smr import Smr
 from drivers.findings import Finding
-from tests.twin import small_twin
+from tests.twin import small_twin, with_arm
 
 pytestmark = pytest.mark.fast
 NESTS = {"B": {"offset": (-0.045, 0.02, 0.06)}, "C": {"offset": (0.0, 0.075, 0.06)}}
@@ -24,9 +24,8 @@ TIE = "station,nest,x_m,y_m,z_m\n" + "".join(
 
 def with_nests(**keys: Any) -> Profile:
     profile = small_twin()
-    left = profile.arms["left"]
-    smr = Smr.model_validate({**left.smr.model_dump(), "name": "A", "nests": NESTS, **keys})
-    return profile.model_copy(update={"arms": {**profile.arms, "left": left.model_copy(update={"smr": smr})}})
+    smr = Smr.model_validate({**profile.arms["left"].smr.model_dump(), "name": "A", "nests": NESTS, **keys})
+    return with_arm(profile, "left", smr=smr)
 
 
 def said(profile: Profile, subject: str, reference_nests: Path | None = None) -> Finding:
@@ -74,8 +73,7 @@ def test_how_well_stations_are_tied_at_the_arms(tmp_path: Path) -> None:
     assert found.status == "ok"
     assert "tied to north by 4 reference nests, which are off by 0.000 mm rms" in found.text
     assert "a coordinate of arm right at home to 0.0" in found.text
-    near = "".join(f"{line}\n" for line in TIE.splitlines()).replace("F3", "F4")
-    path.write_text(near.replace("south,F0,2.50000", "south,F0,2.60000"), "utf-8")
+    path.write_text(TIE.replace("F3", "F4").replace("south,F0,2.50000", "south,F0,2.60000"), "utf-8")
     refused = said(small_twin(), "reference nests", path)
     assert refused.status == "failed"
     assert str(path) in refused.text

@@ -18,7 +18,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile.schema import Payload
 from tests.cell.planning.hand_made import same_stops, some_stops
-from tests.twin import small_twin, with_arms
+from tests.twin import small_twin, with_arm, with_arms
 
 pytestmark = pytest.mark.fast
 
@@ -32,8 +32,7 @@ def written(path: Path) -> list[str]:
 
 
 def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
-    left = PROFILE.arms["left"].model_copy(update={"payloads": (Payload(mass=5.0), Payload(mass=2.0))})
-    profile = PROFILE.model_copy(update={"arms": {**PROFILE.arms, "left": left}})
+    profile = with_arm(PROFILE, "left", payloads=(Payload(mass=5.0), Payload(mass=2.0)))
     for stops in (some_stops(9), some_stops(9, loads=True), straight_stops(some_stops(3).q)):
         write_plan_csv(stops, tmp_path / "plan.csv", RENEWED)
         back = read_plan_csv(tmp_path / "plan.csv", profile)

@@ -136,8 +136,7 @@ UR_PUBLISHED = {
 
 @pytest.mark.parametrize("name", UR_PUBLISHED)
 def test_arms_of_universal_robots_have_their_published_rows(name: str) -> None:
-    (path,) = (path for path in arm_type_files() if path.stem == name)
-    found = arm_type_of_text(path.read_text("utf-8"), path)
+    found = arm_type(name)
     lengths, mass = UR_PUBLISHED[name]
     joints = found.joints
     assert tuple(joints[i].d for i in (0, 3, 4, 5)) == (lengths[0], *lengths[3:])

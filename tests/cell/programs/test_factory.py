@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from cellapp.robot.model.nominal import controller_rows, published_rows
 from drivers.plant.factory import factory_calibration
 from tests.cell.programs.test_truth import FACTOR, Array, Cell, cell_of, corrected, errors, waypoint
 from tests.made_once import made_once
-from tests.twin import small_twin
+from tests.twin import small_twin, with_arm
 
 _CHAIN = ("deltaTheta", "d", "a", "alpha")
 
@@ -43,8 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert own is not None
         text = controller_file_text((own.rows - published_rows(left)).tolist(), own.checksum, ("a comment",))
         table = ControllerTable.model_validate(controller_table(text, Path("left.conf")))
-        twin = twin.model_copy(update={"arms": {**twin.arms, "left": left.model_copy(update={"factory": table})}})
-        with new_planned_run(twin, folder) as run:
+        with new_planned_run(with_arm(twin, "left", factory=table), folder) as run:
             collect_run(run)
             calibrate_run(run)
 
@@ -56,7 +56,7 @@ def cell(folder: Path) -> Cell:
     found = cell_of(folder, "left")
     with RunFile.open(folder) as run:
         rows = controller_rows(run.profile.arms["left"])
-    return Cell(found.name, found.run, found.plant, rows, found.tcp, found.base, found.q)
+    return replace(found, rows=rows)
 
 
 def taught(cell: Cell, rows: Array) -> str:
@@ -84,7 +84,8 @@ def test_waypoints_of_a_calibrated_controller_reach_its_true_poses(cell: Cell, t
 
 
 def test_waypoints_of_another_controller_are_refused_by_name(cell: Cell, tmp_path: Path) -> None:
-    other = cell.rows + np.diag([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])[:, :4]
+    other = cell.rows.copy()
+    other[0, 0] += 1e-3
     (tmp_path / "old.urp").write_bytes(gzip.compress(taught(cell, other).encode()))
     with RunFile.open(cell.run.folder) as run:
         result = correct_run(run, tmp_path / "old.urp", tmp_path / "new.urp", "left")

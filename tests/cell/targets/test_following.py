@@ -25,6 +25,7 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Cancelled, Progress
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker
+from tests.crossed_beam import crossed_beam
 from tests.twin import plant_of
 
 
@@ -160,31 +161,10 @@ def test_an_event_in_mid_path_stops_all_arms(
     assert not any(plant.moving(name) for name in ("left", "right"))
 
 
-def crossing(monkeypatch: pytest.MonkeyPatch, cells: list[Any], times: int) -> list[float]:
-    """Let somebody walk through the beam for 1.5 s on each of the first ``times`` paths; when that was [s]."""
-    start = SimulatedArm.start_path
-    crossed: list[float] = []
-
-    def started(arm: SimulatedArm, q: Any, period_s: float) -> None:
-        plant, tracker = plant_of(cells[0]), cells[0].tracker
-
-        def cross() -> None:
-            tracker.covered.add("right")
-            crossed.append(plant.clock_s)
-            plant.schedule.at(plant.clock_s + 1.5, tracker.covered.clear)
-
-        if len(crossed) < times:
-            plant.schedule.at(plant.clock_s + 1.0, cross)
-        start(arm, q, period_s)
-
-    monkeypatch.setattr(SimulatedArm, "start_path", started)
-    return crossed
-
-
 def test_a_path_on_which_the_beam_broke_is_driven_again(
     run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    crossed = crossing(monkeypatch, cells, 2)
+    crossed = crossed_beam(monkeypatch, cells, "right", 1.0, times=2)
     result = follow_run(run, [spec()], driving="verify")
     (driven,) = [path.driven for path in result.paths]
     assert len(crossed) == 2
@@ -201,7 +181,7 @@ def test_a_path_on_which_the_beam_broke_is_driven_again(
 def test_a_beam_that_breaks_each_time_leaves_the_path_unmeasured(
     run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    crossed = crossing(monkeypatch, cells, 99)
+    crossed = crossed_beam(monkeypatch, cells, "right", 1.0, times=99)
     result = follow_run(run, [spec()], driving="verify")
     assert len(crossed) == MOST_RUNS
     assert result.paths[0].driven is not None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -206,22 +206,21 @@ def test_positions_alone_leave_every_result_without_a_key(run: RunFile, model: C
 
 
 @pytest.mark.parametrize(
-    ("keys", "words"),
+    ("name", "value", "words"),
     [
-        ("orientation_tolerance_mrad\n500", "at most 20 mrad, got 0.5 rad"),
-        ("orientation_tolerance_mm\n1", "orientation_tolerance"),
-        ("orientation_tolerance_mrad\n0.5", "give the target a rotation"),
+        ("orientation_tolerance_mrad", 500, "at most 20 mrad, got 0.5 rad"),
+        ("orientation_tolerance_mm", 1, "orientation_tolerance"),
+        ("orientation_tolerance_mrad", 0.5, "give the target a rotation"),
     ],
 )
-def test_bad_tolerances_are_refused(tmp_path: Any, keys: str, words: str) -> None:
-    name, value = keys.split("\n")
+def test_bad_tolerances_are_refused(tmp_path: Path, name: str, value: float, words: str) -> None:
     path = tmp_path / "list.csv"
     path.write_text(f"name,arm,x_mm,y_mm,z_mm,{name}\na,left,-300,-400,700,{value}\n", "utf-8")
     with pytest.raises(InputError, match=words):
         load_targets(path, small_twin())
 
 
-def test_a_tolerance_is_typed_and_written_as_it_was(tmp_path: Any) -> None:
+def test_a_tolerance_is_typed_and_written_as_it_was(tmp_path: Path) -> None:
     profile = small_twin()
     texts = new_texts("left") | {"position": "-300 mm, -400 mm, 700 mm", "orientation_tolerance": "0.4 mrad"}
     typed = typed_target(texts, None, (), profile)

@@ -36,10 +36,10 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress
 from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import apply
-from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
+from tests.crossed_beam import crossed_beam
 from tests.twin import plant_of, small_twin
 
 REPEATABILITY_RAD = 5e-5
@@ -247,26 +247,11 @@ def test_a_cycle_on_which_the_beam_broke_is_driven_again_and_counted(monkeypatch
         assert not isinstance(specs, str)
         return specs[:1]
 
-    start = SimulatedArm.start_path
-    crossed: list[float] = []
-
-    def started(arm: SimulatedArm, q: Any, period_s: float) -> None:
-        def cross() -> None:
-            tracker.covered.add("left")
-            plant.schedule.at(plant.clock_s + 1.5, tracker.covered.clear)
-            crossed.append(plant.clock_s)
-
-        plant = plant_of(cells[0])
-        tracker: Any = cells[0].tracker
-        if not crossed:
-            plant.schedule.at(plant.clock_s + 0.5, cross)
-        start(arm, q, period_s)
-
     monkeypatch.setattr(path_tests, "path_specs", line_alone)
     monkeypatch.setattr(path_tests.PathTests, "_weave", lambda *_: None)
-    monkeypatch.setattr(SimulatedArm, "start_path", started)
     task, findings = task_of(cell_of(one_arm()), "path"), IsoFindings()
     cells: list[Cell] = []
+    crossed = crossed_beam(monkeypatch, cells, "left", 0.5)
     drive_tests(task, findings, opened=cells.append)
     (runs,) = findings.paths
     assert len(crossed) == 1

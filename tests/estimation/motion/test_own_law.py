@@ -14,6 +14,7 @@ from cellapp.robot.effects import EFFECTS, Linear, motion_laws, own_law
 from tests.estimation.motion.simulated import record, sweep, true_arm
 from tests.estimation.motion.test_effects import found_in
 from tests.interfaces.plugins.installed import EXAMPLE, add_distribution, installed
+from tests.robot.effects.cell import context_of
 
 GREASE = "grease_drag"
 TRUE = np.array([120e-6, 160e-6, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -53,7 +54,7 @@ def test_nothing_is_found_where_nothing_is(plugin):
 @pytest.mark.fast
 def test_readings_at_rest_cannot_show_it(plugin):
     assert len(motion_laws(EFFECTS.values())) == 3
-    assert "no speeds" in EFFECTS[GREASE].missing_data(None)  # type: ignore[arg-type]
+    assert "no speeds" in EFFECTS[GREASE].missing_data(context_of())
 
 
 @pytest.mark.fast

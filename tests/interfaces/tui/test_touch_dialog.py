@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from textual.pilot import Pilot
 from textual.widgets import Checkbox, Input
 
 from cellapp.cell.run import RunFile
@@ -14,6 +15,17 @@ from cellapp.interfaces.tui.dialogs.palette import possible_commands
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 
+TWIN = PROFILES / "twin.yaml"
+
+
+async def asked_for_the_twin(pilot: Pilot[None], app: CellApp, verb: str, word: str) -> None:
+    """Open the twin, and the dialog of a verb from the palette; ``word`` stands in it."""
+    await opened(pilot, app)
+    app.open_profile(TWIN)
+    await until(pilot, lambda: app.workspace.profile_path == TWIN, "the twin")
+    {one.title: one for one in possible_commands(app, app.day_screen)}[f"cellapp {verb}"].callback()
+    await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and word in shown_text(app), "the dialog")
+
 
 async def test_a_name_and_enter_record_and_the_next_one_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -21,11 +33,7 @@ async def test_a_name_and_enter_record_and_the_next_one_is_asked_for(
     monkeypatch.setattr(offers, "new_folder", lambda profile: tmp_path / "touched")
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.open_profile(PROFILES / "twin.yaml")
-        await until(pilot, lambda: app.workspace.profile is not None, "the profile")
-        {one.title: one for one in possible_commands(app, app.day_screen)}["cellapp touch"].callback()
-        await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and "socket" in shown_text(app), "the dialog")
+        await asked_for_the_twin(pilot, app, "touch", "socket")
         assert "Close" in shown_text(app), "all of the dialog fits into the smallest terminal"
         app.screen.query_one("#point", Input).value = "front_0"
         await pilot.press("ctrl+s")
@@ -51,11 +59,7 @@ async def test_a_name_and_enter_record_and_the_next_one_is_asked_for(
 async def test_the_palette_rehearses_the_profile_that_is_open() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.open_profile(PROFILES / "twin.yaml")
-        await until(pilot, lambda: app.workspace.profile is not None, "the profile")
-        {one.title: one for one in possible_commands(app, app.day_screen)}["cellapp rehearse"].callback()
-        await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and "step" in shown_text(app), "the dialog")
+        await asked_for_the_twin(pilot, app, "rehearse", "step")
         app.screen.query_one("#rung", Input).value = "both-arms"
         assert isinstance(app.screen, VerbQuestion)
         app.screen.action_answer("begin")
