@@ -67,7 +67,8 @@ def test_a_missed_point_keeps_its_reason_until_the_next_motion() -> None:
 def test_a_sweep_that_was_given_up_is_followed_no_more_when_the_next_stop_is_measured() -> None:
     searched = SweepLive(3, "left", "sweep-4", 16.0, "searching", 4.0)
     record = record_of(searched)
-    assert record.tracker.sweep is searched
+    followed = record.tracker.sweep
+    assert followed is searched
     record.add(Progress("collect", 4, 9, detail=MeasurementBegun(4, "right")))
     assert (record.tracker.sweep, record.tracker.arm) == (None, "right")
     assert record.sweep is searched
