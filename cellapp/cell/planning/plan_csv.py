@@ -288,7 +288,7 @@ class _Points:
             self._problems.add(
                 line, "point", f"configuration {number} has no leg{missing}; number legs from 1, no gaps"
             )
-        for column in ("block", "repeat_of", "frozen", "load"):
+        for column in _OF_STOP[1:]:  # each arm has a dwell of its own
             said = {getattr(points[STOP], column) for points in arms.values() if STOP in points} - {None}
             if len(said) > 1:
                 self._problems.add(line, column, f"the arms of configuration {number} do not say the same")

@@ -228,12 +228,10 @@ def _target_keys(target: Target, usual: Mapping[str, WorkingConditions]) -> dict
     if target.frame != "base":
         keys["frame"] = target.frame
     keys |= _part_keys(target, usual)
-    if target.tolerance is not None:
-        text = f"{target.tolerance * 1e3:.12g} mm"  # in mm where that is the same number
-        keys["tolerance"] = text if parse_quantity("length", text) == target.tolerance else target.tolerance
-    if (turn := target.orientation_tolerance) is not None:
-        text = f"{turn * 1e3:.12g} mrad"
-        keys["orientation_tolerance"] = text if parse_quantity("angle", text) == turn else turn
+    for name, kind, unit in (("tolerance", "length", "mm"), ("orientation_tolerance", "angle", "mrad")):
+        if (value := getattr(target, name)) is not None:
+            text = f"{value * 1e3:.12g} {unit}"  # in thousandths where that is the same number
+            keys[name] = text if parse_quantity(kind, text) == value else value
     if target.approach is not None:
         keys["approach"] = list(target.approach)
     if target.partner is not None:

@@ -82,10 +82,7 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
         arm: position_budget(profile, arm, evidence_of(results, arm, given.conditions.get(arm))) for arm in profile.arms
     }
     turns = {arm: orientation_budget(profile, results, arm) for arm in profile.arms}
-    arms = {
-        arm: _arm(given, arm, expanded_mm(budget)).model_copy(update={"expanded_mrad": expanded_mrad(turns[arm])})
-        for arm, budget in budgets.items()
-    }
+    arms = {arm: _arm(given, arm, expanded_mm(budgets[arm]), expanded_mrad(turns[arm])) for arm in profile.arms}
     lines = [one.model_copy(update={"where": arm}) for arm, budget in budgets.items() for one in budget]
     return CertificateResult.like(
         given,
@@ -120,7 +117,9 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
 # -- figures ----------------------------------------------------------------------------------------------------------
 
 
-def _arm(given: CertificateInput, arm: str, expanded: float | None) -> CertifiedArm:
+def _arm(
+    given: CertificateInput, arm: str, expanded_position_mm: float | None, expanded_turn_mrad: float | None
+) -> CertifiedArm:
     stated = given.profile.traceability.arms.get(arm)
     controller = given.controllers.get(arm, Controller())
     conditions = given.conditions.get(arm, MeasuredConditions(readings=0))
@@ -133,7 +132,8 @@ def _arm(given: CertificateInput, arm: str, expanded: float | None) -> Certified
         controller_serial=controller.serial,
         controller_software=controller.software,
         errors=_errors(given.results, arm),
-        expanded_mm=expanded,
+        expanded_mm=expanded_position_mm,
+        expanded_mrad=expanded_turn_mrad,
     )
 
 
