@@ -45,14 +45,12 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles
 from cellapp.robot.kinematics.transforms import Array
-from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
+from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 
 _TOOL_PRIOR_M = 20e-3
 """Standard deviation of the SMR offset: an adapter measured with a ruler."""
 _UNKNOWN_TOOL_PRIOR_M = 0.3
 """The same for an offset that the profile calls unknown: any adapter."""
-_OFF_AXIS = np.array([0.05, 0.03, 0.05])
-"""Any SMR offset [m] that is not on the last axis: on it, fewer parameters would be identifiable."""
 _FIRST_READINGS = 4
 """Readings from which the base is found. Three determine it; a fourth shows whether they fit."""
 _LEAST_SPREAD_M = 0.05
@@ -189,7 +187,7 @@ class OnlineFit:
         self.innovation: Innovation | None = None
         """The newest reading against the model before it; None where there was none."""
         self._nominal, self._tool_unknown, self._robust = nominal, tool_unknown, robust
-        typical = replace(nominal, tool=_OFF_AXIS) if tool_unknown else nominal
+        typical = replace(nominal, tool=OFF_AXIS) if tool_unknown else nominal
         given = prior_sigma or {}
         try:
             self._parameters, priors = estimated_parameters(parameter_set, typical, given)

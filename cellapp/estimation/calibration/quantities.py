@@ -142,13 +142,14 @@ def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -
     if len(rows) < _FEWEST or (own := _scatter(geometry, q, rotations)) < _SUSPECT_RAD:
         return
     found = {words: _scatter(geometry, q, changed(rotations)) for words, changed in _FRAMES.items()}
-    fits = (words for words, angle in found.items() if angle == min(found.values()) and angle < _BETTER * own)
-    if own < _ODD_RAD and min(found.values()) >= _BETTER * own:
-        return
-    otherwise = "they fit in no usual convention: look for quaternions of other rows, another arm or another frame"
+    why = min(found, key=lambda words: found[words])
+    if found[why] >= _BETTER * own:
+        if own < _ODD_RAD:
+            return
+        why = "they fit in no usual convention: look for quaternions of other rows, another arm or another frame"
     raise InputError(
         f"arm '{name}': the orientations quat_w, ..., quat_z of most readings, the first of them configuration"
-        f" {readings.configuration[rows[0]]}, do not turn with the flange; {next(fits, otherwise)}"
+        f" {readings.configuration[rows[0]]}, do not turn with the flange; {why}"
     )
 
 

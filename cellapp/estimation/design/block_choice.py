@@ -104,7 +104,7 @@ def choose_blocks(
     chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, effort, cancel)
     best = criterion.value(candidates.covariance(chosen))
     for _ in range(min(effort.passes, -(-effort.exchanges // max(count, 1)))):
-        exchanged = _exchanged(candidates, chosen, criterion, rng, effort, cancel)
+        exchanged = _exchanged(candidates, chosen, criterion, effort, cancel)
         value = criterion.value(candidates.covariance(exchanged))
         if value >= best:  # the linear criterion became better, the true one did not
             break
@@ -161,14 +161,7 @@ def _greedy(
     return np.flatnonzero(~free)
 
 
-def _exchanged(
-    candidates: Candidates,
-    chosen: Rows,
-    criterion: Criterion,
-    rng: np.random.Generator,
-    effort: Effort,
-    cancel: CancelToken,
-) -> Rows:
+def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effort: Effort, cancel: CancelToken) -> Rows:
     """Each chosen stop, the one of the least information first, against the best of the others, or itself."""
     information = candidates.information(chosen)
     W = criterion.weights(inverse_psd(information))

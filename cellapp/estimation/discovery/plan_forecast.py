@@ -47,10 +47,8 @@ from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, prior_sigmas, up_in_tracker
+from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, pose_matrix, prior_sigmas, up_in_tracker
 
-OFF_AXIS = np.array([0.05, 0.03, 0.05])
-"""Stands for an unknown SMR offset [m]: on the last axis fewer parameters could be identified."""
 _SEED = 0xF0CA
 """Beside the profile's seed: the simulated noise is then independent of all other draws."""
 

@@ -227,7 +227,7 @@ class _Search:
         step = Step(Law.VIBRATION, terms, 0.0, 1.0, state.heldout_mm, math.nan)
         trial, (step,) = self._settled(self._extended(state, terms), [step])
         statistic = statistic_of(trial, step.terms)
-        p_value = min(1.0, float(chdtrc(1, statistic)) * tried)
+        p_value = _by_chance(statistic, 1, tried)
         if p_value > _CHANCE or not shown(trial, Law.VIBRATION, [step]):
             return None
         trial = self._judged(trial)
@@ -254,9 +254,7 @@ class _Search:
         for step in list(steps):
             if step.law is Law.LINE:
                 continue
-            p_value = min(
-                1.0, float(chdtrc(len(tested(step.terms)), statistic_of(state, step.terms))) * self.alternatives
-            )
+            p_value = _by_chance(statistic_of(state, step.terms), len(tested(step.terms)), self.alternatives)
             if p_value > _CHANCE or not shown(state, step.law, steps):
                 steps = [one for one in steps if one is not step]
                 state = self._refitted(state, steps)
@@ -321,7 +319,7 @@ class _Search:
             if law in _OF_POSTURE:
                 trials.append(self._extended(replace(state, problem=replace(state.problem, whitening=None)), terms))
             statistic, trial = max(((statistic_of(one, terms), one) for one in trials), key=lambda each: each[0])
-            p_value = min(1.0, float(chdtrc(len(terms), statistic)) * self.alternatives)
+            p_value = _by_chance(statistic, len(terms), self.alternatives)
             if p_value < _CHANCE:
                 tried.append((trial, Step(law, terms, statistic, p_value, state.heldout_mm, math.nan)))
         for trial, step in sorted(tried, key=lambda each: (each[1].p_value, -each[1].statistic)):
@@ -356,11 +354,16 @@ class _Search:
         if len(kept) < len(terms):
             trial = self._extended(state, kept)
         statistic = statistic_of(trial, kept)
-        p_value = min(1.0, float(chdtrc(len(kept), statistic)) * power.size)
+        p_value = _by_chance(statistic, len(kept), power.size)
         trial = self._judged(trial)
         if trial.heldout_mm >= state.heldout_mm:
             return None
         return trial, Step(Law.LINE, kept, statistic, p_value, state.heldout_mm, trial.heldout_mm)
+
+
+def _by_chance(statistic: float, parameters: int, tried: int) -> float:
+    """Probability of a chi-square as large as this by chance, in the best of the alternatives that were ``tried``."""
+    return min(1.0, float(chdtrc(parameters, statistic)) * tried)
 
 
 def _whitened(state: State) -> State:

@@ -105,6 +105,7 @@ class State:
 
 
 def has(steps: Sequence[Step], law: Law | MotionLaw) -> bool:
+    """Whether a law entered; one of a plug-in with any values of its tuned parameters."""
     return any(step.law.value == law.value for step in steps)
 
 
@@ -118,6 +119,7 @@ def tested(terms: Sequence[JointTerm]) -> list[JointTerm]:
 
 
 def with_values(state: State, terms: Sequence[JointTerm]) -> list[tuple[JointTerm, float]]:
+    """Terms of one law, each with its value."""
     if not terms:
         return []
     laws = [term for term in state.problem.layout.terms if term.law is terms[0].law]

@@ -5,7 +5,7 @@
     line       dq_j = a cos(c q_j) + b sin(c q_j)   transmission error, c cycles a turn
     lag        dq_j = -T_j qd_j           delay of one joint's position behind the others'
     compliance dq_j = k_j tau_j           tau = gravity + inertia: torque of all masses beyond, at their acceleration
-    inertia    dq_j = -i_j qdd_j          twist under the joint's own acceleration, where no masses are known
+    inertia    dq_j = -i_j qdd_j          twist under the joint's own acceleration, which needs no masses
     time constant  dq_j = x_j(T_j) - q_j  a first-order lag (``responses``)
     vibration  dq_j = g_j (y_j(f_j, d_j) + qdd_j)   what a damped spring adds after changes of acceleration
 

@@ -104,12 +104,8 @@ def wrong_between_arms(
     for one in known:
         ends = [next(place[point] for place in places if point in place) for point in (one.point_a, one.point_b)]
         computed = float(np.linalg.norm(ends[0] - ends[1]))
-        if abs(computed - one.distance_m) > _DISTANCE_M + _DISTANCE_SHARE * min(one.distance_m, computed):
-            yield (
-                one,
-                f"{one.distance_m:g} m from '{one.point_a}' to '{one.point_b}', but the published arms find"
-                f" {computed:.3f} m; check the unit, and whether the names of sockets are swapped",
-            )
+        if _contradicted(one.distance_m, computed):
+            yield one, _contradiction(one.point_a, one.point_b, one.distance_m, f"arms find {computed:.3f} m")
 
 
 def _centres(geometry: Geometry, readings: Readings) -> dict[str, Array]:
@@ -136,13 +132,21 @@ def wrong_distances(geometry: Geometry, readings: Readings) -> Iterator[tuple[tu
     contacts = Contacts.of(readings)
     errors = gauge_errors(readings, smr_positions(geometry, readings.q))
     for (a, b), known, error in zip(contacts.pairs.tolist(), contacts.distance_m.tolist(), errors.tolist()):
-        computed = known + error
-        if abs(error) > _DISTANCE_M + _DISTANCE_SHARE * min(known, computed):
-            yield (
-                (contacts.names[a], contacts.names[b]),
-                f"{known:g} m from '{contacts.names[a]}' to '{contacts.names[b]}', but the published arm finds"
-                f" {computed:.3f} m; check the unit, and whether the names of sockets are swapped",
-            )
+        computed, ends = known + error, (contacts.names[a], contacts.names[b])
+        if _contradicted(known, computed):
+            yield ends, _contradiction(*ends, known, f"arm finds {computed:.3f} m")
+
+
+def _contradicted(known: float, computed: float) -> bool:
+    """Whether a computed distance [m] is not the known one by more than a published arm is off."""
+    return abs(computed - known) > _DISTANCE_M + _DISTANCE_SHARE * min(known, computed)
+
+
+def _contradiction(a: str, b: str, known: float, found: str) -> str:
+    return (
+        f"{known:g} m from '{a}' to '{b}', but the published {found}; check the unit, and whether the names of sockets"
+        " are swapped"
+    )
 
 
 def _from_centres(contacts: Contacts, vectors: Array, weights: Array) -> Array:

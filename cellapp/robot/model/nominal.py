@@ -13,6 +13,9 @@ from cellapp.robot.kinematics.plain_dh import hayati_rows
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array, rotation_zyx, transform
 
+OFF_AXIS = np.array([0.05, 0.03, 0.05])
+"""Stands for an unknown SMR offset [m]: on the last axis fewer parameters could be identified."""
+
 
 def nominal_arm(arm: Arm) -> Geometry:
     """The chain by which an arm's controller computes, with its base at the origin; an unknown SMR offset is zero.

@@ -24,7 +24,6 @@ from cellapp.commands.trials.visible_size import beyond_geometry, registered_mod
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
 from cellapp.estimation.calibration.measurement_conditions import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm
-from cellapp.estimation.discovery.plan_forecast import OFF_AXIS
 from cellapp.estimation.discovery.records import AcceptedEffect, SmallestSize
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
@@ -33,6 +32,7 @@ from cellapp.ground.results import Record
 from cellapp.ground.scale.task import TaskKind
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import OFF_AXIS
 from drivers.plant import Plant, suggest_other_law
 from drivers.plant.conditions import Conditions
 

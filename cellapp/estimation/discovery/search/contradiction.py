@@ -41,9 +41,9 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
     for score in scan.ranked(residual)[:_TRIED]:
         if score.value <= problem.threshold:
             break
-        term = None
-        if impossible_blocks(residual, score, NEARLY)[0] and not _left_over(state, score):
-            term = _impossible_term(state, score)
+        if not impossible_blocks(residual, score, NEARLY)[0] or _left_over(state, score):
+            continue
+        term = _impossible_term(state, score)
         if term is None:
             continue
         possible = within_bounds(state.data, fit.terms, residual, score)

@@ -78,7 +78,7 @@ class BesideField:
 
     def gain(self, rows: Array) -> float:
         """Gain of the BIC by new rows (m, 3 n), all of them counted as parameters, behind the model and its field."""
-        return self._behind(None, self._target).bic_gain(self._whitened(rows))
+        return self._left.bic_gain(self._whitened(rows))
 
     def gain_of(self, number: int) -> float:
         """Gain of the score by a term other than the field: of its law, or twice the log evidence of a smooth one."""
@@ -88,8 +88,13 @@ class BesideField:
             price = term.smooth.hyperparameters * math.log(len(fit.residual))
             return 2.0 * (self._log_evidence(self._values, None) - without) - price
         rows = fit.law_rows(number)
-        target = self._target + fit.term_values(number)[: len(rows)] @ rows
+        target = fit.target + fit.term_values(number)[: len(rows)] @ rows
         return self._behind(number, target).bic_gain(self._whitened(rows))
+
+    @cached_property
+    def _left(self) -> ProjectedResidual:
+        """The residual behind the whole model: many columns are tried beside it."""
+        return self._behind(None, self.fit.target)
 
     def _behind(self, without: int | None, target: Array) -> ProjectedResidual:
         rows, precision = self._parameters(without)
@@ -111,11 +116,6 @@ class BesideField:
         factor = self._factor(self._values, np.zeros((0, self.unit.shape[1])), np.zeros(0))
         assert factor is not None
         return factor
-
-    @cached_property
-    def _target(self) -> Array:
-        """What all terms with priors and the noise hold (3 n,)."""
-        return self.fit.target
 
     def _parameters(self, without: int | None) -> tuple[Array, Array]:
         """Rows and prior precisions of all parameters but those of the field and of a term."""
@@ -141,7 +141,7 @@ class BesideField:
         factor = self._factor(values, rows[smooth], 1.0 / precision[smooth])
         if factor is None:
             return -_IMPOSSIBLE
-        both = np.concatenate([rows[~smooth], self._target[None]])
+        both = np.concatenate([rows[~smooth], self.fit.target[None]])
         white = solve_triangular(factor, both.T, lower=True, check_finite=False).T
         flat = NuisanceProjector.of(white[:-1], precision[~smooth])
         left = flat.project(white[-1])
