@@ -16,11 +16,12 @@ from cellapp.estimation.discovery.search.data_driven import in_place_of_names, w
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
 from cellapp.estimation.discovery.search.stepwise import search
+from cellapp.estimation.discovery.search.whole_field import BesideField
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.data_driven import channels
+from cellapp.robot.effects.data_driven import FIELD, channels
 from cellapp.robot.effects.unknown import curve_families, pair_families
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel
@@ -136,3 +137,23 @@ def test_a_field_over_the_workspace_is_one_smooth_term():
     assert (described.channel, described.variables) == ("base shift", ("x", "y", "z"))
     assert "depends on the position, a field over the workspace" in described.sentence
     assert described.size_um == pytest.approx(60.0 * np.sqrt(3.0), rel=0.35)
+
+
+def test_beside_a_field_a_law_counts_for_what_the_waves_of_the_field_cannot_follow():
+    field = RandomField.drawn(11, 0.3)
+
+    def gain(amplitude: float) -> float:
+        data, fit = readings_with(
+            lambda q: amplitude * np.sin(2.0 * q) * (np.arange(6) == 2), lambda p: 60e-6 * field.at(p)
+        )
+        found = fit_process(data, fit, 30.0)
+        assert found is not None
+        data, fit = refit(data, tuple(term for term in process_terms(*found) if term.law.form == FIELD))
+        beside = BesideField.of(data, fit)
+        assert beside is not None
+        assert BesideField.of(data, fit) is beside, "made once for a fit"
+        law = fit.candidates(data, ["transmission_error"])[0]
+        return beside.gain(law.rows[[column.name in ("cos2q3", "sin2q3") for column in law.columns]])
+
+    assert gain(0.0) < 0.0
+    assert gain(1e-4) > 30.0
