@@ -4,21 +4,37 @@ from __future__ import annotations
 
 import multiprocessing
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
 from cellapp.cell.profile import profile_from_json, profile_to_json
 from cellapp.commands.emulate.result import EmulatedTracker
 from cellapp.commands.emulate.run import emulate, emulated_arms
+from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from drivers.trackers.bridge_settings import BridgeSettings
 
 PATIENT_S = 60.0
+_STALLED = ("this program was silent", "this computer was", "its driver process was silent")
+"""What stops the arms where other programs take the processor for some tenths of a second."""
+T = TypeVar("T")
+
+
+def patiently(act: Callable[[int], T]) -> T:
+    """Do something, which is told how often it was tried before; a computer that stalls stops the arms, and a person
+    begins again."""
+    for attempt in range(3):
+        try:
+            return act(attempt)
+        except HardwareError as error:
+            if not any(words in str(error) for words in _STALLED):
+                raise
+    pytest.fail("this computer stalls too often")
 
 
 def behind_bridge(profile: Profile, url: str = "socket://127.0.0.1:50960", **settings: Any) -> Profile:

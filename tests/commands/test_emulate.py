@@ -32,7 +32,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.model import CellModel
 from drivers.arms.ur_settings import UrSettings
 from tests.cell.targets.pairs import pair_targets, stops_with_room
-from tests.commands.emulated_cell import behind_bridge, emulated
+from tests.commands.emulated_cell import behind_bridge, emulated, patiently
 from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin, with_arm
 
@@ -72,13 +72,17 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
     twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
     plan, _ = make_stops(twin)
     direct, its, verified = collected(twin, tmp_path / "direct", plan)
-    with emulated(behind_bridge(twin), HOSTS, PACE) as port:
-        arms = {
-            name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name], settle_time=SETTLE_S, watchdog_hz=2.0)})
-            for name, arm in twin.arms.items()
-        }
-        at_port = behind_bridge(twin, f"socket://127.0.0.1:{port}")
-        wired, ours, over_wire = collected(at_port.model_copy(update={"arms": arms}), tmp_path / "wired", plan)
+    arms = {
+        name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name], settle_time=SETTLE_S, watchdog_hz=2.0)})
+        for name, arm in twin.arms.items()
+    }
+
+    def on_the_wire(attempt: int) -> tuple[dict[str, Readings], CalibrateResult, VerifyResult]:
+        with emulated(behind_bridge(twin), HOSTS, PACE) as port:
+            at_port = behind_bridge(twin, f"socket://127.0.0.1:{port}").model_copy(update={"arms": arms})
+            return collected(at_port, tmp_path / f"wired-{attempt}", plan)
+
+    wired, ours, over_wire = patiently(on_the_wire)
     assert list(wired) == list(direct) == ["left", "right"]
     for name in direct:
         assert len(wired[name].q) == STOPS

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -22,13 +20,12 @@ from cellapp.cell.targets.plan_path import plan_path
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.estimation.motion.tracks import track_of
 from cellapp.ground.control import JobControl
-from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.arms.ur_settings import UrSettings
 from drivers.plant.sweep import recorder_of
 from drivers.trackers.protocol import TargetLost
-from tests.commands.emulated_cell import behind_bridge, emulated
+from tests.commands.emulated_cell import behind_bridge, emulated, patiently
 from tests.loopback import own_arms
 from tests.twin import small_twin
 
@@ -38,7 +35,6 @@ PERIOD_S, SHARE = 4.5, 0.2
 ARM, RATE_HZ = "left", 200.0
 LOST_PER_MIN, MOST_DRIVEN = 8.0, 30
 """The beam breaks in every third to fourth drive."""
-T = TypeVar("T")
 
 
 def served_cell() -> Profile:
@@ -76,17 +72,6 @@ def planned(folder: Path) -> Path:
         assert len(sweeps) == 1
         run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=sweeps).model_dump_json())
     return folder
-
-
-def patiently(act: Callable[[int], T]) -> T:
-    """Do something; a computer that stalls stops the arms, and a person begins again."""
-    for attempt in range(3):
-        try:
-            return act(attempt)
-        except HardwareError as error:
-            if "this program was silent" not in str(error) and "this computer was" not in str(error):
-                raise
-    pytest.fail("this computer stalls too often")
 
 
 def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -60,7 +61,8 @@ def stops_with_room(run: RunFile, model: CellModel, count: int) -> list[int]:
     good = visible_stops(strict, q) & clear_stops(strict, q)
     for name, arm in model.arms.items():
         good &= far_from_singular(arm.geometry, q[name])
-    found = [stop for stop in np.flatnonzero(good).tolist() if _sees_commands(strict, run, model, stop)][:count]
+    seen = (stop for stop in np.flatnonzero(good).tolist() if _sees_commands(strict, run, model, stop))
+    found = list(islice(seen, count))
     assert len(found) == count, f"of {len(good)} stops only {len(found)} have room"
     return found
 

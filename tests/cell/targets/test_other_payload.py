@@ -26,13 +26,12 @@ def errors_and_parts(
     (n,) of its position, notes."""
     plan = run.read_plan()
     assert plan is not None
+    p_M = model.arms["left"].predict(plan["left"])
     rotation_M, _ = model.arms["left"].flange(plan["left"])
     loaded = WorkingConditions(payload=load_kg)
     targets = [
-        Target(name=f"stop-{stop}", arm="left", position=p_M, rpy=rpy, frame="tracker", conditions=loaded)
-        for stop, (p_M, rpy) in enumerate(
-            zip(model.arms["left"].predict(plan["left"]).tolist(), (zyx_angles(one)[::-1] for one in rotation_M))
-        )
+        Target(name=f"stop-{k}", arm="left", position=p, rpy=zyx_angles(R)[::-1], frame="tracker", conditions=loaded)
+        for k, (p, R) in enumerate(zip(p_M.tolist(), rotation_M, strict=True))
     ]
     commands = [one for one in compensate(run.profile, model, targets, ranges=ranges) if not one.refusal]
     q = np.array([one.q_compensated for one in commands])

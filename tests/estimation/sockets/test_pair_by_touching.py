@@ -58,11 +58,9 @@ def test_standard_errors_are_those_of_many_repetitions() -> None:
 def test_a_turn_about_the_line_of_two_sockets_is_open_until_a_distance_closes_it() -> None:
     assert tie(2) is None
     assert tie(0) is None
-    closing = [Distance(a, b, float(np.linalg.norm(PLACES[k] - PLACES[m])), 2e-5) for a, k, b, m in _CROSSING]
+    crossing = (("d", 3, "X", 2), ("e", 4, "X", 2), ("Y", 3, "c", 2))  # from a place of one arm to one of the other
+    closing = [Distance(a, b, float(np.linalg.norm(PLACES[k] - PLACES[m])), 2e-5) for a, k, b, m in crossing]
     found = tie(2, *closing, own=3)
     assert found is not None
     np.testing.assert_allclose(found.identification.T_R_L, T_R_L, atol=1e-7)
     assert not found.held_out
-
-
-_CROSSING = (("d", 3, "X", 2), ("e", 4, "X", 2), ("Y", 3, "c", 2))
