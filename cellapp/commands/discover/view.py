@@ -35,7 +35,7 @@ from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Section, printed, section_of, sentence
 from cellapp.commands.view.table import with_rows
-from cellapp.commands.view.words import place_words, ranges, short_reason
+from cellapp.commands.view.words import law_words, place_words, ranges, short_reason
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult, MotionEffectResult
 from cellapp.ground.profile.schema import Discovery
 
@@ -111,8 +111,11 @@ def _motion_sentences(arm: ArmDiscoveryResult) -> list[str]:
     for one in arm.motion.effects:
         place = f"joint{'s' if len(one.joints) > 1 else ''} {ranges(one.joints)}"
         only = f"; only motion can: {one.only_motion}" if one.only_motion else ""
+        law = f", {law_words(one.effect, one.law, one.joints)}" if one.law is not None and one.law.constants else ""
         aside = "" if one.at_rest else "; it stays out of commands for poses at rest"
-        said.append(f"Recordings of motion show {one.effect} ({one.title}) of {place}{_in_figures(one)}{only}{aside}.")
+        said.append(
+            f"Recordings of motion show {one.effect} ({one.title}) of {place}{law}{_in_figures(one)}{only}{aside}."
+        )
     return said or ["Recordings of motion show no effect of the joints."]
 
 

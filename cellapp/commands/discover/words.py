@@ -113,7 +113,9 @@ def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:
 
 
 def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
-    """Joints of an accepted effect that have no figure."""
+    """Joints of an accepted effect that have no figure; effects that recordings of motion show have loops instead."""
+    if arm.motion is not None and arm.motion.used:
+        return []
     sentences = []
     for found in arm.accepted:
         labels = {picture.y_label for picture in arm.pictures if picture.effect == found.effect}

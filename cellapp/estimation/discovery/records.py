@@ -264,7 +264,7 @@ class Contradiction(Record):
 class MotionEffectResult(Record):
     """An effect that recordings of motion show; ``only_motion`` says why stops cannot, None where they can.
 
-    ``at_rest``: whether it belongs into commands of poses at rest.
+    ``at_rest``: whether it belongs into commands of poses at rest, by ``law``.
     """
 
     effect: str
@@ -274,6 +274,7 @@ class MotionEffectResult(Record):
     evidence: Evidence
     only_motion: str | None = None
     at_rest: bool
+    law: LawRecord | None = None
 
 
 class MotionDiscoveryResult(Record):

@@ -191,7 +191,8 @@ def _stops(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
     learnt[readings.in_split("identify")] = True
     if not learnt.any():
         return None, None
-    stops = Stops(readings.q, readings.p_M, coordinate_uncertainty(readings), readings.approach.astype(np.float64))
+    approach = readings.approach.astype(np.float64)
+    stops = Stops(readings.q, readings.p_M, coordinate_uncertainty(readings), approach, readings.step)
     return stops, ~learnt
 
 

@@ -7,7 +7,6 @@ recordings show predicts held-out readings better, it is the model from then on.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,6 +20,7 @@ from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery
 from cellapp.estimation.discovery.records import (
     BeforeAfter,
     Evidence,
+    LawRecord,
     MotionDiscoveryResult,
     MotionEffectResult,
     Picture,
@@ -107,7 +107,7 @@ def _with_effects(
             effect.term(),
             Place(joints=effect.joints, acts_on=tuple(f"joint {joint}" for joint in effect.joints)),
             Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
-            math.nan,
+            effect.posterior,
         )
         for effect in at_rest
     )
@@ -172,4 +172,5 @@ def _result(effect: MotionEffect) -> MotionEffectResult:
         evidence=Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
         only_motion=effect.only_motion or None,
         at_rest=effect.at_rest,
+        law=LawRecord(name=effect.form, constants=effect.constants) if effect.at_rest else None,
     )

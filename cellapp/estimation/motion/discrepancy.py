@@ -166,7 +166,8 @@ def _seen(problem: Problem, solution: Solution) -> _Seen:
 
 def _laws(problem: Problem) -> tuple[JointTerm, ...]:
     """Laws of joints that an arm may have and the fit does not."""
-    joints, own = range(problem.layout.parameters.joints), set(problem.layout.terms)
+    joints = range(problem.layout.parameters.joints)
+    own = {replace(term, law=Law.LINE) if term.law is Law.ONE_CYCLE else term for term in problem.layout.terms}
     lines = [JointTerm(Law.LINE, joint, c, sine) for c in _CYCLES for joint in joints for sine in (False, True)]
     elastic = [JointTerm(Law.COMPLIANCE, joint) for joint in joints if problem.masses is not None]
     return tuple(term for term in (*lines, *elastic) if term not in own)

@@ -17,12 +17,12 @@ for when no other law is left (``shaped``).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, chdtri
+from scipy.special import chdtri
 
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import Problem, solve
@@ -30,6 +30,7 @@ from cellapp.estimation.motion.identify import RecordedArm, held_out_rms_mm, mot
 from cellapp.estimation.motion.joint_path import JointPath
 from cellapp.estimation.motion.lines import line_powers
 from cellapp.estimation.motion.loops import Loop, loops
+from cellapp.estimation.motion.lost_motion import ALTERNATIVES, fading_terms
 from cellapp.estimation.motion.noise import whitening_filter
 from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.records import MotionFit
@@ -40,8 +41,9 @@ from cellapp.estimation.motion.steps import (
     MotionEffect,
     State,
     Step,
-    effect_of,
+    effects_of,
     has,
+    log_chance,
     places_of,
     shown,
     started,
@@ -49,6 +51,7 @@ from cellapp.estimation.motion.steps import (
     terms_of,
     tested,
     values_of,
+    with_step,
     with_values,
 )
 from cellapp.estimation.motion.terms import JointTerm, Law, of_all_joints, state_in_motion
@@ -61,12 +64,15 @@ _CHANCE = 1e-3
 _MOST_LINES = 12
 _ALIKE_TURNS = 1.0
 """Two lines of one joint closer than this over the turns that it made are one."""
-_OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE)
+_OF_POSTURE = (Law.WINDUP, Law.COMPLIANCE, Law.ONE_CYCLE)
 """Laws that a filter for slow noise takes away while the residuals hold them: they are tested without it, too."""
 _SHAPED_ROUNDS = 8
 _AS_WELL = 1.01
 """Ratio of held-out errors up to which the simpler of two models says as much."""
 _COUNT_ROUNDS = 3
+_JUDGED_ROUNDS = 4
+_SETTLED_GAIN = 1e-3
+"""Share of the held-out error below which another filter gains nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,29 +128,27 @@ class _Search:
         first_mm, steps = state.heldout_mm, list[Step]()
         loaded = (Law.WINDUP, Law.COMPLIANCE) if self.problem.masses is not None else ()
         own = [law for law in self.own if loaded or not law.needs_torques]
-        laws: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, Law.INERTIA, *loaded, *own]
+        laws: list[Law | MotionLaw] = [Law.PLAY, Law.LAG, Law.INERTIA, Law.ONE_CYCLE, *loaded, *own]
         while True:
-            left = [law for law in laws if not has(steps, law)]
-            found = self._law(state, left) or self._lines(state, steps) or self._vibration(state, steps)
+            found = self._law(state, laws, steps) or self._lines(state, steps) or self._vibration(state, steps)
             if found is None:
                 break
             state, step = found
-            # what a filter of the new residuals gains is no gain of the next law
-            state = min(state, self._judged(state), key=lambda one: one.heldout_mm)
-            steps.append(step)
+            steps = with_step(steps, step)
+            state, steps = self._with_best_reach(self._judged_to_its_end(state), steps, step.law)
             if step.law is Law.INERTIA:
                 state, steps = self._with_time_constants(state, steps)
         state, steps = self._with_exact_counts(*self._with_one_lag(state, steps))
-        state, steps = self._without_chance(state, steps)
+        state, steps = self._without_load(*self._without_chance(state, steps))
         final, steps = self._settled(self._unwhitened(state, self._plain(state)), steps)
         # with lags an offset is known by its sum with their mean only, and is left as it is
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
         freed = final.solution if late else allow_for_missing(final.problem, final.solution)
         fit = motion_fit(final.problem, freed)
         entered = list(dict.fromkeys(step.law for step in steps))
-        named = [effect_of(final, law, steps) for law in entered]
-        effects = tuple(one for one in named if one.joints)  # beside all others a law may show at no joint
-        at_rest = [term for law in entered if law in AT_REST for term in shown(final, law, steps)]
+        found_effects = effects_of(final, steps)
+        effects = tuple(effect for effect, _ in found_effects)
+        at_rest = [term for effect, terms in found_effects if effect.at_rest for term in terms]
         places = [*range(final.problem.layout.geometric), *places_of(final, at_rest)]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
         lost = {joint for one in effects if one.slug in (Law.PLAY.value, Law.WINDUP.value) for joint in one.joints}
@@ -179,6 +183,25 @@ class _Search:
             steps = [step for step in steps if step.terms]
             state = self._refitted(state, steps)
         return state, steps
+
+    def _with_best_reach(self, state: State, steps: list[Step], law: Law | MotionLaw) -> tuple[State, list[Step]]:
+        """The same with the reaches of a law's lost motion by the noise that is left with it: what the fit left before
+        held it, and passed for noise."""
+        known = terms_of(law, steps)
+        fading = [term for term in known if term.fading]
+        if not fading or not isinstance(law, Law):
+            return state, steps
+        rest = tuple(term for term in state.problem.layout.terms if term not in fading)
+        values = np.delete(state.solution.values, places_of(state, fading))
+        self.told(f"reach of {law.value.replace('_', ' ')}")
+        problem = state.problem.without_terms().with_terms(rest)
+        better = fading_terms(problem, replace(state.solution, values=values), law)
+        if set(better) == set(fading):
+            return state, steps
+        terms = tuple(term for term in known if not term.fading) + better
+        changed = [replace(step, terms=terms) if step.law is law else step for step in steps]
+        trial = self._judged_to_its_end(self._refitted(state, changed))
+        return (trial, changed) if trial.heldout_mm < state.heldout_mm else (state, steps)
 
     def _with_time_constants(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """Joints that accelerations turn the way that no spring does lag by a time constant, if that fits better."""
@@ -224,16 +247,16 @@ class _Search:
         if power < math.log(tried / _CHANCE):
             return None
         self.told(f"vibration of joint {terms[0].joint + 1}")
-        step = Step(Law.VIBRATION, terms, 0.0, 1.0, state.heldout_mm, math.nan)
+        step = Step(Law.VIBRATION, terms, 0.0, 0.0, state.heldout_mm, math.nan)
         trial, (step,) = self._settled(self._extended(state, terms), [step])
         statistic = statistic_of(trial, step.terms)
-        p_value = _by_chance(statistic, 1, tried)
-        if p_value > _CHANCE or not shown(trial, Law.VIBRATION, [step]):
+        log_p = log_chance(statistic, 1, tried)
+        if log_p > math.log(_CHANCE) or not shown(trial, Law.VIBRATION, [step]):
             return None
         trial = self._judged(trial)
-        if trial.heldout_mm >= state.heldout_mm:
+        if _AS_WELL * trial.heldout_mm > state.heldout_mm:
             return None
-        return trial, replace(step, statistic=statistic, p_value=p_value, after_mm=trial.heldout_mm)
+        return trial, replace(step, statistic=statistic, log_p=log_p, after_mm=trial.heldout_mm)
 
     def _settled(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
         """The same with the shapes of ``steps`` where the fit leaves them."""
@@ -250,15 +273,32 @@ class _Search:
         return state, steps
 
     def _without_chance(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Without laws that entered early and that chance explains beside all others."""
-        for step in list(steps):
-            if step.law is Law.LINE:
-                continue
-            p_value = _by_chance(statistic_of(state, step.terms), len(tested(step.terms)), self.alternatives)
-            if p_value > _CHANCE or not shown(state, step.law, steps):
-                steps = [one for one in steps if one is not step]
+        """Without laws, and fading parts of laws, that entered early and that chance explains beside all others."""
+        for law in [step.law for step in steps if step.law is not Law.LINE]:
+            terms = next(step.terms for step in steps if step.law is law)
+            fading = [term for term in terms if term.fading]
+            if fading and self._by_chance(state, fading, ALTERNATIVES):
+                terms = tuple(term for term in terms if not term.fading)
+                steps = [replace(one, terms=terms) if one.law is law else one for one in steps]
+                state = self._refitted(state, steps)
+            if self._by_chance(state, terms) or not shown(state, law, steps):
+                steps = [one for one in steps if one.law is not law]
                 state = self._refitted(state, steps)
         return state, steps
+
+    def _without_load(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+        """Play alone, without a part that grows with the load, if that says as much: the simpler of two explanations."""
+        if not (has(steps, Law.PLAY) and has(steps, Law.WINDUP)):
+            return state, steps
+        simple = [step for step in steps if step.law is not Law.WINDUP]
+        self.told("lost motion that no load changes")
+        trial = self._judged_to_its_end(self._refitted(state, simple))
+        return (trial, simple) if trial.heldout_mm < _AS_WELL * state.heldout_mm else (state, steps)
+
+    def _by_chance(self, state: State, terms: Sequence[JointTerm], more: int = 1) -> bool:
+        """Whether chance explains terms, of which there were ``more`` alternatives."""
+        log_p = log_chance(statistic_of(state, terms), len(tested(terms)), self.alternatives * more)
+        return log_p > math.log(_CHANCE)
 
     def _refitted(self, state: State, steps: Sequence[Step]) -> State:
         """The same with the terms of ``steps``, in the same order; new terms begin at zero."""
@@ -275,8 +315,8 @@ class _Search:
         return self._state(problem, values)
 
     def _plain(self, state: State) -> State:
-        """All points as they are."""
-        return self._state(replace(state.problem, whitening=None), state.solution.values)
+        """All points as they are, fitted to the end."""
+        return self._state(replace(state.problem, whitening=None), state.solution.values, to_its_end=True)
 
     def _unwhitened(self, state: State, plain: State) -> State:
         """All points as they are, for predictions; lines and play, which are fast, stay as the whitened residuals
@@ -284,25 +324,45 @@ class _Search:
         problem, solution, size = plain.problem, state.solution, state.problem.layout.geometric
         mean, precision = problem.mean.copy(), problem.precision.copy()
         own, theirs = (np.diag(one.noise.covariance) for one in (solution, plain.solution))
-        for number, term in enumerate(problem.layout.terms, start=size):
-            if term.law in (Law.LINE, Law.PLAY) and own[number] < theirs[number]:
+        slow = {term.joint for term in problem.layout.terms if term.fading}
+        fast = [
+            place
+            for place, term in enumerate(problem.layout.terms)
+            if term.law is Law.LINE or (term.law is Law.PLAY and term.joint not in slow)
+        ]
+        for number in (size + place for place in fast):
+            if own[number] < theirs[number]:
                 mean[number] = solution.values[number]
                 precision[number] = 1.0 / own[number]
         if np.array_equal(precision, problem.precision):
             return plain
-        return self._state(replace(problem, mean=mean, precision=precision), solution.values)
+        return self._state(replace(problem, mean=mean, precision=precision), solution.values, to_its_end=True)
 
     def _judged(self, trial: State) -> State:
         """The same fitted with filters of what its terms leave, as those of residuals without them hide a part; with
         the held-out error of the arm by all points as they are, as filtered ones tell little of the geometry."""
         plain = self._plain(trial)
-        filtered = self._state(_whitened(plain).problem, plain.solution.values)
+        filtered = self._state(_whitened(plain).problem, plain.solution.values, to_its_end=True)
         return replace(filtered, heldout_mm=self._unwhitened(filtered, plain).heldout_mm)
 
-    def _state(self, problem: Problem, start: Array | None) -> State:
+    def _judged_to_its_end(self, state: State) -> State:
+        """The same with filters of its own residuals, again as long as that predicts better: what that gains is no gain
+        of the next law."""
+        for _ in range(_JUDGED_ROUNDS):
+            again = self._judged(state)
+            if again.heldout_mm >= state.heldout_mm:
+                return state
+            gain, state = 1.0 - again.heldout_mm / state.heldout_mm, again
+            if gain < _SETTLED_GAIN:
+                break
+        return state
+
+    def _state(self, problem: Problem, start: Array | None, *, to_its_end: bool = False) -> State:
         laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
         beginning = f"with {', '.join(laws)}: " if laws else ""
-        solution = solve(problem, self.stop_rows, start, lambda words: self.told(beginning + words))
+        solution = solve(
+            problem, self.stop_rows, start, lambda words: self.told(beginning + words), to_its_end=to_its_end
+        )
         return State(problem, solution, held_out_rms_mm(problem, solution))
 
     def _extended(self, state: State, terms: tuple[JointTerm, ...]) -> State:
@@ -310,23 +370,38 @@ class _Search:
         start = np.insert(state.solution.values, at, [term.start for term in terms])
         return self._state(state.problem.with_terms(terms), start)
 
-    def _law(self, state: State, laws: Sequence[Law | MotionLaw]) -> tuple[State, Step] | None:
+    def _law(self, state: State, laws: Sequence[Law | MotionLaw], steps: Sequence[Step]) -> tuple[State, Step] | None:
         """The law of all joints that is least likely to be chance and lowers the held-out error."""
         tried = []
         for law in laws:
-            terms = of_all_joints(law, state.problem.layout.parameters.joints)
-            trials = [self._extended(state, terms)]
-            if law in _OF_POSTURE:
-                trials.append(self._extended(replace(state, problem=replace(state.problem, whitening=None)), terms))
-            statistic, trial = max(((statistic_of(one, terms), one) for one in trials), key=lambda each: each[0])
-            p_value = _by_chance(statistic, len(terms), self.alternatives)
-            if p_value < _CHANCE:
-                tried.append((trial, Step(law, terms, statistic, p_value, state.heldout_mm, math.nan)))
-        for trial, step in sorted(tried, key=lambda each: (each[1].p_value, -each[1].statistic)):
+            for terms, alternatives in self._terms_to_try(state, law, steps):
+                trials = [self._extended(state, terms)]
+                if law in _OF_POSTURE:
+                    trials.append(self._extended(replace(state, problem=replace(state.problem, whitening=None)), terms))
+                statistic, trial = max(((statistic_of(one, terms), one) for one in trials), key=lambda each: each[0])
+                log_p = log_chance(statistic, len(terms), alternatives)
+                if log_p < math.log(_CHANCE):
+                    tried.append((log_p, trial, Step(law, terms, statistic, log_p, state.heldout_mm, math.nan)))
+        for _, trial, step in sorted(tried, key=lambda each: each[0]):
             judged = self._judged(trial)
             if judged.heldout_mm < state.heldout_mm:
                 return judged, replace(step, after_mm=judged.heldout_mm)
         return None
+
+    def _terms_to_try(
+        self, state: State, law: Law | MotionLaw, steps: Sequence[Step]
+    ) -> Iterator[tuple[tuple[JointTerm, ...], int]]:
+        """Terms that a law may enter with, and the number of alternatives that chance may choose from: lost motion that
+        changes at once, with a part that fades with the travel, or that part beside what entered before."""
+        known = terms_of(law, steps)
+        plain = () if has(steps, law) else of_all_joints(law, state.problem.layout.parameters.joints)
+        if plain:
+            yield plain, self.alternatives
+        if law in (Law.PLAY, Law.WINDUP) and not any(term.fading for term in known):
+            assert isinstance(law, Law)
+            self.told(f"reach of {law.value.replace('_', ' ')}")
+            fading = fading_terms(state.problem, state.solution, law)
+            yield (*plain, *fading), self.alternatives * ALTERNATIVES
 
     def _lines(self, state: State, steps: Sequence[Step]) -> tuple[State, Step] | None:
         """The strongest lines of the residuals, at most one of each joint."""
@@ -354,16 +429,11 @@ class _Search:
         if len(kept) < len(terms):
             trial = self._extended(state, kept)
         statistic = statistic_of(trial, kept)
-        p_value = _by_chance(statistic, len(kept), power.size)
+        log_p = log_chance(statistic, len(kept), power.size)
         trial = self._judged(trial)
         if trial.heldout_mm >= state.heldout_mm:
             return None
-        return trial, Step(Law.LINE, kept, statistic, p_value, state.heldout_mm, trial.heldout_mm)
-
-
-def _by_chance(statistic: float, parameters: int, tried: int) -> float:
-    """Probability of a chi-square as large as this by chance, in the best of the alternatives that were ``tried``."""
-    return min(1.0, float(chdtrc(parameters, statistic)) * tried)
+        return trial, Step(Law.LINE, kept, statistic, log_p, state.heldout_mm, trial.heldout_mm)
 
 
 def _whitened(state: State) -> State:

@@ -50,10 +50,14 @@ _FIRST_POINTS = 5000
 _FIRST_STEPS = 40
 _STEPS = 4
 """Most steps with all points."""
+_MORE_STEPS = 12
+"""The same of a fit to its end."""
 _SETTLED_M = 1e-6
 """A step that moves points by less [rms, m] is the last of the first fit."""
 _LAST_M = 5e-5
 """The same with all points: what is left after it is about its square over the arm's length."""
+_END_M = 5e-7
+"""The same of a fit to its end: weights that follow what the fit leaves change it longer than the arm bends."""
 GROSS = 6.0
 """Norm, in standard deviations of a coordinate, beyond which a point is a gross error: never by chance."""
 _RATE_SD = 3e-4
@@ -202,12 +206,21 @@ def _thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
 
 
 def solve(
-    problem: Problem, stop_rows: NDArray[np.intp], start: Array | None = None, told: Told = ignore_words
+    problem: Problem,
+    stop_rows: NDArray[np.intp],
+    start: Array | None = None,
+    told: Told = ignore_words,
+    *,
+    to_its_end: bool = False,
 ) -> Solution:
-    """Fit a subset with robust weights, then all points but gross errors; from ``start`` without the subset."""
+    """Fit a subset with robust weights, then all points but gross errors; from ``start`` without the subset.
+
+    ``to_its_end``: until weights and parameters are those of one another, which small effects need; clocks and geometry
+    are settled before.
+    """
     values, steps = _first_fit(problem, stop_rows, told) if start is None else (start, [])
     precision, converged = problem.precision, False
-    for number in range(_STEPS):
+    for number in range(_MORE_STEPS if to_its_end else _STEPS):
         told(f"step {number + 1} with all points")
         model = problem.model(values)
         sources = _all_points(problem, model, stop_rows)
@@ -217,7 +230,7 @@ def solve(
         )
         values = values + step
         steps.append(_size(step, information, problem.translation))
-        converged = steps[-1] < _LAST_M
+        converged = steps[-1] < (_END_M if to_its_end else _LAST_M)
         if converged:
             break
     sources = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
@@ -240,6 +253,12 @@ def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tup
         if steps[-1] < _SETTLED_M:
             break
     return values, steps
+
+
+def normal_equations(problem: Problem, values: Array, sources: Sequence[Source]) -> tuple[Array, Array]:
+    """``X^T X`` and ``X^T r`` of all sources at ``values``, weighed as a solution weighs them, without the priors."""
+    sums = _sums(problem, problem.model(values), sources, None)
+    return _normal(problem, sums, [1.0] * len(sums))
 
 
 def _weighed_step(

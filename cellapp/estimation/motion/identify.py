@@ -136,7 +136,7 @@ def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
     }
     play, play_error = np.zeros(layout.parameters.joints), np.full(layout.parameters.joints, np.nan)
     for number, term in enumerate(layout.terms, start=layout.geometric):
-        if term.law is Law.PLAY:
+        if term.law is Law.PLAY and term.fading is None:
             play[term.joint] = solution.values[number]
             play_error[term.joint] = math.sqrt(noise.covariance[number, number])
     identification, half_widths = _identification(problem, solution, model)

@@ -30,6 +30,32 @@ _PLAY = 5e-5
 within a few samples of any sweep."""
 
 
+_WIDTHS = np.geomspace(0.008, 3.2, 14)
+"""Half gaps [rad] of plays in parallel, of which lost motion with memory is made."""
+
+
+@dataclass(frozen=True)
+class Fading:
+    """How lost motion changes with the travel x since a joint turned round: ``exp(-x / reach)`` of it is left,
+    ``reach`` in rad. ``kept``: beside what the joint had taken up before it turned; else it begins anew at each turn
+    and after each rest.
+
+    What is kept is that of plays in parallel (Prandtl, Ishlinskii; Masing's rules follow): of half gaps w in such
+    shares, ``w / reach^2 exp(-w / reach)``, that a joint at rest in the middle of all of them takes up
+    ``1 - exp(-x / reach)``.
+    """
+
+    reach: float
+    kept: bool
+
+    def shares(self) -> Array:
+        """Shares (W,) of the plays of ``_WIDTHS``."""
+        edges = np.concatenate([[0.0], np.sqrt(_WIDTHS[1:] * _WIDTHS[:-1]), [np.inf]]) / self.reach
+        with np.errstate(invalid="ignore"):
+            beyond = np.nan_to_num((1.0 + edges) * np.exp(-edges))
+        return np.asarray(-np.diff(beyond))
+
+
 @dataclass(frozen=True, eq=False)
 class JointPath:
     """The path of N joints between its first and its last sample.
@@ -87,6 +113,46 @@ class JointPath:
         place = np.clip(np.searchsorted(t, time_s), 1, len(t) - 1)
         share = np.clip((time_s - t[place - 1]) / (t[place] - t[place - 1]), 0.0, 1.0)[:, None]
         return np.asarray(self.direction[place - 1] * (1.0 - share) + self.direction[place] * share)
+
+    def fading_at(self, time_s: Array, q: Array, joint: int, fading: Fading) -> Array:
+        """What a joint at positions ``q`` (n,) at times (n,) [s] has not taken up yet of its lost motion (n,): ``d``
+        just after it began from the middle, 0 after a long way; up to ``2 d`` after a turn from the other edge, if
+        kept."""
+        place = np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
+        turns = self._turns[joint]
+        number = turns.number[place]
+        side = turns.side[number]
+        if not fading.kept:
+            return np.asarray(side * np.exp(-np.abs(q - turns.q[number]) / fading.reach))
+        plays = np.clip(turns.plays[number], q[:, None] - _WIDTHS, q[:, None] + _WIDTHS)
+        return np.asarray(side - ((q[:, None] - plays) / _WIDTHS) @ fading.shares())
+
+    @cached_property
+    def _turns(self) -> tuple[_Turns, ...]:
+        """The turns of each joint."""
+        begun = np.zeros(len(self.direction), dtype=np.bool_)
+        begun[[first for first, _ in _runs(self.stamps)]] = True
+        found = []
+        for joint, direction in enumerate(self.direction.T):
+            turned, sides = begun.copy(), np.sign(direction)
+            turned[1:] |= (sides[1:] != sides[:-1]) & (sides[:-1] != 0.0)
+            first = np.flatnonzero(turned)
+            side = sides[np.append(first[1:], len(sides)) - 1]
+            q = np.asarray(self._position(self.stamps.time_s[first])[:, joint])
+            plays = play(np.repeat(q[:, None], len(_WIDTHS), axis=1), _WIDTHS)
+            found.append(_Turns(np.cumsum(turned) - 1, q, side, plays))
+        return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Turns:
+    """Where a joint turned round or a run began: the number (m,) of the last turn of each sample, and of each turn the
+    position (K,) [rad], the direction after it (K,), and the plays of ``_WIDTHS`` there (K, W) [rad]."""
+
+    number: NDArray[np.intp]
+    q: Array
+    side: Array
+    plays: Array
 
 
 def joint_path(joints: JointStream) -> JointPath:

@@ -29,13 +29,14 @@ _MOST_BLOCKS = 8000
 
 @dataclass(frozen=True, eq=False)
 class Stops:
-    """Readings at rest: joint positions (n, N) [rad], points (n, 3) [m], their standard uncertainty (n,) [m] and the
-    sign of each joint's last motion (n, N), 0 where unknown."""
+    """Readings at rest: joint positions (n, N) [rad], points (n, 3) [m], their standard uncertainty (n,) [m], the sign
+    of each joint's last motion (n, N), 0 where unknown, and that motion (n, N) [rad], NaN where unknown."""
 
     q: Array
     p_M: Array
     sigma_m: Array | None = None
     approach: Array | None = None
+    step: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -248,7 +249,8 @@ def stop_residuals(model: Model, stops: Stops) -> Array:
 def _at_stops(model: Model, stops: Stops, rows: NDArray[np.intp]) -> JointState:
     q = stops.q[rows]
     direction = np.zeros_like(q) if stops.approach is None else stops.approach[rows]
-    return state_at_rest(q, direction, model.masses if model.needs_torques else None)
+    step = None if stops.step is None else stops.step[rows]
+    return state_at_rest(q, direction, model.masses if model.needs_torques else None, step)
 
 
 def _arm_columns(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import chdtrc, chdtri, expit
 
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.terms import JointTerm, Law
@@ -14,9 +16,14 @@ from cellapp.robot.kinematics.transforms import Array
 
 SHOWN = 3.5
 """Standard errors from which a joint is named as having an effect that was found."""
+_AS_WELL = 0.5 * SHOWN
+"""The same of a joint beside another that has it clearly."""
+_OF_GEARS = (Law.PLAY, Law.WINDUP, Law.COMPLIANCE)
+"""Laws that all joints of an arm may be expected to have where one has them."""
+_LEAST = 1e-300
 _POSITIVE = (Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
-AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.COMPLIANCE: "linear"}
-"""Forms of the effects' laws that say the same of stops; a lag has none."""
+AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.ONE_CYCLE: "", Law.COMPLIANCE: "linear"}
+"""Forms of the effects' laws that say the same of stops, without fading parts; a lag has none."""
 ONLY_MOTION = {
     Law.LAG: "a delay moves nothing at rest",
     Law.TIME_CONSTANT: "a time constant moves nothing at rest",
@@ -26,6 +33,7 @@ ONLY_MOTION = {
 """Why stops cannot show a law."""
 OF_SPEEDS = "it depends on speeds, which readings at rest do not have"
 """The same of a law of a plug-in."""
+_LEAST_LOG = math.log(_LEAST)
 DENSE = 20
 """Cycles a turn from which lines are too dense for the few hundred stops of a plan."""
 
@@ -45,14 +53,19 @@ class MotionEffect:
         Joints that show it, from 1.
     statistic : float
         Chi-square of the parameters.
-    p_value : float
-        Corrected for the alternatives.
+    log_p : float
+        Logarithm of the probability of such a statistic by chance, corrected for the alternatives.
     heldout_before_mm, heldout_after_mm : float
         Rms distance of held-out points before and after it entered.
     only_motion : str
         Why stops cannot show it; empty where they can.
     at_rest : bool
         Whether it belongs into commands of poses at rest.
+    posterior : float
+        Probability that it is there.
+    form : str
+    constants : mapping
+        Of the law that says the same of stops, if it acts at rest.
     """
 
     slug: str
@@ -62,11 +75,19 @@ class MotionEffect:
     standard_errors: Array = field(repr=False)
     joints: tuple[int, ...]
     statistic: float
-    p_value: float
+    log_p: float
     heldout_before_mm: float
     heldout_after_mm: float
     only_motion: str
     at_rest: bool
+    posterior: float = math.nan
+    form: str = ""
+    constants: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def p_value(self) -> float:
+        """Probability of such a statistic by chance, corrected for the alternatives; 1e-300 where it is smaller."""
+        return math.exp(max(self.log_p, _LEAST_LOG))
 
     def term(self) -> EffectTerm:
         """The same as a term of an arm model.
@@ -78,19 +99,19 @@ class MotionEffect:
         """
         if not self.at_rest:
             raise ValueError(f"{self.slug} acts in motion only")
-        form = AT_REST[Law(self.slug)]
-        law = EFFECTS[self.slug].law(form)
+        law = EFFECTS[self.slug].law(self.form, self.constants)
         return EffectTerm(self.slug, self.names, self.values, self.standard_errors, self.units, law)
 
 
 @dataclass(frozen=True)
 class Step:
-    """What entered: its terms, its statistic, and held-out errors before and after."""
+    """What entered: its terms, its statistic, the logarithm of the probability of one as large by chance, and held-out
+    errors before and after."""
 
     law: Law | MotionLaw
     terms: tuple[JointTerm, ...]
     statistic: float
-    p_value: float
+    log_p: float
     before_mm: float
     after_mm: float
 
@@ -107,6 +128,28 @@ class State:
 def has(steps: Sequence[Step], law: Law | MotionLaw) -> bool:
     """Whether a law entered; one of a plug-in with any values of its tuned parameters."""
     return any(step.law.value == law.value for step in steps)
+
+
+def log_chance(statistic: float, parameters: int, tried: int) -> float:
+    """Logarithm of the probability of a chi-square as large as this by chance, in the best of the alternatives that
+    were ``tried``; where that is too small for a number, by the first terms of its series for large ones."""
+    probability = float(chdtrc(parameters, statistic))
+    if probability > 0.0:
+        return min(0.0, math.log(probability) + math.log(tried))
+    half, degree = 0.5 * statistic, 0.5 * parameters - 1.0
+    return -half + degree * math.log(half) + math.log1p(degree / half) - math.lgamma(degree + 1.0) + math.log(tried)
+
+
+def with_step(steps: Sequence[Step], step: Step) -> list[Step]:
+    """Steps with one more; further terms of a law of joints that entered before, but for lines, join those."""
+    if step.law is Law.LINE or step.law is Law.VIBRATION or not has(steps, step.law):
+        return [*steps, step]
+    return [
+        replace(one, terms=one.terms + step.terms, statistic=one.statistic + step.statistic, after_mm=step.after_mm)
+        if one.law is step.law
+        else one
+        for one in steps
+    ]
 
 
 def terms_of(law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
@@ -137,14 +180,26 @@ def started(state: State, terms: Sequence[JointTerm]) -> Array:
 
 
 def shown(state: State, law: Law | MotionLaw, steps: Sequence[Step]) -> tuple[JointTerm, ...]:
-    """Terms of the joints that show a law; springs that push back are none."""
+    """Terms of the joints that show a law; springs that push back are none. A part that fades counts with the other
+    part of its joint. Where a joint shows a law that acts at rest, others have it from half as many standard errors on,
+    with its usual sign: the law is known by then, and commands without them would err by more."""
     terms = terms_of(law, steps)
     if not terms:
         return ()
     values, covariance = values_of(state, terms)
-    errors, size = np.sqrt(np.diag(covariance)), values if law in _POSITIVE else np.abs(values)
-    pairs = zip(terms, size > SHOWN * errors, strict=True)
-    clear = {(term.joint, term.cycles) for term, shows in pairs if shows and not term.part}
+    size = dict[tuple[int, int], float]()
+    for term, own in zip(terms, (values / np.sqrt(np.diag(covariance))).tolist(), strict=True):
+        if not term.part and not term.fading:
+            key = (term.joint, term.cycles)
+            size[key] = max(size.get(key, 0.0), own if law in _POSITIVE else abs(own))
+    for joint in {term.joint for term in terms if term.fading}:
+        own_terms = [term for term in terms if term.joint == joint]
+        probability = float(chdtrc(len(own_terms), statistic_of(state, own_terms)))
+        size[joint, 0] = math.sqrt(float(chdtri(1, max(probability, _LEAST))))
+    usual = {(term.joint, 0) for term, value in zip(terms, values.tolist()) if value > 0.0 and not term.fading}
+    clear = {key for key, own in size.items() if own > SHOWN}
+    if clear and law in _OF_GEARS:
+        clear |= {key for key, own in size.items() if own > _AS_WELL and key in usual}
     return tuple(term for term in terms if (term.joint, term.cycles) in clear)
 
 
@@ -170,25 +225,73 @@ def statistic_of(state: State, terms: Sequence[JointTerm]) -> float:
     return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 
 
-def effect_of(state: State, law: Law | MotionLaw, steps: Sequence[Step]) -> MotionEffect:
-    own, terms = [step for step in steps if step.law is law], shown(state, law, steps)
-    values, covariance = values_of(state, terms_of(law, steps))
-    places = [terms_of(law, steps).index(term) for term in terms]
-    values, errors = values[places], np.sqrt(np.diag(covariance))[places]
+def effects_of(state: State, steps: Sequence[Step]) -> list[tuple[MotionEffect, tuple[JointTerm, ...]]]:
+    """The effects of all laws that entered and that some joint shows, with the terms of their parameters.
+
+    Beside wind-up, play is the dry part of friction: the arm shows one cause, not two.
+    """
+    laws = list(dict.fromkeys(step.law for step in steps))
+    groups: list[tuple[Law | MotionLaw, ...]] = [(law,) for law in laws]
+    if Law.WINDUP in laws and Law.PLAY in laws:
+        groups[laws.index(Law.WINDUP)] = (Law.WINDUP, Law.PLAY)
+        del groups[laws.index(Law.PLAY)]
+    found = [_effect_of(state, group, steps) for group in groups]
+    return [one for one in found if one[1]]
+
+
+def _effect_of(
+    state: State, laws: Sequence[Law | MotionLaw], steps: Sequence[Step]
+) -> tuple[MotionEffect, tuple[JointTerm, ...]]:
+    """The effect of the first of ``laws``, to which the others belong."""
+    law, own = laws[0], [step for step in steps if step.law in laws]
+    terms, values, errors = list[JointTerm](), list[float](), list[float]()
+    for one in laws:
+        shows = shown(state, one, steps)
+        if shows:
+            all_values, covariance = values_of(state, terms_of(one, steps))
+            places = [terms_of(one, steps).index(term) for term in shows]
+            terms += shows
+            values += all_values[places].tolist()
+            errors += np.sqrt(np.diag(covariance))[places].tolist()
     only = OF_SPEEDS if isinstance(law, MotionLaw) else ONLY_MOTION.get(law, "")
     if law is Law.LINE and all(term.cycles >= DENSE for term in terms):
         only = "lines as dense as these are aliased by the few hundred stops of a plan"
-    return MotionEffect(
+    log_p, statistic = min(step.log_p for step in own), sum(step.statistic for step in own)
+    dry = len(laws) > 1
+    effect = MotionEffect(
         slug=law.value,
-        names=tuple(term.name for term in terms),
+        names=tuple(term.name.replace("half_play", "dry") if dry else term.name for term in terms),
         units=tuple(term.unit for term in terms),
-        values=values,
-        standard_errors=errors,
+        values=np.array(values),
+        standard_errors=np.array(errors),
         joints=tuple(sorted({term.joint + 1 for term in terms})),
-        statistic=sum(step.statistic for step in own),
-        p_value=min(step.p_value for step in own),
+        statistic=statistic,
+        log_p=log_p,
         heldout_before_mm=own[0].before_mm,
         heldout_after_mm=own[-1].after_mm,
         only_motion=only,
         at_rest=law in AT_REST,
+        posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p),
+        form=_form(law, terms, dry),
+        constants={
+            f"{'load_' if term.law is Law.WINDUP else ''}reach{term.joint + 1}": term.fading.reach
+            for term in terms
+            if term.fading
+        },
     )
+    return effect, tuple(terms)
+
+
+def _form(law: Law | MotionLaw, terms: Sequence[JointTerm], dry: bool) -> str:
+    """The form of the effect's law that says the same of stops; empty where none does."""
+    if any(term.fading for term in terms):
+        return "gradual"
+    return "both" if dry else AT_REST.get(law, "") if isinstance(law, Law) else ""
+
+
+def _probability(state: State, statistic: float, parameters: int, log_p: float) -> float:
+    """Probability that terms with this chi-square are there: by the Bayesian information criterion, at even odds, the
+    alternatives counted as in the p-value."""
+    points = sum(min(1.0, source.worth) * len(source.rows) for source in state.solution.sources)
+    tried = max(log_p - log_chance(statistic, parameters, 1), 0.0)
+    return float(expit(0.5 * (statistic - parameters * math.log(max(points, 2.0))) - tried))

@@ -2,7 +2,10 @@
 
     play       dq_j = -h_j d_j            d the direction with history (play operator): backlash
     wind-up    dq_j = -w_j d_j |tau_j|    friction that grows with the load
+    fading     dq_j = -f_j e_j, -f_j e_j |tau_j|   beside both, what changes over the travel x since the joint turned
+                                          round: e = c exp(-x / reach), c by its history (``joint_path``)
     line       dq_j = a cos(c q_j) + b sin(c q_j)   transmission error, c cycles a turn
+    one cycle  the same of one cycle a turn: encoder eccentricity, at all joints together
     lag        dq_j = -T_j qd_j           delay of one joint's position behind the others'
     compliance dq_j = k_j tau_j           tau = gravity + inertia: torque of all masses beyond, at their acceleration
     inertia    dq_j = -i_j qdd_j          twist under the joint's own acceleration, which needs no masses
@@ -23,7 +26,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cellapp.estimation.motion.joint_path import BEND_S, JointPath
+from cellapp.estimation.motion.joint_path import BEND_S, Fading, JointPath
 from cellapp.robot.effects import MotionLaw
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
@@ -39,6 +42,7 @@ class Law(Enum):
     PLAY = "backlash"
     WINDUP = "friction_windup"
     LINE = "transmission_error"
+    ONE_CYCLE = "encoder_eccentricity"
     LAG = "tracking_lag"
     COMPLIANCE = "joint_compliance"
     INERTIA = "inertia"
@@ -50,6 +54,7 @@ _UNIT = {
     Law.PLAY: "rad",
     Law.WINDUP: "rad/Nm",
     Law.LINE: "rad",
+    Law.ONE_CYCLE: "rad",
     Law.LAG: "s",
     Law.COMPLIANCE: "rad/Nm",
     Law.INERTIA: "s^2",
@@ -59,6 +64,7 @@ _SD = {
     Law.PLAY: 1e-4,
     Law.WINDUP: 1e-5,
     Law.LINE: 3e-4,
+    Law.ONE_CYCLE: 3e-4,
     Law.LAG: 5e-3,
     Law.COMPLIANCE: 2e-5,
     Law.INERTIA: 1e-3,
@@ -75,6 +81,8 @@ _GAIN_SD, _SHAPE_SD = 1e-3, 0.5
 def of_all_joints(law: Law | MotionLaw, joints: int) -> tuple[JointTerm, ...]:
     """The parameters of a law that has some at every joint, but for lines and shaped ones."""
     names = tuple(law.parameters) if isinstance(law, MotionLaw) else ("",)
+    if law is Law.ONE_CYCLE:
+        return tuple(JointTerm(law, joint, 1, sine) for joint in range(joints) for sine in (False, True))
     return tuple(JointTerm(law, joint, parameter=name) for joint in range(joints) for name in names)
 
 
@@ -92,6 +100,8 @@ class JointTerm:
     part: int = 0
     parameter: str = ""
     """Its name in a law of a plug-in."""
+    fading: Fading | None = None
+    """Of a part of play or wind-up that fades with the travel since the joint turned round."""
 
     @property
     def name(self) -> str:
@@ -99,10 +109,12 @@ class JointTerm:
         number = self.joint + 1
         if isinstance(self.law, MotionLaw):
             return f"{self.parameter}{number}"
+        fresh = "fresh_" if self.fading else ""
         return {
-            Law.PLAY: f"half_play{number}",
-            Law.WINDUP: f"windup{number}",
-            Law.LINE: f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}",
+            Law.PLAY: f"{fresh}half_play{number}",
+            Law.WINDUP: f"{fresh}windup{number}",
+            Law.LINE: (line := f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}"),
+            Law.ONE_CYCLE: line,
             Law.LAG: f"lag{number}",
             Law.COMPLIANCE: f"compliance{number}",
             Law.INERTIA: f"inertia{number}",
@@ -146,18 +158,17 @@ class JointTerm:
         j = self.joint
         if isinstance(self.law, MotionLaw):
             return self.law.offset(self.parameter, j, state.quantity)
-        if self.law is Law.PLAY:
-            return np.asarray(-state.direction[:, j])
+        if self.law in (Law.PLAY, Law.WINDUP):
+            side = state.direction[:, j] if self.fading is None else state.left(j, self.fading)
+            return np.asarray(-side * np.abs(state.torque[:, j]) if self.law is Law.WINDUP else -side)
         if self.law is Law.LAG:
             return np.asarray(-state.qd[:, j])
         if self.law is Law.INERTIA:
             return np.asarray(-state.qdd[:, j])
         if self.law in (Law.TIME_CONSTANT, Law.VIBRATION):
             return self._of_course(state)
-        if self.law is Law.LINE:
+        if self.law in (Law.LINE, Law.ONE_CYCLE):
             return np.asarray((np.sin if self.sine else np.cos)(self.cycles * state.q[:, j]))
-        if self.law is Law.WINDUP:
-            return np.asarray(-state.direction[:, j] * np.abs(state.torque[:, j]))
         return np.asarray(state.torque[:, j])
 
     def turned(self, state: JointState, value: float) -> Array:
@@ -185,13 +196,25 @@ class JointTerm:
 @dataclass(frozen=True, eq=False)
 class JointState:
     """Joint positions, speeds, directions with history and torques of all masses [Nm], each (n, N); in motion the path
-    and the times (n,) on it."""
+    and the times (n,) on it; at rest the last motions (n, N) [rad], where they are known."""
 
     q: Array
     qd: Array
     direction: Array
     torque: Array
     course: tuple[JointPath, Array] | None = None
+    step: Array | None = None
+
+    def left(self, joint: int, fading: Fading) -> Array:
+        """What a joint has not taken up yet of its lost motion (n,), against its direction; at rest as if it had come
+        from the middle, as what it had taken up before its last motion is not known."""
+        if self.course is not None:
+            path, time_s = self.course
+            return path.fading_at(time_s, self.q[:, joint], joint, fading)
+        if self.step is None:
+            return np.zeros(len(self.q))
+        size = np.abs(np.nan_to_num(self.step[:, joint]))
+        return np.asarray(self.direction[:, joint] * np.where(size > 0.0, np.exp(-size / fading.reach), 0.0))
 
     @cached_property
     def qdd(self) -> Array:
@@ -243,12 +266,12 @@ def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, to
     return JointState(q, qd, path.direction_at(time_s), torque, (path, time_s))
 
 
-def state_at_rest(q: Array, direction: Array, masses: Masses | None) -> JointState:
-    """State of joints at rest after a motion in ``direction`` (n, N)."""
+def state_at_rest(q: Array, direction: Array, masses: Masses | None, step: Array | None = None) -> JointState:
+    """State of joints at rest after a motion in ``direction`` (n, N), by ``step`` (n, N) [rad], where that is known."""
     torque = np.zeros_like(q)
     if masses is not None:
         torque = gravity_loads(frame_poses(masses.geometry, q), masses.bodies, masses.up_M).joint_torques()
-    return JointState(q, np.zeros_like(q), direction, torque)
+    return JointState(q, np.zeros_like(q), direction, torque, step=step)
 
 
 def torques_in_motion(path: JointPath, time_s: Array, masses: Masses) -> Array:

@@ -29,8 +29,13 @@ TYPICAL_STEP = Constant("step", "rad", FIXED, per_joint=True)
 CONSTANT = LawForm("constant", "the same after any motion")
 SATURATING = LawForm("saturating", "taken up only by large steps", (WIDTH, TYPICAL_STEP))
 SMALL = LawForm("smooth", "taken up only by large steps, small by prior", (WIDTH, TYPICAL_STEP, AMPLITUDE))
+REACH = Constant("reach", "rad", FIXED, "over {}", "{} deg by joint {}", float(np.degrees(1.0)), per_joint=True)
+"""Travel after a turn over which a part of the lost motion changes to 1/e."""
+LOAD_REACH = Constant("load_reach", "rad", FIXED, "under load over {}", REACH.each, REACH.factor, per_joint=True)
+GRADUAL = LawForm("gradual", "in part taken up gradually", (REACH,))
 LOAD = LawForm("load", "in proportion to the load")
 BOTH = LawForm("both", "dry friction, and in proportion to the load")
+BOTH_GRADUAL = LawForm("gradual", "dry and under load, in part built up gradually", (REACH, LOAD_REACH))
 
 
 _USUAL_WIDTH = 0.03
@@ -49,6 +54,9 @@ class Backlash(Effect):
         ``dq_j = -h_j s_j tanh(|step_j| / w)``: hysteresis that a small step does not take up; w is searched. An
         unknown step counts as the run's median step of that joint.
 
+    gradual
+        ``dq_j = -s_j (h_j + f_j exp(-|step_j| / r_j))``: as recordings of motion show it, with a reach r_j of each
+        joint; an unknown step counts as a long one.
     smooth
         As ``saturating``, each half play small by prior, of either sign.
 
@@ -91,7 +99,7 @@ class Backlash(Effect):
         sign_check="check the approach convention of the readings",
     )
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
-    forms = (CONSTANT, SATURATING, SMALL)
+    forms = (CONSTANT, SATURATING, GRADUAL, SMALL)
     free_drivers = (
         FreeDriver(Quantity.STEP, absolute=True),
         FreeDriver(Quantity.TORQUE, absolute=True),
@@ -122,6 +130,12 @@ class Backlash(Effect):
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint; zero where the side of approach is unknown."""
         lag = -context.approach
+        if law.form == GRADUAL:
+            return [
+                column
+                for j in range(context.joints)
+                for column in _gradual(context, law, REACH, j, "half_play", "rad", lag[:, j], _MOST_PLAY)
+            ]
         if law.form != CONSTANT:
             lag = lag * np.tanh(_step_sizes(context, law) / law.constants[WIDTH.name])
         columns = [
@@ -130,6 +144,19 @@ class Backlash(Effect):
         if law.form == SMALL:
             return [with_prior_sd(column, law.constants[AMPLITUDE.name]) for column in columns]
         return columns
+
+
+def _gradual(
+    context: EffectContext, law: Law, reach: Constant, joint: int, name: str, unit: str, lag: Array, most: float
+) -> list[EffectColumn]:
+    """Column of lost motion of one joint, which lags by ``lag`` (n,) per unit, and of the part that the last motion has
+    left, where the law has a reach for it."""
+    found = [joint_column(f"{name}{joint + 1}", unit, joint, lag, 0.0, most)]
+    if reach.key(joint) in law.constants:
+        size = np.zeros(len(context)) if context.conditions.step is None else np.abs(context.step[:, joint])
+        left = np.where(size > 0.0, np.exp(-size / law.constants[reach.key(joint)]), 0.0)  # NaN counts as unknown, too
+        found.append(joint_column(f"fresh_{name}{joint + 1}", unit, joint, lag * left, -most, most, refines=True))
+    return found
 
 
 def _step_sizes(context: EffectContext, law: Law) -> Array:
@@ -150,6 +177,8 @@ class FrictionWindup(Effect):
         ``w_j`` alone [rad/Nm].
     both
         Dry friction ``f_j`` [rad] as well.
+    gradual
+        As ``both``, with a part of either that changes over the last motion as that of backlash does.
 
     Size: 1e-4 rad at 50 Nm (2e-6 rad/Nm) are 50 to 130 µm at a UR10's flange (estimate, not sourced). 80 % visible with
     stops approached from both sides under different loads. Look-alikes: backlash (0.7 of what is visible; a payload
@@ -189,7 +218,7 @@ class FrictionWindup(Effect):
     variables = frozenset(
         {DriverVariable.APPROACH, DriverVariable.TORQUE, DriverVariable.PAYLOAD, DriverVariable.JOINT_ANGLE}
     )
-    forms = (LOAD, BOTH)
+    forms = (LOAD, BOTH, BOTH_GRADUAL)
     free_drivers = (
         FreeDriver(Quantity.TORQUE, absolute=True),
         FreeDriver(Quantity.STEP, absolute=True),
@@ -204,8 +233,13 @@ class FrictionWindup(Effect):
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint, or two; zero where the side of approach is unknown."""
         loaded = -context.approach * np.abs(context.torques)
-        columns = []
+        columns: list[EffectColumn] = []
         for j in range(context.joints):
+            if law.form == BOTH_GRADUAL:
+                dry, under = -context.approach[:, j], loaded[:, j]
+                columns += _gradual(context, law, REACH, j, "dry", "rad", dry, _MOST_PLAY)
+                columns += _gradual(context, law, LOAD_REACH, j, "windup", "rad/Nm", under, _MOST_WINDUP)
+                continue
             if law.form == BOTH:
                 columns.append(joint_column(f"dry{j + 1}", "rad", j, -context.approach[:, j], 0.0, _MOST_PLAY))
             columns.append(joint_column(f"windup{j + 1}", "rad/Nm", j, loaded[:, j], 0.0, _MOST_WINDUP))

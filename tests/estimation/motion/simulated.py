@@ -41,6 +41,8 @@ class Arm:
     tool: np.ndarray
     base: np.ndarray
     half_play: np.ndarray
+    reach: float = 0.0
+    """Travel over which gears take up their play [rad]: at once where it is zero."""
     cycles: float = 0.0
     amplitude: np.ndarray = field(default_factory=lambda: np.zeros(7))
     phase: np.ndarray = field(default_factory=lambda: np.zeros(7))
@@ -186,6 +188,17 @@ def lost_motion(q, half_play):
     return out
 
 
+def gradual(q, half_play, reach):
+    """Output of gears (n, N) that take their play up gradually: 20 plays in parallel, half of them wider than 1.7 times
+    the reach, as the gamma distribution of two degrees has them."""
+    shares = (np.arange(20) + 0.5) / 20
+    x = np.linspace(0.0, 12.0, 4000)
+    widths = reach * np.interp(shares, 1.0 - (1.0 + x) * np.exp(-x), x)
+    many = np.repeat(q, len(widths), axis=1)
+    gaps = np.tile(widths, q.shape[1])
+    return q + half_play * ((lost_motion(many, gaps) - many) / gaps).reshape(len(q), q.shape[1], -1).mean(axis=2)
+
+
 def correlated(rng, t, sigma, time_constant):
     """Noise (n, 3) with an exponential autocorrelation, at times ``t`` (n,)."""
     if sigma == 0.0:
@@ -225,7 +238,9 @@ def record(
     n = q.shape[1]
     speed = motion.speed(fine)
     q_fine = motion.at(fine) - speed * arm.lag_s[:n] - arm.drag[:n] * np.tanh(speed / arm.drag_speed)
-    out = lost_motion(q_fine, arm.half_play) if arm.half_play.any() else q_fine
+    out = lost_motion(q_fine, arm.half_play) if arm.half_play.any() and not arm.reach else q_fine
+    if arm.reach:
+        out = gradual(q_fine, arm.half_play, arm.reach)
     out = out[np.searchsorted(fine, when)]
     if arm.springs or arm.time_constant.any():
         out = out + answered(arm, motion, when)

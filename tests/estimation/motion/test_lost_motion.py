@@ -1,0 +1,91 @@
+"""Lost motion that joints take up gradually: its history along a path, its reach from a fit, and the same at rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cellapp.estimation.motion.fit import solve
+from cellapp.estimation.motion.identify import RecordedArm, motion_problem
+from cellapp.estimation.motion.joint_path import Fading, joint_path
+from cellapp.estimation.motion.lost_motion import fading_terms
+from cellapp.estimation.motion.streams import JointStream
+from cellapp.estimation.motion.terms import Law, state_at_rest
+from cellapp.robot.effects import EFFECTS, EffectContext, EffectTerm, MeasurementConditions
+from cellapp.robot.effects.term import displacement, term_from_json, term_to_json
+from cellapp.robot.kinematics.chain import nominal_geometry
+from cellapp.robot.kinematics.statics import Bodies
+from tests.estimation.motion.simulated import UR10, gradual, record, sweep, true_arm
+
+NOMINAL = nominal_geometry(UR10, np.zeros(3))
+REACH = 0.15
+
+
+def path_of(rng):
+    motion, t = sweep(rng, 6, base_hz=0.1, harmonics=3), np.arange(0.0, 30.0, 0.008)
+    return motion, joint_path(JointStream(time_s=t, q=motion.at(t), qd=motion.speed(t)))
+
+
+def test_what_is_kept_is_that_of_plays_in_parallel():
+    motion, path = path_of(np.random.default_rng(1))
+    t = np.arange(0.5, 29.5, 0.0037)
+    fine = np.arange(0.0, 29.5, 0.001)
+    q, direction = motion.at(t), path.direction_at(t)
+    behind = motion.at(fine) - gradual(motion.at(fine), np.ones(6), REACH)
+    truth = np.column_stack([np.interp(t, fine, column) for column in behind.T])
+    for joint in range(6):
+        left = path.fading_at(t, q[:, joint], joint, Fading(REACH, kept=True))
+        surely = np.abs(direction[:, joint]) == 1.0
+        np.testing.assert_allclose((direction[:, joint] - left)[surely], truth[surely, joint], atol=0.05)
+
+
+def test_what_begins_anew_fades_with_the_travel_since_the_turn():
+    motion, path = path_of(np.random.default_rng(2))
+    t = np.arange(0.0, 29.9, 0.008)
+    q = motion.at(t)
+    for joint in range(6):
+        turn, side = q[0, joint], 0.0
+        left = path.fading_at(t, q[:, joint], joint, Fading(REACH, kept=False))
+        for i in range(1, len(t)):
+            now = np.sign(q[i, joint] - q[i - 1, joint])
+            if now != side:
+                turn, side = q[i - 1, joint], now
+            travel = abs(q[i, joint] - turn)
+            if travel > 0.01:
+                assert left[i] == pytest.approx(side * np.exp(-travel / REACH), abs=0.02)
+
+
+def test_a_fit_shows_the_reach_and_the_kind_of_memory():
+    rng = np.random.default_rng(3)
+    arm = replace(true_arm(rng, half_play=[120e-6] * 6), reach=REACH)
+    recording = record(rng, arm, sweep(rng, 6, base_hz=0.02, harmonics=10), seconds=60.0, point_hz=40.0, slow=0.0)
+    problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
+    terms = fading_terms(problem, solve(problem, rows, to_its_end=True), Law.PLAY)
+    assert [term.joint for term in terms] == list(range(6))
+    assert all(term.fading is not None and term.fading.kept for term in terms)
+    for term in terms[:3]:
+        assert term.fading is not None
+        assert term.fading.reach == pytest.approx(REACH, rel=0.35)
+
+
+def test_at_rest_the_law_is_that_of_the_fit_and_survives_its_file():
+    rng = np.random.default_rng(4)
+    q, step = rng.uniform(-1.0, 1.0, (50, 6)), rng.uniform(-0.8, 0.8, (50, 6))
+    step[0], step[1] = 0.0, np.nan
+    approach = np.sign(np.nan_to_num(step, nan=1.0))
+    law = EFFECTS["backlash"].law("gradual", {"reach2": REACH})
+    names, values = ("half_play1", "half_play2", "fresh_half_play2"), np.array([30e-6, 80e-6, -60e-6])
+    term = EffectTerm("backlash", names, values, np.zeros(3), ("rad",) * 3, law)
+    term = term_from_json(term_to_json(term), EFFECTS)
+    bodies = Bodies(np.ones(6), np.zeros((6, 3)), 0.0, np.zeros(3))
+    conditions = MeasurementConditions(approach=approach, step=step)
+    context = EffectContext(q, conditions, NOMINAL, bodies, np.array([0.0, 0.0, 1.0]))
+    moved = displacement([term], EFFECTS, context).joints
+    state = state_at_rest(q, approach, None, step)
+    left = state.left(1, Fading(REACH, kept=True))
+    assert (left[:2] == 0.0).all()
+    np.testing.assert_allclose(moved[:, 0], -30e-6 * approach[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(moved[:, 1], -80e-6 * approach[:, 1] + 60e-6 * left, rtol=1e-12)
+    assert "deg by joint 2" in law.words([1])
