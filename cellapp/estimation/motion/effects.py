@@ -70,9 +70,7 @@ _SHAPED_ROUNDS = 8
 _AS_WELL = 1.01
 """Ratio of held-out errors up to which the simpler of two models says as much."""
 _COUNT_ROUNDS = 3
-_JUDGED_ROUNDS = 4
-_SETTLED_GAIN = 1e-3
-"""Share of the held-out error below which another filter gains nothing."""
+_JUDGED_ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +137,7 @@ class _Search:
             if step.law is Law.INERTIA:
                 state, steps = self._with_time_constants(state, steps)
         state, steps = self._with_exact_counts(*self._with_one_lag(state, steps))
-        state, steps = self._without_load(*self._without_chance(state, steps))
+        state, steps = self._simpler(*self._without_chance(state, steps))
         final, steps = self._settled(self._unwhitened(state, self._plain(state)), steps)
         # with lags an offset is known by its sum with their mean only, and is left as it is
         late = has(steps, Law.LAG) or has(steps, Law.TIME_CONSTANT)
@@ -286,14 +284,23 @@ class _Search:
                 state = self._refitted(state, steps)
         return state, steps
 
-    def _without_load(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
-        """Play alone, without a part that grows with the load, if that says as much: the simpler of two explanations."""
-        if not (has(steps, Law.PLAY) and has(steps, Law.WINDUP)):
-            return state, steps
-        simple = [step for step in steps if step.law is not Law.WINDUP]
-        self.told("lost motion that no load changes")
-        trial = self._judged_to_its_end(self._refitted(state, simple))
-        return (trial, simple) if trial.heldout_mm < _AS_WELL * state.heldout_mm else (state, steps)
+    def _simpler(self, state: State, steps: list[Step]) -> tuple[State, list[Step]]:
+        """Lost motion that changes at once, and without a part that grows with load, where that says as much: lines and
+        elastic joints look like either before they are part of the fit."""
+        for law in (Law.WINDUP, Law.PLAY):
+            kept: list[tuple[JointTerm, ...]] = [tuple(term for term in terms_of(law, steps) if not term.fading)]
+            if law is Law.WINDUP and has(steps, Law.PLAY):
+                kept.append(())
+            for fewer in kept:
+                if len(fewer) == len(terms_of(law, steps)):
+                    continue
+                self.told(f"{law.value.replace('_', ' ')} with fewer terms")
+                simple = [replace(step, terms=fewer) if step.law is law else step for step in steps]
+                simple = [step for step in simple if step.terms]
+                trial = self._judged_to_its_end(self._refitted(state, simple))
+                if trial.heldout_mm < _AS_WELL * state.heldout_mm:
+                    state, steps = trial, simple
+        return state, steps
 
     def _by_chance(self, state: State, terms: Sequence[JointTerm], more: int = 1) -> bool:
         """Whether chance explains terms, of which there were ``more`` alternatives."""
@@ -314,11 +321,11 @@ class _Search:
         )
         return self._state(problem, values)
 
-    def _plain(self, state: State) -> State:
-        """All points as they are, fitted to the end."""
-        return self._state(replace(state.problem, whitening=None), state.solution.values, to_its_end=True)
+    def _plain(self, state: State, *, to_its_end: bool = True) -> State:
+        """All points as they are."""
+        return self._state(replace(state.problem, whitening=None), state.solution.values, to_its_end=to_its_end)
 
-    def _unwhitened(self, state: State, plain: State) -> State:
+    def _unwhitened(self, state: State, plain: State, *, to_its_end: bool = True) -> State:
         """All points as they are, for predictions; lines and play, which are fast, stay as the whitened residuals
         determine them, where these tell more of them than ``plain`` ones."""
         problem, solution, size = plain.problem, state.solution, state.problem.layout.geometric
@@ -336,25 +343,23 @@ class _Search:
                 precision[number] = 1.0 / own[number]
         if np.array_equal(precision, problem.precision):
             return plain
-        return self._state(replace(problem, mean=mean, precision=precision), solution.values, to_its_end=True)
+        return self._state(replace(problem, mean=mean, precision=precision), solution.values, to_its_end=to_its_end)
 
-    def _judged(self, trial: State) -> State:
+    def _judged(self, trial: State, *, to_its_end: bool = False) -> State:
         """The same fitted with filters of what its terms leave, as those of residuals without them hide a part; with
         the held-out error of the arm by all points as they are, as filtered ones tell little of the geometry."""
-        plain = self._plain(trial)
-        filtered = self._state(_whitened(plain).problem, plain.solution.values, to_its_end=True)
-        return replace(filtered, heldout_mm=self._unwhitened(filtered, plain).heldout_mm)
+        plain = self._plain(trial, to_its_end=to_its_end)
+        filtered = self._state(_whitened(plain).problem, plain.solution.values, to_its_end=to_its_end)
+        return replace(filtered, heldout_mm=self._unwhitened(filtered, plain, to_its_end=to_its_end).heldout_mm)
 
     def _judged_to_its_end(self, state: State) -> State:
         """The same with filters of its own residuals, again as long as that predicts better: what that gains is no gain
         of the next law."""
         for _ in range(_JUDGED_ROUNDS):
-            again = self._judged(state)
+            again = self._judged(state, to_its_end=True)
             if again.heldout_mm >= state.heldout_mm:
-                return state
-            gain, state = 1.0 - again.heldout_mm / state.heldout_mm, again
-            if gain < _SETTLED_GAIN:
                 break
+            state = again
         return state
 
     def _state(self, problem: Problem, start: Array | None, *, to_its_end: bool = False) -> State:
@@ -397,7 +402,8 @@ class _Search:
         plain = () if has(steps, law) else of_all_joints(law, state.problem.layout.parameters.joints)
         if plain:
             yield plain, self.alternatives
-        if law in (Law.PLAY, Law.WINDUP) and not any(term.fading for term in known):
+        gradual = law is Law.PLAY or (law is Law.WINDUP and not plain)
+        if gradual and not any(term.fading for term in known):
             assert isinstance(law, Law)
             self.told(f"reach of {law.value.replace('_', ' ')}")
             fading = fading_terms(state.problem, state.solution, law)
