@@ -32,8 +32,8 @@ share, w is uniform. So beside each named effect stands the set in which another
 
     ln weight = -ln 9 - ln(k + 1) - k ln(1 - w).
 
-No name is therefore surer than 98 %, and one that removes less than what is left is not accepted. (Bayes factors: Kass,
-Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over models: Hoeting et al., Stat. Sci. 14 (1999) 382.)
+So no name is surer than 98 %, and one that removes clearly less than what is left is not accepted. (Bayes factors:
+Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over models: Hoeting et al., Stat. Sci. 14 (1999) 382.)
 """
 
 from __future__ import annotations
