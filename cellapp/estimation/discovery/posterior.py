@@ -32,6 +32,9 @@ share, w is uniform. So beside each named effect stands the set in which another
 
     ln weight = -ln 9 - ln(k + 1) - k ln(1 - w).
 
+A free function that has a name leaves little whatever the cause is. It is taken where no law of its effect has the
+shape: of effects that are there one in five is so, of others every one, hence ln weight = ln 5 - ln 9.
+
 So no name is surer than 98 %, and one that removes clearly less than what is left is not accepted. (Bayes factors:
 Kass, Raftery, J. Am. Stat. Ass. 90 (1995) 773; averages over models: Hoeting et al., Stat. Sci. 14 (1999) 382.)
 """
@@ -71,6 +74,8 @@ _LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
 _ODDS_OUTSIDE = 1.0 / 9.0
 """Prior odds that the library lacks a cause that shows. With ``_LEAVES``, from 92 names of the blind runs of seed
 20261126; those that are reported have other seeds."""
+_FREE_FORM = 5.0
+"""How much more often something else needs a free function than an effect whose name that has."""
 _LEAVES = 5.0
 """Power of the density of the share that a right law leaves. The mean there was 0.06, which would be 15; a second cause
 may be left, and scatter that nobody stated, so that it has a longer tail."""
@@ -170,7 +175,8 @@ def _log_odds_outside(found: SearchResult) -> dict[str, float]:
         (term.slug, fit.removed_square(number)) for number, term in enumerate(fit.terms) if term.is_library_effect
     )
     prior = math.log(_ODDS_OUTSIDE / (_LEAVES + 1.0))
-    return {
+    free = {term.slug for term in fit.terms if term.smooth is not None and term.slug != UNKNOWN}
+    return dict.fromkeys(free, math.log(_ODDS_OUTSIDE * _FREE_FORM)) | {
         slug: prior + _LEAVES * math.log1p(beyond_noise / max(math.fsum(squares), SMALLEST))
         for slug, squares in removed.items()
     }
