@@ -8,12 +8,12 @@ residuals, beside all that the fit has, is a small system.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cellapp.estimation.calibration.linear import solve_psd
-from cellapp.estimation.motion.fit import Problem, Solution, normal_equations
+from cellapp.estimation.motion.fit import Problem, Solution, Source, normal_equations
 from cellapp.estimation.motion.joint_path import Fading
 from cellapp.estimation.motion.terms import JointTerm, Law, of_all_joints
 from cellapp.robot.kinematics.transforms import Array
@@ -22,6 +22,7 @@ REACHES = (0.025, 0.05, 0.1, 0.2, 0.4, 0.8)
 """Reaches that are tried [rad]: 1.4 to 46 degrees."""
 ALTERNATIVES = 2 * len(REACHES)
 """Fading parts that chance may choose from."""
+_MOST_POINTS = 8000
 _OWN_REACH = 9.0
 """Chi-square that a reach of its own must gain of a joint: three standard deviations."""
 
@@ -83,9 +84,11 @@ def _gains(problem: Problem, solution: Solution, law: Law) -> _Gains:
     ]
     plain = [term for term in of_all_joints(law, joints) if term not in problem.layout.terms]
     at, first = problem.layout.arm, problem.layout.arm + len(plain)
-    extended = problem.with_terms((*plain, *tried))
+    # some of the points say which part fits best; the fit with it, and its evidence, are of all
+    extended = replace(problem.with_terms((*plain, *tried)), whitening=None)
+    sources = [_thinned(source, _MOST_POINTS // len(solution.sources)) for source in solution.sources]
     values = np.insert(solution.values, at, np.zeros(len(plain) + len(tried)))
-    A, b = normal_equations(extended, values, solution.sources)
+    A, b = normal_equations(extended, values, sources)
     A, b = A + np.diag(extended.precision), b + extended.precision * (extended.mean - values)
     new = np.zeros(len(b), dtype=np.bool_)
     new[first : first + len(tried)] = True
@@ -93,3 +96,10 @@ def _gains(problem: Problem, solution: Solution, law: Law) -> _Gains:
     matrix = A[new][:, new] - A[new][:, ~new] @ of_fit[:, :-1]
     product = b[new] - A[new][:, ~new] @ of_fit[:, -1]
     return _Gains(0.5 * (matrix + matrix.T), product, joints)
+
+
+def _thinned(source: Source, most: int) -> Source:
+    """Some of the rows of a source, each of more weight."""
+    each = max(len(source.rows) // max(most, 1), 1)
+    relative = None if source.relative is None else source.relative[::each]
+    return replace(source, rows=source.rows[::each], worth=source.worth * each, relative=relative)
